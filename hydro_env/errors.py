@@ -1,0 +1,13 @@
+"""The errors that this package raises; each message is one line that says what, where and what is allowed."""
+
+
+class HydroError(ValueError):
+    """Base of all errors of this project; the command line prints its message and exits with code 2."""
+
+
+class ConfigurationError(HydroError):
+    """A configuration file or keyword is wrong."""
+
+
+class InvalidStateError(HydroError, ArithmeticError):
+    """A simulated state left the range in which the model is valid."""

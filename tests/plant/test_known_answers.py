@@ -1,0 +1,252 @@
+"""The known answers of the model: closed forms, published values, conservation laws, a second solver."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hydro_env.errors import HydroError, InvalidStateError
+from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env.plant.analysis import (
+    closed_port_natural_frequency,
+    force_rate_terms,
+    linearise,
+    reachable_range,
+    speed_limits,
+)
+from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.parameters import LITRE_PER_MINUTE
+
+CLOSED_VALVE = {"underlap": 0.0}
+TIGHT = {"internal_resistance": math.inf}
+NO_FRICTION = {"model": "none"}
+PURE_OIL = {"air_fraction": 0.0}
+CONSTANT_SUPPLY = {"model": "constant", "tank_pressure": 0.0}
+
+
+def double_rod_cylinder() -> PlantParameters:
+    """The published closed-port cylinder: A = 20.44 cm², β = 0.981 GPa, V = 106.3 cm³ a side, 1000 kg."""
+    area, volume, stroke = 20.44e-4, 106.3e-6, 0.09
+    return PlantParameters().replace(
+        cylinder={
+            "bore_diameter": math.sqrt(4 * area / math.pi),
+            "rod_diameter": 0.0,
+            "stroke": stroke,
+            "dead_volume": volume - area * stroke / 2,
+            "piston_mass": 0.0,
+        },
+        valve=CLOSED_VALVE,
+        fluid={"bulk_modulus": 0.981e9, **PURE_OIL},
+        load={"mass": 1000.0, "spring_stiffness": 0.0, "viscous_damping": 0.0},
+        friction=NO_FRICTION,
+        leakage=TIGHT,
+    )
+
+
+def test_closed_port_natural_frequency_is_the_published_one():
+    parameters = double_rod_cylinder()
+    assert closed_port_natural_frequency(parameters) == pytest.approx(277.7, abs=0.1)
+    assert linearise(parameters, voltage=0.0).hydraulic_mode.natural_frequency == pytest.approx(277.7, abs=0.1)
+
+
+def test_closed_port_oscillation_has_the_published_period():
+    parameters = double_rod_cylinder()
+    run = simulate(parameters, np.zeros(4000), 0.25e-3, {"velocity": 0.01})
+    rising = np.flatnonzero((run.velocity[:-1] < 0) & (run.velocity[1:] >= 0))
+    crossing = run.time[rising] - run.velocity[rising] * 0.25e-3 / (run.velocity[rising + 1] - run.velocity[rising])
+    assert 2 * np.pi / np.diff(crossing).mean() == pytest.approx(277.7, rel=1e-3)
+    assert np.abs(run.velocity[-400:]).max() == pytest.approx(0.01, rel=1e-2)  # nothing damps it
+
+
+@pytest.mark.parametrize(
+    ("voltage", "speed", "bar_a", "bar_b"), [(10.0, 0.176, 8.2, 16.1), (-10.0, -0.126, 31.5, 61.8)]
+)
+def test_no_load_speed_and_pressures(voltage, speed, bar_a, bar_b):
+    parameters = PlantParameters().replace(
+        valve=CLOSED_VALVE,
+        supply=CONSTANT_SUPPLY,
+        friction=NO_FRICTION,
+        load={"spring_stiffness": 0.0, "viscous_damping": 0.0},
+        leakage=TIGHT,
+    )
+    run = simulate(parameters, np.full(120, voltage), 5e-3, {"position": -0.08 * np.sign(voltage)})
+    assert run.velocity[-1] == pytest.approx(speed, abs=5e-4)
+    assert run.pressure_a[-1] / 1e5 == pytest.approx(bar_a, abs=0.1)
+    assert run.pressure_b[-1] / 1e5 == pytest.approx(bar_b, abs=0.1)
+    limits = speed_limits(parameters)
+    assert abs(run.velocity[-1]) == pytest.approx(limits.extending if voltage > 0 else limits.retracting, rel=1e-3)
+
+
+def oil_volume(run, parameters):
+    """Oil in both chambers, counted at zero gauge pressure: ∫ dm/ρ with a constant bulk modulus, V exp(P/β)."""
+    area_a = np.pi / 4 * parameters.cylinder.bore_diameter**2
+    area_b = area_a - np.pi / 4 * parameters.cylinder.rod_diameter**2
+    half = parameters.cylinder.stroke / 2
+    dead = parameters.cylinder.dead_volume
+    beta = parameters.fluid.bulk_modulus
+    return (
+        (dead + area_a * (half + run.position)) * np.exp(run.pressure_a / beta),
+        (dead + area_b * (half - run.position)) * np.exp(run.pressure_b / beta),
+    )
+
+
+def test_leakage_with_closed_valve_loses_no_oil_and_comes_to_rest():
+    parameters = PlantParameters().replace(
+        valve=CLOSED_VALVE, fluid=PURE_OIL, leakage={"internal_resistance": resistance_from_flow(4.0)}
+    )
+    centred = {"spool_position": 0.0, "spool_velocity": 0.0, "coil_current": 0.0}
+    start = {"position": 0.03, "velocity": 0.0, "pressure_a": 40e5, "pressure_b": 20e5, **centred}
+    run = simulate(parameters, np.zeros(12000), 0.25e-3, start)
+    volume_a, volume_b = oil_volume(run, parameters)
+    # dP/dt = β/V (Q − dV/dt) carries oil at the density of the chamber: d(V exp(P/β)) = exp(P/β) Q dt.
+    beta = parameters.fluid.bulk_modulus
+    left_a = np.trapezoid(run.leakage_flow * np.exp(run.pressure_a / beta), run.time)
+    came_to_b = np.trapezoid(run.leakage_flow * np.exp(run.pressure_b / beta), run.time)
+    assert volume_a[0] - volume_a[-1] == pytest.approx(left_a, rel=1e-3)
+    assert volume_b[-1] - volume_b[0] == pytest.approx(came_to_b, rel=1e-3)
+    assert left_a == pytest.approx(came_to_b, rel=5e-3)
+    assert abs(run.velocity[-1]) < 1e-4
+    assert abs(run.pressure_a[-1] - run.pressure_b[-1]) < 0.05 * abs(run.pressure_a[0] - run.pressure_b[0])
+
+
+def test_oil_is_conserved_through_the_valve():
+    """The integrals of the port flows are the oil that the chambers gained, along a lively run."""
+    parameters = PlantParameters().replace(fluid=PURE_OIL)
+    voltage = 3.0 * np.sin(np.arange(8000) * 0.25e-3 * 2 * np.pi * 1.5)
+    run = simulate(parameters, voltage, 0.25e-3)
+    volume_a, volume_b = oil_volume(run, parameters)
+    into_a = run.flow_a - run.leakage_flow
+    into_b = -run.flow_b + run.leakage_flow
+    beta = parameters.fluid.bulk_modulus
+    for volume, flow, pressure in ((volume_a, into_a, run.pressure_a), (volume_b, into_b, run.pressure_b)):
+        mass_flow = flow * np.exp(pressure / beta)
+        gained = np.concatenate([[0.0], np.cumsum(0.5 * (mass_flow[1:] + mass_flow[:-1]) * 0.25e-3)])
+        assert np.abs(volume - volume[0] - gained).max() < 2e-4 * np.abs(flow).sum() * 0.25e-3
+
+
+@pytest.mark.parametrize(
+    ("flow_lpm", "seconds"),
+    [(0.0, 4.93), (0.03, 3.80), (0.1, 2.47), (0.25, 1.41), (0.5, 0.83), (1.0, 0.45), (2.0, 0.24), (3.0, 0.16)],
+)
+def test_settling_time_falls_as_leakage_grows(flow_lpm, seconds):
+    """Fig. 13: the time in which |a| falls from 5 to 0.1 m/s² with a closed valve near the retracted end."""
+    parameters = PlantParameters().replace(
+        cylinder={"dead_volume": 40e-6, "piston_mass": 3.0},
+        valve=CLOSED_VALVE,
+        fluid={"bulk_modulus": 1.0e9, **PURE_OIL},
+        load={"mass": 60.0, "spring_stiffness": 0.0, "viscous_damping": 100.0},
+        friction=NO_FRICTION,
+        leakage={"internal_resistance": resistance_from_flow(flow_lpm)},
+    )
+    sample_time = 0.5e-3
+    # Pressures at zero gauge in the mean: then the leak drives no drift, only the oscillation remains.
+    low = {"position": -0.1, "velocity": 0.03, "pressure_a": 10e5, "pressure_b": 19.606e5}
+    run = simulate(parameters, np.zeros(int(6.5 / sample_time)), sample_time, low)
+    swing = run.acceleration - _drift(run.acceleration, sample_time, parameters)
+    envelope = _envelope(run.time, swing)
+    fell_to = [run.time[np.flatnonzero(envelope > level)[-1]] for level in (5.0, 0.1)]
+    assert fell_to[1] - fell_to[0] == pytest.approx(seconds, rel=0.03, abs=0.012)
+
+
+def _drift(values, sample_time, parameters):
+    """The mean over one period of oscillation: what is not oscillation."""
+    period = 2 * np.pi / closed_port_natural_frequency(parameters, -0.1)
+    width = max(int(round(period / sample_time)), 1)
+    return np.convolve(np.pad(values, width // 2, mode="edge"), np.ones(width) / width, mode="same")[
+        width // 2 : width // 2 + len(values)
+    ]
+
+
+def _envelope(time, values):
+    """|values| interpolated (in the logarithm) between its peaks."""
+    size = np.abs(values)
+    peaks = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    return np.exp(np.interp(time, time[peaks], np.log(size[peaks] + 1e-12)))
+
+
+def test_the_reference_solver_agrees():
+    parameters = PlantParameters()
+    voltage = np.repeat([2.0, -1.5, 4.0, 0.0], 20)
+    fast = simulate(parameters, voltage, 5e-3)
+    exact = simulate(parameters, voltage, 5e-3, method="radau")
+    error = np.abs(fast.states - exact.states).max(axis=0) / np.ptp(exact.states, axis=0)
+    assert dict(zip(STATE_NAMES, error, strict=True))["position"] < 1e-5
+    assert error.max() < 2e-3
+
+
+def test_equilibrium_stays_where_it_is():
+    parameters = PlantParameters().replace(leakage={"internal_resistance": resistance_from_flow(2.0)})
+    for position in (-0.03, 0.0, 0.06):
+        state, voltage = equilibrium(parameters, position)
+        run = simulate(parameters, np.full(400, voltage), 5e-3, state)
+        assert np.abs(run.position - position).max() < 1e-9
+        assert np.abs(run.supply_pressure - run.supply_pressure[0]).max() < 1.0
+
+
+def test_steady_spool_follows_the_voltage():
+    run = simulate(PlantParameters().replace(load={"spring_stiffness": 1e6}), np.full(40, 3.0), 5e-3)
+    assert run.spool_position[-1] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_force_rate_terms_add_up():
+    parameters = PlantParameters().replace(leakage={"internal_resistance": 6e11, "external_resistance": 5e12})
+    run = simulate(parameters, np.repeat([3.0, -2.0], 100), 1e-3)
+    terms = force_rate_terms(run)
+    rate = np.gradient(run.load_force, run.time)
+    total = sum(terms)
+    smooth = np.abs(np.gradient(total, run.time)) < np.quantile(np.abs(np.gradient(total, run.time)), 0.8)
+    assert np.abs(rate - total)[smooth].max() < 0.05 * np.abs(total).max()
+    assert np.all(np.sign(terms.internal_leakage) == np.sign(run.pressure_b - run.pressure_a))
+
+
+def test_reachable_range_is_where_equilibria_end():
+    low, high = reachable_range(PlantParameters())
+    assert (low, high) == pytest.approx((-0.0490, 0.0981), abs=5e-4)
+    equilibrium(PlantParameters(), 0.95 * high)
+    with pytest.raises(HydroError, match="cannot be held"):
+        equilibrium(PlantParameters(), 1.15 * high)
+
+
+def test_state_outside_the_valid_range_is_named():
+    parameters = PlantParameters().replace(
+        supply={"accumulator_volume": 2e-6, "pump_flow": 0.0, "precharge_pressure": 69e5},
+        valve={"underlap": 0.0},
+        leakage=TIGHT,
+    )
+    start = {
+        **dict.fromkeys(STATE_NAMES, 0.0),
+        "pressure_a": 20e5,
+        "pressure_b": 39.2e5,
+        "supply_pressure": 70e5,
+        "gas_volume": 2e-6,
+    }
+    with pytest.raises(InvalidStateError, match=r"gas_volume left its valid range at t = .* s: .* m³, allowed"):
+        simulate(parameters, np.full(200, 10.0), 5e-3, start)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"voltage": [0.0, math.nan]}, r"voltage\[1\] = nan V: must be within -10 to 10 V"),
+        ({"voltage": [12.0]}, r"voltage\[0\] = 12 V"),
+        ({"voltage": [[0.0]]}, "one row"),
+        ({"voltage": ["fast"]}, "must be numbers"),
+        ({"sample_time": 0.0}, "sample_time = 0.0 s: must be positive"),
+        ({"initial_state": {"speed": 1.0}}, "unknown state 'speed'; known: position"),
+        ({"initial_state": {"position": math.nan}}, "position = nan: must be a finite number"),
+        ({"initial_state": {"position": 5.0, **dict.fromkeys(STATE_NAMES[1:], 0.0)}}, "position left its valid range"),
+        ({"method": "euler"}, "must be 'rk4' or 'radau'"),
+    ],
+)
+def test_impossible_input_is_refused_with_one_line(arguments, message):
+    call = {"voltage": [0.0], "sample_time": 5e-3} | arguments
+    with pytest.raises(HydroError, match=message) as caught:
+        simulate(PlantParameters(), **call)
+    assert "\n" not in str(caught.value)
+
+
+def test_leakage_flow_at_the_test_pressure():
+    parameters = PlantParameters().replace(leakage={"internal_resistance": resistance_from_flow(0.3)})
+    start = {**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": 100e5, "supply_pressure": 70e5, "gas_volume": 8e-4}
+    run = simulate(parameters, [0.0], 1e-6, start)
+    assert run.leakage_flow[0] / LITRE_PER_MINUTE == pytest.approx(0.3)
