@@ -33,10 +33,11 @@ def compiled(function: Function) -> Function:
 
 
 def source_stamp(*sources: str) -> int:
-    """A number that changes whenever one of the source files changes."""
+    """A number that changes whenever one of the source files (paths inside the package) changes."""
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for source in sources:
-        digest.update(Path(source).read_bytes())
+        digest.update((package / source).read_bytes())
     return int.from_bytes(digest.digest()[:7], "big")
 
 

@@ -310,3 +310,21 @@ def fastest_rate(s, c):
     stop = c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass)
     valve = max(math.sqrt(c.spool_stiffness) + c.spool_damping, c.coil_rate)
     return max(max(max(relaxation_a, relaxation_b), max(friction, oscillation)), max(stop, valve))
+
+
+@inline
+def valid_limits(end_stop_position, slew_limit, volume_b0, area_a, area_b, supply_dynamics, accumulator_volume):
+    """Lowest and highest value of each state for which the model holds, as two tuples in the order of State.
+
+    Pressures end where a steel cylinder does (2000 bar); the accumulator must hold gas and oil; the piston may press
+    into an end stop by half of what the dead volume allows. Arguments as in :class:`Coefficients`.
+    """
+    dead_volume = volume_b0 - area_b * end_stop_position
+    reach = end_stop_position + 0.5 * dead_volume / area_a
+    slew = slew_limit * (1.0 + 1e-9)
+    most_gas = accumulator_volume * 1.001 if supply_dynamics > 0.0 else 1e300
+    floor = VAPOUR_PRESSURE * (1.0 + 1e-9)
+    return (
+        (-reach, -20.0, floor, floor, -1.000000001, -slew, -1e4, floor, 1e-12),
+        (reach, 20.0, 2e8, 2e8, 1.000000001, slew, 1e4, 2e8, most_gas),
+    )

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant import compiler, equations
+from hydro_env.plant import compiler
 from hydro_env.plant.equations import (
     Coefficients,
     State,
@@ -160,7 +160,7 @@ def _build(stamp: int) -> Callable[..., None]:
     return integrate
 
 
-integrate = compiler.compiled(_build(compiler.source_stamp(equations.__file__)))
+integrate = compiler.compiled(_build(compiler.source_stamp("plant/equations.py")))
 """Advance plants in place through consecutive hold intervals.
 
 Args:

@@ -12,11 +12,9 @@ from scipy.integrate import solve_ivp
 
 from hydro_env.errors import HydroError, InvalidStateError
 from hydro_env.plant import compiler, equations, kernel
-from hydro_env.plant import equilibrium as equilibrium_module
 from hydro_env.plant.equations import (
     STATE_NAMES,
     STATE_UNITS,
-    VAPOUR_PRESSURE,
     Physical,
     State,
     acceleration,
@@ -24,6 +22,7 @@ from hydro_env.plant.equations import (
     edge_flows,
     external_leakage,
     internal_leakage,
+    valid_limits,
 )
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.parameters import PlantParameters, to_vector
@@ -161,25 +160,23 @@ def simulate(
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:
-    """Lowest and highest value of each state for which the model holds, shapes (9,) each, order of STATE_NAMES.
-
-    Pressures end where a steel cylinder does (2000 bar); the accumulator must hold gas and oil; the piston may press
-    into an end stop by half of what the dead volume allows.
-    """
-    cylinder, supply = parameters.cylinder, parameters.supply
-    reach = 0.5 * cylinder.stroke + 0.5 * cylinder.dead_volume / (0.25 * np.pi * cylinder.bore_diameter**2)
-    highest = 2e8
-    slew = parameters.valve.slew_limit
-    gas = supply.accumulator_volume * 1.001 if supply.model == "accumulator" else np.inf
-    low = np.array([-reach, -20.0, VAPOUR_PRESSURE, VAPOUR_PRESSURE, -1.0, -slew, -1e4, VAPOUR_PRESSURE, 1e-9])
-    high = np.array([reach, 20.0, highest, highest, 1.0, slew, 1e4, highest, gas])
-    return low, high
+    """Lowest and highest value of each state for which the model holds, shapes (9,) each, order of STATE_NAMES."""
+    c = equations.Coefficients(*coefficient_array(parameters))
+    low, high = valid_limits(
+        c.end_stop_position,
+        c.slew_limit,
+        c.volume_b0,
+        c.area_a,
+        c.area_b,
+        c.supply_dynamics,
+        parameters.supply.accumulator_volume,
+    )
+    return np.array(low), np.array(high)
 
 
 def _check_range(parameters: PlantParameters, time: Array, states: Array) -> None:
     low, high = valid_ranges(parameters)
-    slack = 1e-9 * np.abs(high - low, where=np.isfinite(high), out=np.ones_like(high))
-    bad = ~((states >= low - slack) & (states <= high + slack))
+    bad = ~((states >= low) & (states <= high))
     if bad.any():
         sample, row = np.argwhere(bad)[0]
         raise InvalidStateError(
@@ -306,5 +303,5 @@ _physical = compiler.tuple_reader(Physical)
 _state = compiler.tuple_reader(State)
 _coefficient_tuple = compiler.tuple_reader(equations.Coefficients)
 _coefficients, _equilibrium, derivative_array, _derived = _build(
-    compiler.source_stamp(equations.__file__, equilibrium_module.__file__)
+    compiler.source_stamp("plant/equations.py", "plant/equilibrium.py")
 )

@@ -1,0 +1,341 @@
+"""What is asked of the axis, as data: timing, leakage, randomisation, references, sensors, reward, end of episode.
+
+A YAML file and a keyword of the environment say the same thing and are validated here. SI units, except leakage,
+which is given as practice does: litres per minute at 100 bar across the piston.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hydro_env.configuration import Group, read_yaml, validate, write_yaml
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
+
+REFERENCE_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop", "user")
+"""Kinds of reference; ``user`` is an array of the user's own."""
+
+LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
+"""Names of the class labels 0 to 3."""
+
+LEAKAGE_SCHEDULES = ("constant", "onset", "growth")
+DISTURBANCES = ("none", "step", "pulse", "sine")
+
+LEAKAGE_LIMIT = 20.0
+"""l/min at 100 bar; more would be no seal at all."""
+
+Range = tuple[Number, Number]
+
+
+def _rising(name: str, bounds: tuple[float, float]) -> None:
+    if bounds[0] > bounds[1]:
+        raise ValueError(f"{name} = [{bounds[0]:g}, {bounds[1]:g}]: the lower bound must not exceed the upper one")
+
+
+class Distribution(Group):
+    """How one parameter is drawn in each episode: uniformly or log-uniformly between two bounds.
+
+    ``times`` multiplies the draw by another parameter; with ``otherwise_probability`` the value is ``otherwise``.
+    """
+
+    uniform: Range | None = None
+    log_uniform: Range | None = None
+    times: str | None = Field(None, description="path of a parameter that multiplies the draw")
+    otherwise: Number | None = None
+    otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Distribution:
+        if (self.uniform is None) == (self.log_uniform is None):
+            raise ValueError("needs either 'uniform: [low, high]' or 'log_uniform: [low, high]'")
+        _rising("bounds", self.bounds)
+        if self.log_uniform is not None and self.log_uniform[0] <= 0.0:
+            raise ValueError("log_uniform needs positive bounds")
+        if self.times is not None and self.times not in PARAMETER_PATHS:
+            raise ValueError(f"times = {self.times!r} is no parameter of the plant")
+        if (self.otherwise is None) != (self.otherwise_probability == 0.0):
+            raise ValueError("'otherwise' and 'otherwise_probability' belong together")
+        return self
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Lower and upper bound of the draw."""
+        chosen = self.uniform if self.uniform is not None else self.log_uniform
+        assert chosen is not None
+        return chosen
+
+
+def _default_randomisation() -> dict[str, Distribution]:
+    """The assumed parameters over the ranges of published rigs (docs/model.md, section 3)."""
+    return {
+        "cylinder.dead_volume": Distribution(uniform=(20e-6, 60e-6)),
+        "valve.rated_flow": Distribution(uniform=(0.9 * 10e-3 / 60, 1.1 * 10e-3 / 60)),
+        "valve.natural_frequency": Distribution(uniform=(380.0, 630.0)),
+        "valve.damping_ratio": Distribution(uniform=(0.6, 1.0)),
+        "valve.underlap": Distribution(uniform=(0.005, 0.025)),
+        "fluid.bulk_modulus": Distribution(uniform=(1.0e9, 1.5e9)),
+        "fluid.air_fraction": Distribution(log_uniform=(0.001, 0.01)),
+        "load.mass": Distribution(uniform=(40.0, 80.0)),
+        "load.spring_stiffness": Distribution(uniform=(71.2e3, 106.8e3), otherwise=0.0, otherwise_probability=0.1),
+        "load.viscous_damping": Distribution(uniform=(100.0, 800.0)),
+        "friction.coulomb_force": Distribution(uniform=(50.0, 300.0)),
+        "friction.breakaway_force": Distribution(uniform=(1.2, 1.8), times="friction.coulomb_force"),
+        "supply.pressure": Distribution(uniform=(60e5, 100e5)),
+        "leakage.external_resistance": Distribution(
+            log_uniform=(1e12, 1e13), otherwise=float("inf"), otherwise_probability=0.8
+        ),
+    }
+
+
+class LeakageDraw(Group):
+    """Internal leakage of an episode, in l/min at 100 bar across the piston."""
+
+    healthy_share: Number = Field(0.25, ge=0.0, le=1.0, description="share of episodes with a healthy seal")
+    healthy_range: Range = Field((0.003, 0.03), description="l/min at 100 bar; drawn log-uniformly")
+    faulty_range: Range = Field((0.1, 4.0), description="l/min at 100 bar; drawn log-uniformly")
+    class_bounds: tuple[Number, Number, Number] = Field(
+        (0.03, 0.3, 1.0), description="l/min at 100 bar; highest of healthy, incipient, moderate; above is severe"
+    )
+    law: Literal["laminar", "orifice"] = Field("laminar", description="flow ∝ Δp (10), or ∝ √Δp as through a throttle")
+    schedule: Literal["constant", "onset", "growth"] = Field(
+        "constant", description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode"
+    )
+    start_range: Range = Field((0.25, 0.75), description="onset or start of growth, as a share of the episode")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> LeakageDraw:
+        for name in ("healthy_range", "faulty_range"):
+            low, high = getattr(self, name)
+            _rising(name, (low, high))
+            if not 0.0 < low <= high <= LEAKAGE_LIMIT:
+                raise ValueError(f"{name} = [{low:g}, {high:g}] must lie within 0 (excluded) to {LEAKAGE_LIMIT:g} l/min")
+        if not 0.0 < self.class_bounds[0] < self.class_bounds[1] < self.class_bounds[2]:
+            raise ValueError("class_bounds must be positive and rising")
+        _rising("start_range", self.start_range)
+        if not (self.start_range[0] >= 0.0 and self.start_range[1] <= 1.0):
+            raise ValueError("start_range must lie within 0 to 1")
+        return self
+
+
+class References(Group):
+    """Which references are asked for, within what force and speed of each plant allow."""
+
+    weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
+        default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
+        description="relative frequency of each family; absent families do not occur",
+    )
+    user: list[float] | None = Field(
+        None, description="m, one value per control period from the start; held at its end"
+    )
+    range_share: Number = Field(0.6, gt=0.0, le=0.95, description="of the range that the supply can hold")
+    largest_amplitude: Number = quantity(0.10, "m", "farthest from mid-stroke", 1e-3, 5.0)
+    speed_share: Number = Field(0.7, gt=0.0, le=1.0, description="of the speed at full opening on that stretch")
+    acceleration_limit: Number = quantity(4.0, "m/s²", "of smooth moves and sines", 0.01, 100.0)
+    frequency_range: Range = Field((0.3, 4.0), description="Hz, of sines")
+    step_range: Range = Field((0.005, 0.04), description="m, of steps")
+    preview_times: tuple[Number, ...] = Field(
+        (0.005, 0.010, 0.020, 0.040), description="s; the observation holds the reference this far ahead"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> References:
+        for name in self.weights:
+            if name not in REFERENCE_FAMILIES:
+                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
+        if not sum(self.weights.values()) > 0.0:
+            raise ValueError("weights: at least one family needs a positive weight")
+        if self.weights.get("user", 0.0) > 0.0 and not self.user:
+            raise ValueError("weights: family 'user' needs 'user', an array of positions in m")
+        for name in ("frequency_range", "step_range"):
+            low, high = getattr(self, name)
+            _rising(name, (low, high))
+            if low <= 0.0:
+                raise ValueError(f"{name} must be positive")
+        if any(not 0.0 < t <= 0.5 for t in self.preview_times) or list(self.preview_times) != sorted(
+            set(self.preview_times)
+        ):
+            raise ValueError("preview_times must rise, each within 0 (excluded) to 0.5 s")
+        return self
+
+
+class Sensor(Group):
+    """One measured signal: white noise, a bias drawn per episode, 16-bit steps, and its range."""
+
+    noise: Number = Field(ge=0.0, description="standard deviation, unit of the signal")
+    bias: Number = Field(ge=0.0, description="largest constant error of an episode, unit of the signal")
+    resolution: Number = Field(ge=0.0, description="step of the 16-bit acquisition, unit of the signal; 0 = none")
+    low: Number = Field(description="lower end of the range")
+    high: Number = Field(description="upper end of the range")
+
+    @model_validator(mode="after")
+    def _range(self) -> Sensor:
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
+        return self
+
+
+def _current_loop(span: float) -> float:
+    """Step of a 4–20 mA signal over 500 Ω on a 16-bit converter of ±10 V: 26214 steps for the span."""
+    return span / (65536 * 8.0 / 20.0)
+
+
+class Sensors(Group):
+    """What the rig measures (Table 1 of the paper; noise and bias from data sheets of the class)."""
+
+    enabled: bool = Field(True, description="false: exact signals, for tests and teaching")
+    position: Sensor = Sensor(noise=30e-6, bias=80e-6, resolution=_current_loop(0.4), low=-0.2, high=0.2)
+    pressure_a: Sensor = Sensor(noise=0.05e5, bias=0.25e5, resolution=_current_loop(100e5), low=0.0, high=100e5)
+    pressure_b: Sensor = Sensor(noise=0.2e5, bias=1.0e5, resolution=_current_loop(400e5), low=0.0, high=400e5)
+    spool_position: Sensor = Sensor(noise=1e-3, bias=2e-3, resolution=2.0 / 65536, low=-1.0, high=1.0)
+    pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
+    velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
+
+
+class Reward(Group):
+    """Weights of the named reward terms (all terms are costs, so that their sum is at most zero).
+
+    ``tracking``: −weight · min(|error| / error_scale, error_limit). ``effort``: −weight · (change of command)².
+    ``failure``: paid once when the axis fails; with the default it exceeds the worst tracking cost held for ever at a
+    discount of 0.98, so that failing never pays.
+    """
+
+    tracking: Number = Field(1.0, ge=0.0)
+    error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
+    error_limit: Number = Field(5.0, gt=0.0, description="largest tracking cost of a step, in units of error_scale")
+    effort: Number = Field(0.05, ge=0.0)
+    failure: Number = Field(250.0, ge=0.0)
+
+
+class Failure(Group):
+    """What ends an episode as a physical failure (``terminated``)."""
+
+    end_stop_speed: Number = quantity(0.05, "m/s", "an end stop met faster than this", 0.0, 100.0)
+    pressure_rating: Number = quantity(250e5, "Pa", "paper, Table 1; of valve and cylinder", 1e5, 2e8)
+
+
+class Disturbance(Group):
+    """External force besides the plant's own: none by default."""
+
+    kind: Literal["none", "step", "pulse", "sine"] = "none"
+    force_range: Range = Field((200.0, 1000.0), description="N, amplitude; the sign is drawn")
+    start_range: Range = Field((0.2, 0.6), description="start as a share of the episode")
+    pulse_duration: Number = quantity(0.05, "s", "of a pulse", 1e-3, 100.0)
+    frequency_range: Range = Field((0.5, 5.0), description="Hz, of a sine")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Disturbance:
+        for name in ("force_range", "start_range", "frequency_range"):
+            _rising(name, getattr(self, name))
+        return self
+
+
+class TaskConfig(Group):
+    """The whole task; every field may be given to ``gym.make("ServoHydraulic-v0", ...)`` or stand in a YAML file."""
+
+    control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
+    command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
+    episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
+    maximum_step: Number = quantity(0.25e-3, "s", "longest inner step of the integration", 1e-6, 1e-3)
+    plant: PlantParameters = Field(default_factory=PlantParameters, description="the rig around which is drawn")
+    randomisation: dict[str, Distribution] = Field(default_factory=_default_randomisation)
+    leakage: LeakageDraw = Field(default_factory=LeakageDraw)
+    references: References = Field(default_factory=References)
+    initial_position_range: Range = Field(
+        (-1.0, 1.0), description="start, as a share of the range of references on either side of mid-stroke"
+    )
+    sensors: Sensors = Field(default_factory=Sensors)
+    reward: Reward = Field(default_factory=Reward)
+    failure: Failure = Field(default_factory=Failure)
+    disturbance: Disturbance = Field(default_factory=Disturbance)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> TaskConfig:
+        if self.command_latency > self.control_period:
+            raise ValueError(
+                f"command_latency = {self.command_latency:g} s must not exceed control_period = {self.control_period:g} s"
+            )
+        if self.episode_duration < self.control_period:
+            raise ValueError("episode_duration must be at least one control_period")
+        for path, distribution in self.randomisation.items():
+            if path not in PARAMETER_PATHS or path in MODEL_CODES:
+                raise ValueError(f"randomisation: '{path}' is no number of the plant; see PlantParameters")
+            if path in ("leakage.internal_resistance", "leakage.orifice_gain"):
+                raise ValueError(f"randomisation: '{path}' is drawn by the group 'leakage'")
+            self._check_bounds(path, distribution)
+        _rising("initial_position_range", self.initial_position_range)
+        if max(map(abs, self.initial_position_range)) > 1.0:
+            raise ValueError("initial_position_range must lie within -1 to 1")
+        return self
+
+    def _check_bounds(self, path: str, distribution: Distribution) -> None:
+        """Every value that may be drawn must be a valid parameter."""
+
+        group, field = path.split(".")
+        values = list(distribution.bounds)
+        if distribution.times is not None:
+            other = distribution.times.split(".")
+            factors = (
+                self.randomisation[distribution.times].bounds
+                if distribution.times in self.randomisation
+                else (getattr(getattr(self.plant, other[0]), other[1]),) * 2
+            )
+            values = [value * factor for value, factor in zip(values, factors, strict=True)]
+        if distribution.otherwise is not None:
+            values.append(distribution.otherwise)
+        info = type(getattr(self.plant, group)).model_fields[field]
+        for value in values:
+            for bound in info.metadata:
+                low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
+                if (low is not None and value < low) or (above is not None and value <= above):
+                    raise ValueError(f"randomisation: {path} = {value:g} is below its limit {low or above:g}")
+                if high is not None and value > high:
+                    raise ValueError(f"randomisation: {path} = {value:g} is above its limit {high:g}")
+
+    @property
+    def steps(self) -> int:
+        """Control periods in an episode."""
+        return max(round(self.episode_duration / self.control_period), 1)
+
+    @property
+    def preview_samples(self) -> tuple[int, ...]:
+        """How many control periods ahead each preview looks."""
+        return tuple(max(round(time / self.control_period), 1) for time in self.references.preview_times)
+
+    @classmethod
+    def from_yaml(cls, path: str | Path, **overrides: Any) -> TaskConfig:
+        """Read a task from YAML; keywords override its fields.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key, or an impossible value.
+        """
+        return validate(cls, merged(read_yaml(path), overrides), str(path))
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the whole task as YAML."""
+        write_yaml(path, self.model_dump(mode="json"))
+
+
+def task_config(config: TaskConfig | Mapping[str, Any] | str | Path | None, **overrides: Any) -> TaskConfig:
+    """A task from a file, a mapping or nothing, with single fields overridden; what the environments accept.
+
+    Raises:
+        ConfigurationError: unreadable file, unknown key, or an impossible value.
+    """
+    if isinstance(config, TaskConfig):
+        return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
+    if isinstance(config, str | Path):
+        return TaskConfig.from_yaml(config, **overrides)
+    return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with ``changes`` laid over it, group by group; ``references.weights`` is replaced as a whole."""
+    result = dict(base)
+    for key, value in changes.items():
+        old = result.get(key)
+        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key != "weights"
+        result[key] = merged(old, value) if deeper and isinstance(old, Mapping) else value
+    return result

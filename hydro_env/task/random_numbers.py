@@ -1,0 +1,69 @@
+"""Random numbers for compiled code: counted, not drawn in sequence.
+
+Each axis gets one 64-bit root from its Gymnasium generator (``np_random``) when it is seeded. A key per episode and
+source (plant, leakage, initial state, reference, noise, disturbance) is mixed from it, and the n-th number of a key is
+a function of key and n alone. So one source's draws never shift another's, the noise of a step does not depend on how
+many axes there are, and nothing has to be stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hydro_env.plant.compiler import inline
+
+PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE = range(6)
+"""Sources of randomness; each has a key of its own in every episode."""
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_ONE = np.uint64(1)
+_SHIFT_30 = np.uint64(30)
+_SHIFT_27 = np.uint64(27)
+_SHIFT_31 = np.uint64(31)
+_SHIFT_11 = np.uint64(11)
+_UNIT = 2.0**-53
+
+
+@inline
+def _mix(value):
+    value = (value ^ (value >> _SHIFT_30)) * _FIRST
+    value = (value ^ (value >> _SHIFT_27)) * _SECOND
+    return value ^ (value >> _SHIFT_31)
+
+
+@inline
+def source_key(root, episode, source):
+    """The key of one source of randomness in one episode of an axis."""
+    of_episode = _mix(root + _GOLDEN * (np.uint64(episode) + _ONE))
+    return _mix(of_episode + _GOLDEN * (np.uint64(source) + _ONE))
+
+
+@inline
+def uniform(key, index):
+    """The ``index``-th number of a key, uniform in (0, 1)."""
+    bits = _mix(key + _GOLDEN * (np.uint64(index) + _ONE))
+    return (float(bits >> _SHIFT_11) + 0.5) * _UNIT
+
+
+@inline
+def between(key, index, low, high):
+    """The ``index``-th number of a key, uniform in (low, high)."""
+    return low + (high - low) * uniform(key, index)
+
+
+@inline
+def log_between(key, index, low, high):
+    """The ``index``-th number of a key, log-uniform in (low, high)."""
+    return low * (high / low) ** uniform(key, index)
+
+
+@inline
+def normal_pair(key, index):
+    """The ``index``-th pair of standard normal numbers of a key (Box & Muller 1958)."""
+    radius = math.sqrt(-2.0 * math.log(uniform(key, 2 * index)))
+    angle = 2.0 * math.pi * uniform(key, 2 * index + 1)
+    return radius * math.cos(angle), radius * math.sin(angle)

@@ -1,0 +1,249 @@
+"""The references that are asked of the axis, one row of samples per episode.
+
+Every family starts at the axis' initial position and stays inside the range, speed and acceleration of
+:class:`Feasible`, which is computed from the healthy plant. Steps alone ask for more speed than there is: that is
+their purpose.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hydro_env.plant.compiler import inline
+from hydro_env.task.random_numbers import between, log_between, uniform
+
+
+class Limits(NamedTuple):
+    """The part of the configuration that shapes references, as numbers for compiled code."""
+
+    range_share: float
+    largest_amplitude: float
+    speed_share: float
+    acceleration_limit: float
+    frequency_low: float
+    frequency_high: float
+    step_low: float
+    step_high: float
+
+
+class Feasible(NamedTuple):
+    """What a plant allows references to ask for."""
+
+    low: float  # m
+    high: float  # m
+    force_out: float  # N that full pressure gives outwards
+    force_in: float  # N that full pressure gives inwards
+    speed_per_root_force: float  # (m/s)/√N: K/√(A_a³ + A_b³)
+    stiffness: float  # N/m, spring
+    external_force: float  # N
+
+
+@inline
+def feasible(c, limits):
+    """:class:`Feasible` of a plant without leakage; see ``speed_limits`` and ``reachable_range`` of the analysis."""
+    force_out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure
+    force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
+    largest = min(limits.largest_amplitude, 0.9 * c.end_stop_position)
+    stiffness = c.spring_stiffness
+    high = largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_out - c.external_force) / stiffness)
+    low = largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_in + c.external_force) / stiffness)
+    return Feasible(
+        -max(low, 0.0),
+        max(high, 0.0),
+        force_out,
+        force_in,
+        c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3),
+        stiffness,
+        c.external_force,
+    )
+
+
+@inline
+def _speed_limit(start, end, f, limits):
+    """Speed in m/s that a stretch between two positions allows in both directions."""
+    out = f.force_out - f.stiffness * max(start, end) - f.external_force
+    back = f.force_in + f.stiffness * min(start, end) + f.external_force
+    return limits.speed_share * f.speed_per_root_force * math.sqrt(max(min(out, back), 1.0))
+
+
+@inline
+def _target(key, index, f):
+    return between(key, index, f.low, f.high)
+
+
+@inline
+def fill_step(row, key, start, period, f, limits):
+    """One to four steps at random times, each of a size within the configured range."""
+    value = start
+    change = between(key, 0, 0.05, 0.3)
+    draw = 1
+    for sample in range(row.shape[0]):
+        if sample * period >= change:
+            size = between(key, draw, limits.step_low, limits.step_high)
+            up = value + size <= f.high
+            down = value - size >= f.low
+            if up and (not down or uniform(key, draw + 1) < 0.5):
+                value += size
+            elif down:
+                value -= size
+            else:  # the range is smaller than the step
+                value = f.high if value - f.low < f.high - value else f.low
+            change += between(key, draw + 2, 0.4, 1.0)
+            draw += 3
+        row[sample] = value
+
+
+@inline
+def fill_point_to_point(row, key, start, period, f, limits):
+    """Smooth moves (quintic, at rest at both ends) between random targets, with pauses."""
+    origin, target = start, start
+    begin, duration = 0.0, between(key, 0, 0.05, 0.25)
+    draw = 1
+    for sample in range(row.shape[0]):
+        time = sample * period
+        while time >= begin + duration:
+            begin += duration
+            if target != origin or draw == 1:  # a move follows
+                pause = between(key, draw, 0.0, 0.2) if draw > 1 else 0.0
+                origin, target = target, _target(key, draw + 1, f)
+                distance = abs(target - origin)
+                speed = _speed_limit(origin, target, f, limits) * between(key, draw + 2, 0.4, 1.0)
+                # The quintic's peaks: 1.875 distance/duration and 5.774 distance/duration².
+                duration = max(1.875 * distance / speed, math.sqrt(5.774 * distance / limits.acceleration_limit))
+                duration = max(duration, 2.0 * period)
+                begin += pause
+                draw += 3
+        share = min(max((time - begin) / duration, 0.0), 1.0)
+        smooth = share * share * share * (10.0 + share * (6.0 * share - 15.0))
+        row[sample] = origin + (target - origin) * smooth
+
+
+@inline
+def fill_ramp(row, key, start, period, f, limits):
+    """Stretches of constant speed to random targets, with pauses; the speed changes abruptly."""
+    value, target, speed = start, start, 0.0
+    wait = between(key, 0, 0.05, 0.25)
+    draw = 1
+    for sample in range(row.shape[0]):
+        row[sample] = value
+        if wait > 0.0:
+            wait -= period
+            continue
+        if value == target:
+            target = _target(key, draw, f)
+            speed = _speed_limit(value, target, f, limits) * between(key, draw + 1, 0.3, 1.0)
+            draw += 2
+        value += min(max(target - value, -speed * period), speed * period)
+        if abs(value - target) < 1e-12:
+            value = target
+            wait = between(key, draw, 0.0, 0.3)
+            draw += 1
+
+
+@inline
+def _largest_sine(start, frequency, f, limits):
+    """Amplitude that range, speed and acceleration allow for a sine about ``start``."""
+    omega = 2.0 * math.pi * frequency
+    room = max(min(f.high - start, start - f.low), 0.1 * (f.high - f.low))
+    speed = _speed_limit(start - room, start + room, f, limits)
+    return min(min(room, speed / omega), limits.acceleration_limit / (omega * omega))
+
+
+@inline
+def fill_sine(row, key, start, period, f, limits):
+    """One sine about the initial position, fading in over half a period."""
+    frequency = log_between(key, 0, limits.frequency_low, limits.frequency_high)
+    amplitude = _largest_sine(start, frequency, f, limits) * between(key, 1, 0.4, 1.0)
+    amplitude = amplitude if uniform(key, 2) < 0.5 else -amplitude
+    omega = 2.0 * math.pi * frequency
+    for sample in range(row.shape[0]):
+        time = sample * period
+        fade = min(2.0 * frequency * time, 1.0)
+        row[sample] = min(max(start + amplitude * fade * math.sin(omega * time), f.low), f.high)
+
+
+@inline
+def fill_multi_sine(row, key, start, period, f, limits):
+    """Four sines of different frequency and phase that share range, speed and acceleration, fading in."""
+    frequencies = (
+        log_between(key, 0, limits.frequency_low, limits.frequency_high),
+        log_between(key, 1, limits.frequency_low, limits.frequency_high),
+        log_between(key, 2, limits.frequency_low, limits.frequency_high),
+        log_between(key, 3, limits.frequency_low, limits.frequency_high),
+    )
+    for sample in range(row.shape[0]):
+        row[sample] = start
+    for number in range(4):
+        frequency = frequencies[number]
+        amplitude = 0.25 * _largest_sine(start, frequency, f, limits) * between(key, 4 + number, 0.6, 1.2)
+        phase = between(key, 8 + number, 0.0, 2.0 * math.pi)
+        omega = 2.0 * math.pi * frequency
+        for sample in range(row.shape[0]):
+            time = sample * period
+            fade = min(time / 0.25, 1.0)
+            row[sample] += amplitude * fade * fade * (3.0 - 2.0 * fade) * (math.sin(omega * time + phase))
+    for sample in range(row.shape[0]):
+        row[sample] = min(max(row[sample], f.low), f.high)
+
+
+@inline
+def fill_start_stop(row, key, start, period, f, limits):
+    """Start–stop: short runs at constant speed that end abruptly, one after another towards a far target, and back."""
+    value = start
+    target = f.high if f.high - start > start - f.low else f.low
+    speed = _speed_limit(f.low, f.high, f, limits) * between(key, 0, 0.5, 1.0)
+    running = False
+    left = between(key, 1, 0.05, 0.2)
+    draw = 2
+    for sample in range(row.shape[0]):
+        row[sample] = value
+        left -= period
+        if running:
+            value += min(max(target - value, -speed * period), speed * period)
+            if abs(value - target) < 1e-12:
+                target = f.low if target == f.high else f.high
+                left = 0.0
+        if left <= 0.0:
+            running = not running
+            left = between(key, draw, 0.1, 0.35) if running else between(key, draw, 0.1, 0.3)
+            draw += 1
+
+
+FILLERS: tuple[Callable[..., Any], ...] = (
+    fill_step,
+    fill_point_to_point,
+    fill_ramp,
+    fill_sine,
+    fill_multi_sine,
+    fill_start_stop,
+)
+"""In the order of ``REFERENCE_FAMILIES``."""
+
+
+@inline
+def fill_reference(row, family, key, start, period, f, limits):
+    """Write the samples of one reference into ``row``.
+
+    Args:
+        row: (samples,), m, written.
+        family: index into ``REFERENCE_FAMILIES``; ``user`` leaves the row alone.
+        key: of the source REFERENCE of this episode.
+        start: initial position, m.
+        period: control period, s.
+        f: :class:`Feasible`.
+        limits: :class:`Limits`.
+    """
+    if family == 0:
+        fill_step(row, key, start, period, f, limits)
+    elif family == 1:
+        fill_point_to_point(row, key, start, period, f, limits)
+    elif family == 2:
+        fill_ramp(row, key, start, period, f, limits)
+    elif family == 3:
+        fill_sine(row, key, start, period, f, limits)
+    elif family == 4:
+        fill_multi_sine(row, key, start, period, f, limits)
+    elif family == 5:
+        fill_start_stop(row, key, start, period, f, limits)
