@@ -9,7 +9,14 @@ import gymnasium as _gymnasium
 
 from hydro_env.env import ServoHydraulicEnv
 from hydro_env.errors import ConfigurationError, HydroError, InvalidStateError
-from hydro_env.plant import PlantParameters, Trajectory, equilibrium, flow_from_resistance, resistance_from_flow, simulate
+from hydro_env.plant import (
+    PlantParameters,
+    Trajectory,
+    equilibrium,
+    flow_from_resistance,
+    resistance_from_flow,
+    simulate,
+)
 from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
 from hydro_env.vector_env import ServoHydraulicVectorEnv
 from hydro_env.version import __version__

@@ -49,6 +49,12 @@ OPTION_NAMES = (
     "persist",
     "reset_mask",
 )
+MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
+"""Parameters that must be larger than another one (rod, Coulomb force, precharge): impossible when drawn too low."""
+
+LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
+"""Parameters that the group ``leakage`` of the task sets."""
+
 AXES_PER_THREAD = 64
 """A second thread starts when each has at least this many axes to work on."""
 
@@ -90,6 +96,8 @@ def settings_of(config: TaskConfig) -> Floats:
             tracking_weight=config.reward.tracking,
             error_scale=config.reward.error_scale,
             error_limit=config.reward.error_limit,
+            precision_weight=config.reward.precision,
+            precision_scale=config.reward.precision_scale,
             effort_weight=config.reward.effort,
             failure_weight=config.reward.failure,
             end_stop_speed=config.failure.end_stop_speed,
@@ -190,6 +198,7 @@ class Axes:
         self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
         self._base = to_vector(config.plant)
         self._draws = _draw_table(config)
+        self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
         weights = np.array([references.weights.get(name, 0.0) for name in REFERENCE_FAMILIES])
         self._family_weights = weights / weights.sum()
 
@@ -221,10 +230,10 @@ class Axes:
         self._fill_spare_lanes()
 
     def _fill_spare_lanes(self) -> None:
-        """Lanes that hold no axis run along on a plant at rest."""
-        state, _ = equilibrium(self.config.plant, 0.0)
+        """Lanes that hold no axis run along on a plant at rest, the default one, which surely has such a state."""
+        state, _ = equilibrium(PlantParameters(), 0.0)
         self.state[-1] = np.array(list(state.values()))[:, None]
-        self.coefficient[-1] = coefficient_array(self.config.plant)[:, None]
+        self.coefficient[-1] = coefficient_array(PlantParameters())[:, None]
 
     # Randomness -----------------------------------------------------------------------------------------------------
 
@@ -369,6 +378,11 @@ class Axes:
         vector[PARAMETER_PATHS.index("leakage.orifice_gain")] = orifice
         return from_vector(vector)
 
+    def external_force(self, axis: int) -> float:
+        """External force in N that acts on an axis now, disturbance included."""
+        row = plant_kernel.Coefficients._fields.index("external_force")
+        return float(self.coefficient[axis // LANES, row, axis % LANES])
+
     # Options of reset -----------------------------------------------------------------------------------------------
 
     def set_options(self, options: Mapping[str, Any] | None, axes: NDArray[np.int64]) -> None:
@@ -451,6 +465,7 @@ class Axes:
             return override
         if isinstance(changes, PlantParameters):
             changes = changes.model_dump()
+            changes["leakage"] = {"external_resistance": changes["leakage"]["external_resistance"]}
         if not isinstance(changes, Mapping):
             raise ConfigurationError("reset options: parameters must be groups of fields, {'load': {'mass': 80.0}}")
         checked: dict[tuple[Any, ...], None] = {}
@@ -461,30 +476,43 @@ class Axes:
                 path = f"{group}.{field}"
                 if path not in PARAMETER_PATHS:
                     raise ConfigurationError(f"reset options: parameters.{path} is no parameter of the plant")
-                if path in MODEL_CODES and isinstance(value, str):
-                    if value not in MODEL_CODES[path]:
+                if path in LEAKAGE_OF_THE_TASK:
+                    raise ConfigurationError(
+                        f"reset options: parameters.{path}: give leakage_flow_lpm or leakage_resistance instead"
+                    )
+                if path in MODEL_CODES:
+                    if not isinstance(value, str) or value not in MODEL_CODES[path]:
                         raise ConfigurationError(
                             f"reset options: parameters.{path} = {value!r}: must be one of {', '.join(MODEL_CODES[path])}"
                         )
                     value = float(MODEL_CODES[path].index(value))
                 column = PARAMETER_PATHS.index(path)
                 override[:, column] = self._per_axis(value, f"parameters.{path}", axes)
+                if np.isnan(override[:, column]).any():
+                    raise ConfigurationError(f"reset options: parameters.{path} = nan: must be a number")
         for row in override:
             key = tuple(row[~np.isnan(row)])
             if key not in checked:
                 checked[key] = None
-                self._check_parameters(row)
+                self._check_parameters(row, "reset options")
         return override
 
-    def _check_parameters(self, row: Floats) -> None:
+    def _check_parameters(self, row: Floats, where: str) -> None:
+        """With these parameters fixed (not NaN), the plant must be possible for the least favourable draws."""
         vector = np.where(np.isnan(row), self._base, row)
-        friction = PARAMETER_PATHS.index("friction.breakaway_force")
-        if np.isnan(row[friction]):  # drawn as a multiple of what may be fixed here
-            vector[friction] = max(vector[friction], vector[PARAMETER_PATHS.index("friction.coulomb_force")])
+        for draw in self._draws:
+            index, times = int(draw[task_kernel.DRAW_INDEX]), int(draw[task_kernel.DRAW_TIMES])
+            if not np.isnan(row[index]):
+                continue
+            factor = vector[times] if times >= 0 else 1.0
+            values = [factor * draw[task_kernel.DRAW_LOW], factor * draw[task_kernel.DRAW_HIGH]]
+            if draw[task_kernel.DRAW_PROBABILITY] > 0.0:
+                values.append(draw[task_kernel.DRAW_OTHERWISE])
+            vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
         try:
             from_vector(vector)
         except ConfigurationError as error:
-            raise ConfigurationError(f"reset options: {error}") from None
+            raise ConfigurationError(f"{where}: {error}") from None
 
     def _reference_option(self, given: Any, axes: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats | None]:
         families = np.full(len(axes), -1, dtype=np.int64)
@@ -501,7 +529,9 @@ class Axes:
             for index, name in enumerate(names):
                 if name not in REFERENCE_FAMILIES[:USER_FAMILY]:
                     known = ", ".join(REFERENCE_FAMILIES[:USER_FAMILY])
-                    raise ConfigurationError(f"reset options: reference = {name!r}: must be an array in m, or of {known}")
+                    raise ConfigurationError(
+                        f"reset options: reference = {name!r}: must be an array in m, or of {known}"
+                    )
                 families[index] = REFERENCE_FAMILIES.index(name)
             return families, None
         try:

@@ -53,7 +53,8 @@ def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> st
     shown = f" = {value!r}" if isinstance(value, (int, float, str, bool, list)) and len(repr(value)) < 60 else ""
     unit = _unit_at(model, path)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{source}: {where}{shown}: {message}{f' (unit: {unit})' if unit else ''}{more}".replace(": :", ":")
+    line = f"{source}: {where}{shown}: {message}{f' (unit: {unit})' if unit else ''}{more}"
+    return line.replace(": :", ":").replace("\n", " ")
 
 
 def _field_at(model: type[BaseModel], path: list[str]) -> tuple[Any, Any]:

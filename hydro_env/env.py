@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer
 
 Observation = NDArray[np.float32]
-REWARD_TERMS = ("tracking", "effort", "failure")
+REWARD_TERMS = ("tracking", "precision", "effort", "failure")
 _COLUMN = {name: index for index, name in enumerate(Record._fields)}
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -66,7 +66,8 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
     ## Rewards
 
     The sum of named terms, each at most zero; their values stand in ``info["reward_terms"]``: ``tracking``
-    (−|error|/10 mm, at most 5), ``effort`` (−0.05 (change of command)²), ``failure`` (−250, once).
+    (−|error|/10 mm, at most 5), ``precision`` (−0.2 |error|/(|error| + 0.1 mm)), ``effort`` (−0.05 (change of
+    command)²), ``failure`` (−260, once).
 
     ## Starting State
 
@@ -119,6 +120,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._reward = np.zeros(1)
         self._terminated = np.zeros(1, dtype=np.bool_)
         self._truncated = np.zeros(1, dtype=np.bool_)
+        self._seeded = False
         self._begun = False
         self._history: list[tuple[float, float]] = []
         self._renderer: AxisRenderer | None = None
@@ -132,12 +134,14 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             ConfigurationError: an option is unknown or impossible.
         """
         super().reset(seed=seed)
-        if seed is not None or not self._begun:
-            self._axes.seed(0, self.np_random)
-            self._begun = True
         self._axes.set_options(options, _FIRST)
+        if seed is not None or not self._seeded:
+            self._axes.seed(0, self.np_random)
+            self._seeded = True
         observation = np.empty((1, self._size), dtype=np.float32)
+        self._begun = False  # stays so where the plant cannot begin
         self._axes.begin(_FIRST, observation)
+        self._begun = True
         self._history = []
         if self.render_mode is not None:
             self._note_history()
@@ -151,7 +155,10 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigurationError: the action is NaN, infinite or of another shape, or ``reset`` was not called.
         """
-        command = np.asarray(action)
+        try:
+            command = np.array(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            command = np.empty(0)
         if command.shape != (1,) or not abs(command[0]) < np.inf:
             raise ConfigurationError(f"action = {action!r}: must be one finite number within -1 to 1, shape (1,)")
         if not self._begun:
@@ -222,14 +229,14 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             position=state[0],
             velocity=state[1],
             reference=row[_COLUMN["reference"]],
-            reference_preview=self._axes.reference[0, step + 1 :].copy(),
+            reference_preview=self._axes.reference[0, step + 1 : self.config.steps + 1].copy(),
             pressure_a=state[2],
             pressure_b=state[3],
             supply_pressure=state[7],
             spool_position=state[4],
             command=row[_COLUMN["command"]],
             leakage_flow_lpm=row[_COLUMN["leak_flow"]],
-            external_force=parameters.load.external_force,
+            external_force=self._axes.external_force(0),
             stroke=cylinder.stroke,
             bore_diameter=cylinder.bore_diameter,
             rod_diameter=cylinder.rod_diameter,

@@ -367,7 +367,8 @@ class _Picture(_Canvas):
         self.text("Servo valve, % of full stroke", 488, PANEL_Y - 16, INK, 13)
         for row, (name, signal) in enumerate((("Command", view.command), ("Spool", view.spool_position))):
             share = 0.5 + 0.5 * min(1.0, max(-1.0, signal))
-            self._bar(row, name, _number(100 * signal, 0), (488, 560, 672), (0.5, share), GREY if row else PISTON)
+            texts, color = (name, _number(100 * signal, 0)), GREY if row else PISTON
+            self._bar(row, texts, (488, 560, 672), (0.5, share), color)
             self.line([(616, PANEL_Y + ROW * row - 3), (616, PANEL_Y + ROW * row + 18)])
         for x, label in ((560, MINUS + "100"), (616, "0"), (672, "100")):
             self.text(label, x, PANEL_Y + 57, GREY, 11, 0.5)
@@ -375,38 +376,32 @@ class _Picture(_Canvas):
         pressures = (("P_a", view.pressure_a), ("P_b", view.pressure_b), ("P_s", view.supply_pressure))
         for row, (name, pressure) in enumerate(pressures):
             share = min(1.0, max(0.0, pressure / BAR / self._pressure_scale))
-            self._bar(row, name, _number(pressure / BAR), (734, 762, 890), (0.0, share), self._oil(pressure))
+            self._bar(row, (name, _number(pressure / BAR)), (734, 762, 890), (0.0, share), self._oil(pressure))
         for x in range(762, 890, 2):
             self.box(x, PANEL_Y + 75, x + 2, PANEL_Y + 81, _oil_color((x - 762) / 126), None)
         for part in (0.0, 0.5, 1.0):
             self.text(_number(part * self._pressure_scale, 0), 762 + 128 * part, PANEL_Y + 94, GREY, 11, 0.5)
 
-    def _bar(
-        self,
-        row: int,
-        name: str,
-        value: str,
-        places: tuple[float, float, float],
-        part: tuple[float, float],
-        fill: Color,
-    ) -> None:
-        """``places`` are the left edges of the name and the bar and the bar's right edge."""
+    def _bar(self, row: int, texts: Sequence[str], places: Sequence[float], part: Sequence[float], fill: Color) -> None:
+        """``texts`` are name and value, ``places`` the left edges of the name and the bar and the bar's right edge."""
         label, left, right = places
         y = PANEL_Y + ROW * row
         start, end = (left + share * (right - left) for share in sorted(part))
-        self.text(name, label, y + 12)
+        self.text(texts[0], label, y + 12)
         self.box(left, y, right, y + 15, WHITE, FAINT)
         if end > start:
             self.box(start, y, end, y + 15, fill)
-        self.text(value, right + 42, y + 12, INK, 13, 1)
+        self.text(texts[1], right + 42, y + 12, INK, 13, 1)
 
     def _history(self) -> None:
         view = self._view
         past = np.asarray(view.history_time, dtype=float)
         interval = float(past[-1] - past[-2]) if len(past) > 1 else 0.0
         preview = np.asarray(view.reference_preview if interval > 0 else (), dtype=float)
-        coming = view.time + interval * np.arange(len(preview) + 1)
-        stride = len(past) // PLOT_POINTS + 1
+        stride = (len(past) + len(preview)) // PLOT_POINTS + 1
+        preview = preview[::-stride][::-1]  # keeps the last sample, so that the axis does not move from frame to frame
+        ahead = len(view.reference_preview) - stride * np.arange(len(preview))[::-1]
+        coming = view.time + interval * np.append(0, ahead)
         until_now = np.append(past[::stride], view.time)
         position = 1e3 * np.append(view.history_position[::stride], view.position)
         reference = 1e3 * np.append(view.history_reference[::stride], view.reference)
@@ -414,12 +409,12 @@ class _Picture(_Canvas):
 
         shown = np.concatenate((position, reference, wanted))
         spare = max(0.0, 20.0 - float(np.ptp(shown))) / 2  # a still axis is not magnified to noise
-        times = _ticks(until_now[0], max(coming[-1], until_now[0] + 1), 8)
+        span = _ticks(until_now[0], max(coming[-1], until_now[0] + 1), 40)[[0, -1]]
         values = _ticks(shown.min() - spare, shown.max() + spare, 4)
-        self._axes(times, values)
+        self._axes(span, values)
 
         def curve(time: NDArray[np.floating], value: NDArray[np.floating]) -> NDArray[np.floating]:
-            x = np.interp(time, times[[0, -1]], (PLOT_LEFT, PLOT_RIGHT))
+            x = np.interp(time, span, (PLOT_LEFT, PLOT_RIGHT))
             return np.stack((x, np.interp(value, values[[0, -1]], (PLOT_BOTTOM, PLOT_TOP))), axis=1)
 
         self.dashed(curve(coming, wanted), REFERENCE_COMING, 1.5)
@@ -429,9 +424,11 @@ class _Picture(_Canvas):
         self.line([(now, PLOT_TOP), (now, PLOT_BOTTOM)], GREY, 0.5)
         self.circle(now, place, 3.5, POSITION)
 
-    def _axes(self, times: NDArray[np.floating], values: NDArray[np.floating]) -> None:
+    def _axes(self, span: NDArray[np.floating], values: NDArray[np.floating]) -> None:
         self.box(PLOT_LEFT, PLOT_TOP, PLOT_RIGHT, PLOT_BOTTOM, WHITE, None)
-        for x, time in zip(np.linspace(PLOT_LEFT, PLOT_RIGHT, len(times)), times, strict=True):
+        times = _ticks(span[0], span[1], 8)
+        for time in times[(times > span[0] - 1e-9) & (times < span[1] + 1e-9)]:
+            x = float(np.interp(time, span, (PLOT_LEFT, PLOT_RIGHT)))
             self.line([(x, PLOT_BOTTOM), (x, PLOT_BOTTOM + 4)])
             self.text(f"{time:g}", x, PLOT_BOTTOM + 17, GREY, 11, 0.5)
         for y, value in zip(np.linspace(PLOT_BOTTOM, PLOT_TOP, len(values)), values, strict=True):

@@ -89,6 +89,7 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         self._ended = np.zeros(num_envs, dtype=np.bool_)
         self._observation = np.zeros((num_envs, len(self.observation_names)), dtype=np.float32)
         self._seeded = False
+        self._begun = False
         self._with_info = info
 
     @property
@@ -110,10 +111,12 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         """
         options = dict(options or {})
         axes = self._chosen(options.pop("reset_mask", None))
+        if not self._begun and len(axes) < self.num_envs:
+            raise ConfigurationError("reset options: reset_mask: the first reset must begin every axis")
         self._axes.set_options(options, axes)
         self._seed(seed, axes)
         observation = self._observation.copy()
-        self._axes.begin(axes, observation)
+        self._begin(axes, observation)
         self._observation = observation
         self._ended[axes] = False
         return observation.copy(), self._info(axes)
@@ -128,6 +131,12 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
             )
         return np.flatnonzero(mask)
 
+    def _begin(self, axes: NDArray[np.int64], observation: Observations) -> None:
+        """Begin episodes; where a plant cannot begin, all axes need a reset before the next step."""
+        self._begun = False
+        self._axes.begin(axes, observation)
+        self._begun = True
+
     def _seed(self, seed: int | Sequence[int | None] | None, axes: NDArray[np.int64]) -> None:
         if isinstance(seed, int | np.integer):
             self._np_random, self._np_random_seed = seeding.np_random(int(seed))
@@ -136,6 +145,8 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
             seeds = list(seed)
             if len(seeds) != self.num_envs:
                 raise ConfigurationError(f"seed: {len(seeds)} seeds for {self.num_envs} axes")
+            if not self._seeded:
+                seeds = [int(self.np_random.integers(0, 2**62)) if value is None else value for value in seeds]
         elif not self._seeded:
             seeds = [int(value) for value in self.np_random.integers(0, 2**62, self.num_envs)]
         else:
@@ -160,13 +171,16 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         Raises:
             ConfigurationError: an action is NaN or infinite, the shape is wrong, or ``reset`` was not called.
         """
-        commands = np.asarray(actions)
+        try:
+            commands = np.array(actions, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ConfigurationError("actions: must be numbers within -1 to 1") from None
         if commands.shape != (self.num_envs, 1):
             raise ConfigurationError(f"actions: shape {commands.shape}: must be ({self.num_envs}, 1)")
         if not np.isfinite(commands).all():
             axis = int(np.argmin(np.isfinite(commands[:, 0])))
             raise ConfigurationError(f"actions[{axis}] = {commands[axis, 0]}: must be a finite number within -1 to 1")
-        if not self._seeded:
+        if not self._begun:
             raise ConfigurationError("step: call reset first")
         if self._mode == AutoresetMode.DISABLED and self._ended.any():
             raise ConfigurationError(
@@ -182,7 +196,7 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         final: dict[str, Any] = {}
         if self._mode == AutoresetMode.NEXT_STEP and self._ended.any():
             restarting = np.flatnonzero(self._ended)
-            self._axes.begin(restarting, observation)
+            self._begin(restarting, observation)
             reward[restarting] = 0.0
             terminated[restarting] = False
             truncated[restarting] = False
@@ -205,7 +219,7 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
             "final_info": self._info(ended),
             "_final_info": mask.copy(),
         }
-        self._axes.begin(ended, observation)
+        self._begin(ended, observation)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
         return final
 

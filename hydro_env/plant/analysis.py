@@ -54,9 +54,7 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits
     cubes = c.area_a**3 + c.area_b**3
     out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - force
     back = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + force
-    return SpeedLimits(
-        c.edge_gain * math.sqrt(max(out, 0.0) / cubes), c.edge_gain * math.sqrt(max(back, 0.0) / cubes)
-    )
+    return SpeedLimits(c.edge_gain * math.sqrt(max(out, 0.0) / cubes), c.edge_gain * math.sqrt(max(back, 0.0) / cubes))
 
 
 def reachable_range(parameters: PlantParameters) -> tuple[float, float]:
@@ -136,7 +134,9 @@ def linearise(
     for column, size in enumerate(TYPICAL_SIZE):
         step = np.zeros(len(at))
         step[column] = 1e-6 * size
-        a[:, column] = (derivative_array(at + step, c, voltage) - derivative_array(at - step, c, voltage)) / (2e-6 * size)
+        a[:, column] = (derivative_array(at + step, c, voltage) - derivative_array(at - step, c, voltage)) / (
+            2e-6 * size
+        )
     b = (derivative_array(at, c, voltage + 1e-3) - derivative_array(at, c, voltage - 1e-3)) / 2e-3
     return Linearisation(a, b, at, voltage)
 

@@ -7,13 +7,14 @@ this class; these are the ones that the environment randomises). SI units, gauge
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
 from hydro_env.configuration import Group, read_yaml, validate, write_yaml
 from hydro_env.errors import ConfigurationError
@@ -25,7 +26,13 @@ def _no_truth_value(value: object) -> object:
     return value
 
 
-Number = Annotated[float, BeforeValidator(_no_truth_value)]
+def _no_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError("must be a number, not NaN")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_nan)]
 
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float, *, above: bool = False) -> Any:
@@ -122,9 +129,7 @@ class Supply(Group):
     @model_validator(mode="after")
     def _supply_above_tank(self) -> Supply:
         if self.pressure <= self.tank_pressure:
-            raise ValueError(
-                f"pressure = {self.pressure:g} Pa must be above tank_pressure = {self.tank_pressure:g} Pa"
-            )
+            raise ValueError(f"pressure = {self.pressure:g} Pa must be above tank_pressure = {self.tank_pressure:g} Pa")
         if self.model == "accumulator" and self.precharge_pressure >= self.pressure:
             raise ValueError(
                 f"precharge_pressure = {self.precharge_pressure:g} Pa must be below pressure = "

@@ -250,7 +250,9 @@ def _reference(start: Array, coefficients: Array, inputs: Array, sample_time: fl
             atol=tolerance * TYPICAL_SIZE,
         )
         if not solution.success:
-            raise InvalidStateError(f"the reference solver failed at t = {sample * sample_time:g} s: {solution.message}")
+            raise InvalidStateError(
+                f"the reference solver failed at t = {sample * sample_time:g} s: {solution.message}"
+            )
         states[sample + 1] = solution.y[:, -1]
     return states
 

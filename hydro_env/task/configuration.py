@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from hydro_env.configuration import Group, read_yaml, validate, write_yaml
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
 
 REFERENCE_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop", "user")
@@ -111,7 +112,9 @@ class LeakageDraw(Group):
             low, high = getattr(self, name)
             _rising(name, (low, high))
             if not 0.0 < low <= high <= LEAKAGE_LIMIT:
-                raise ValueError(f"{name} = [{low:g}, {high:g}] must lie within 0 (excluded) to {LEAKAGE_LIMIT:g} l/min")
+                raise ValueError(
+                    f"{name} = [{low:g}, {high:g}] must lie within 0 (excluded) to {LEAKAGE_LIMIT:g} l/min"
+                )
         if not 0.0 < self.class_bounds[0] < self.class_bounds[1] < self.class_bounds[2]:
             raise ValueError("class_bounds must be positive and rising")
         _rising("start_range", self.start_range)
@@ -135,7 +138,7 @@ class References(Group):
     speed_share: Number = Field(0.7, gt=0.0, le=1.0, description="of the speed at full opening on that stretch")
     acceleration_limit: Number = quantity(4.0, "m/s²", "of smooth moves and sines", 0.01, 100.0)
     frequency_range: Range = Field((0.3, 4.0), description="Hz, of sines")
-    step_range: Range = Field((0.005, 0.04), description="m, of steps")
+    step_range: Range = Field((0.002, 0.02), description="m, of steps")
     preview_times: tuple[Number, ...] = Field(
         (0.005, 0.010, 0.020, 0.040), description="s; the observation holds the reference this far ahead"
     )
@@ -197,16 +200,19 @@ class Sensors(Group):
 class Reward(Group):
     """Weights of the named reward terms (all terms are costs, so that their sum is at most zero).
 
-    ``tracking``: −weight · min(|error| / error_scale, error_limit). ``effort``: −weight · (change of command)².
-    ``failure``: paid once when the axis fails; with the default it exceeds the worst tracking cost held for ever at a
+    ``tracking``: −weight · min(|error| / error_scale, error_limit). ``precision``: −weight · |error| / (|error| +
+    precision_scale), which keeps small errors worth correcting. ``effort``: −weight · (change of command)².
+    ``failure``: paid once when the axis fails; with the default it exceeds the worst cost held for ever at a
     discount of 0.98, so that failing never pays.
     """
 
     tracking: Number = Field(1.0, ge=0.0)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
     error_limit: Number = Field(5.0, gt=0.0, description="largest tracking cost of a step, in units of error_scale")
+    precision: Number = Field(0.2, ge=0.0)
+    precision_scale: Number = quantity(0.1e-3, "m", "error at which half of the precision cost is paid", 1e-9, 1.0)
     effort: Number = Field(0.05, ge=0.0)
-    failure: Number = Field(250.0, ge=0.0)
+    failure: Number = Field(260.0, ge=0.0)
 
 
 class Failure(Group):
@@ -328,14 +334,19 @@ def task_config(config: TaskConfig | Mapping[str, Any] | str | Path | None, **ov
         return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
     if isinstance(config, str | Path):
         return TaskConfig.from_yaml(config, **overrides)
+    if config is not None and not isinstance(config, Mapping):
+        raise ConfigurationError(f"task: config = {config!r}: must be a YAML file, a mapping or a TaskConfig")
     return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with ``changes`` laid over it, group by group; ``references.weights`` is replaced as a whole."""
+    """``base`` with ``changes`` laid over it, group by group.
+
+    ``references.weights`` and ``randomisation`` are replaced as a whole.
+    """
     result = dict(base)
     for key, value in changes.items():
         old = result.get(key)
-        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key != "weights"
+        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key not in ("weights", "randomisation")
         result[key] = merged(old, value) if deeper and isinstance(old, Mapping) else value
     return result

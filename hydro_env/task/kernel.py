@@ -59,6 +59,8 @@ class Settings(NamedTuple):
     tracking_weight: float
     error_scale: float
     error_limit: float
+    precision_weight: float
+    precision_scale: float
     effort_weight: float
     failure_weight: float
     end_stop_speed: float
@@ -105,6 +107,7 @@ class Record(NamedTuple):
     velocity: float  # m/s, true
     reference: float  # m, now
     cost_tracking: float
+    cost_precision: float
     cost_effort: float
     cost_failure: float
     failure: float  # code, see FAILURES
@@ -233,6 +236,7 @@ def _set_leak(row, coefficient, lane, flow, settings):
     row[C_LEAK] = flow
     if settings.orifice_law == 0.0:
         coefficient[_LEAKAGE_CONDUCTANCE, lane] = flow * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+        coefficient[_LEAKAGE_ORIFICE_GAIN, lane] = 0.0
     else:
         coefficient[_LEAKAGE_CONDUCTANCE, lane] = 0.0
         coefficient[_LEAKAGE_ORIFICE_GAIN, lane] = flow * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
@@ -254,9 +258,9 @@ def _external_force(row, time, settings):
 
 @compiler.inline
 def _draw_plant(physical, key, base, draws, override):
-    """Physical parameters of an episode: base, drawn values, then what the caller fixed (not NaN)."""
+    """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
     for index in range(base.shape[0]):
-        physical[index] = base[index]
+        physical[index] = base[index] if math.isnan(override[index]) else override[index]
     for number in range(draws.shape[0]):
         draw = draws[number]
         if draw[DRAW_LOG] > 0.0:
@@ -267,15 +271,15 @@ def _draw_plant(physical, key, base, draws, override):
             value *= physical[np.int64(draw[DRAW_TIMES])]
         if uniform(key, 2 * number + 1) < draw[DRAW_PROBABILITY]:
             value = draw[DRAW_OTHERWISE]
-        physical[np.int64(draw[DRAW_INDEX])] = value
-    for index in range(base.shape[0]):
-        if not math.isnan(override[index]):
-            physical[index] = override[index]
+        index = np.int64(draw[DRAW_INDEX])
+        if math.isnan(override[index]):
+            physical[index] = value
+
+
+_integrate = kernel.integrate  # a global: as a closure variable it would be a new cache key in every process
 
 
 def _build(stamp):
-    integrate = kernel.integrate
-
     def begin_episodes(
         axes,
         settings_array,
@@ -311,9 +315,7 @@ def _build(stamp):
             row = record[axis]
             root, episode = roots[axis], episodes[axis]
             row[:] = 0.0
-            _draw_plant(
-                physical[axis], source_key(root, episode, PLANT), base, draws, parameter_override[axis]
-            )
+            _draw_plant(physical[axis], source_key(root, episode, PLANT), base, draws, parameter_override[axis])
             p = _read_physical(physical[axis])
             c = coefficients(p)
             for index, value in enumerate(c):
@@ -353,9 +355,7 @@ def _build(stamp):
                     share -= family_weights[family]
                     family += 1
             row[C_FAMILY] = family
-            place = between(
-                source_key(root, episode, INITIAL_STATE), 0, settings.initial_low, settings.initial_high
-            )
+            place = between(source_key(root, episode, INITIAL_STATE), 0, settings.initial_low, settings.initial_high)
             start = place * f.high if place > 0.0 else -place * f.low
             if family == _USER_FAMILY:
                 source = user_reference[axis if user_reference.shape[0] > 1 else 0]
@@ -428,7 +428,7 @@ def _build(stamp):
             voltage[block, 0, lane] = 10.0 * row[C_COMMAND]
             voltage[block, 1, lane] = 10.0 * command
             change = command - row[C_COMMAND]
-            row[C_COST + 1] = settings.effort_weight * change * change
+            row[C_COST + 2] = settings.effort_weight * change * change
             row[C_COMMAND] = command
             time = row[C_STEP] * period
             if settings.schedule > 0.0:
@@ -436,7 +436,7 @@ def _build(stamp):
             if settings.disturbance > 0.0:
                 coefficient[block, _EXTERNAL_FORCE, lane] = _external_force(row, time + 0.5 * period, settings)
 
-        integrate(state, coefficient, voltage, durations, settings.maximum_step, peaks, first_block, last_block)
+        _integrate(state, coefficient, voltage, durations, settings.maximum_step, peaks, first_block, last_block)
 
         last_step = np.int64(settings.steps)
         for axis in range(first, last):
@@ -485,10 +485,11 @@ def _build(stamp):
                     failure = FIRST_INVALID_STATE + index
             row[C_FAILURE] = failure
 
-            deviation = min(abs(now - position) / settings.error_scale, settings.error_limit)
-            row[C_COST] = settings.tracking_weight * deviation
-            row[C_COST + 2] = settings.failure_weight if failure != NO_FAILURE else 0.0
-            reward[axis] = -(row[C_COST] + row[C_COST + 1] + row[C_COST + 2])
+            error = abs(now - position)
+            row[C_COST] = settings.tracking_weight * min(error / settings.error_scale, settings.error_limit)
+            row[C_COST + 1] = settings.precision_weight * error / (error + settings.precision_scale)
+            row[C_COST + 3] = settings.failure_weight if failure != NO_FAILURE else 0.0
+            reward[axis] = -(row[C_COST] + row[C_COST + 1] + row[C_COST + 2] + row[C_COST + 3])
             terminated[axis] = failure != NO_FAILURE
             truncated[axis] = step >= last_step
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)

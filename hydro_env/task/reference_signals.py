@@ -1,8 +1,8 @@
 """The references that are asked of the axis, one row of samples per episode.
 
 Every family starts at the axis' initial position and stays inside the range, speed and acceleration of
-:class:`Feasible`, which is computed from the healthy plant. Steps alone ask for more speed than there is: that is
-their purpose.
+:class:`Feasible`, which is computed from the healthy plant. Steps alone ask for more speed than there is, and ramps
+and start–stop runs change their speed abruptly: that is their purpose.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ def feasible(c, limits):
     force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
     largest = min(limits.largest_amplitude, 0.9 * c.end_stop_position)
     stiffness = c.spring_stiffness
-    high = largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_out - c.external_force) / stiffness)
+    high = (
+        largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_out - c.external_force) / stiffness)
+    )
     low = largest if stiffness <= 0.0 else min(largest, limits.range_share * (force_in + c.external_force) / stiffness)
     return Feasible(
         -max(low, 0.0),
@@ -143,49 +145,59 @@ def fill_ramp(row, key, start, period, f, limits):
 
 
 @inline
-def _largest_sine(start, frequency, f, limits):
-    """Amplitude that range, speed and acceleration allow for a sine about ``start``."""
+def _inwards(start, f):
+    """0, or ±1 where an end of the range is so near that oscillations swing to the inner side only."""
+    near = 0.1 * (f.high - f.low)
+    if f.high - start < near:
+        return -1.0
+    return 1.0 if start - f.low < near else 0.0
+
+
+@inline
+def _largest_sine(start, inwards, frequency, f, limits):
+    """Amplitude that range, speed and acceleration allow for a sine from ``start``."""
     omega = 2.0 * math.pi * frequency
-    room = max(min(f.high - start, start - f.low), 0.1 * (f.high - f.low))
-    speed = _speed_limit(start - room, start + room, f, limits)
+    room = min(f.high - start, start - f.low) if inwards == 0.0 else 0.1 * (f.high - f.low)
+    centre = start + inwards * room
+    speed = _speed_limit(centre - room, centre + room, f, limits)
     return min(min(room, speed / omega), limits.acceleration_limit / (omega * omega))
 
 
 @inline
+def _swing(time, frequency, inwards):
+    """Sine of amplitude 1 that starts at 0, within the speed and acceleration of a sine.
+
+    It fades in over half a period; at an end of the range it swings between 0 and 2 inwards instead.
+    """
+    angle = 2.0 * math.pi * frequency * time
+    if inwards != 0.0:
+        return inwards * (1.0 - math.cos(angle))
+    return min(2.0 * frequency * time, 1.0) * math.sin(angle)
+
+
+@inline
 def fill_sine(row, key, start, period, f, limits):
-    """One sine about the initial position, fading in over half a period."""
+    """One sine about the initial position, or beside it where an end of the range is near."""
     frequency = log_between(key, 0, limits.frequency_low, limits.frequency_high)
-    amplitude = _largest_sine(start, frequency, f, limits) * between(key, 1, 0.4, 1.0)
-    amplitude = amplitude if uniform(key, 2) < 0.5 else -amplitude
-    omega = 2.0 * math.pi * frequency
+    inwards = _inwards(start, f)
+    amplitude = _largest_sine(start, inwards, frequency, f, limits) * between(key, 1, 0.4, 1.0)
+    amplitude = amplitude if uniform(key, 2) < 0.5 or inwards != 0.0 else -amplitude
     for sample in range(row.shape[0]):
-        time = sample * period
-        fade = min(2.0 * frequency * time, 1.0)
-        row[sample] = min(max(start + amplitude * fade * math.sin(omega * time), f.low), f.high)
+        row[sample] = start + amplitude * _swing(sample * period, frequency, inwards)
 
 
 @inline
 def fill_multi_sine(row, key, start, period, f, limits):
-    """Four sines of different frequency and phase that share range, speed and acceleration, fading in."""
-    frequencies = (
-        log_between(key, 0, limits.frequency_low, limits.frequency_high),
-        log_between(key, 1, limits.frequency_low, limits.frequency_high),
-        log_between(key, 2, limits.frequency_low, limits.frequency_high),
-        log_between(key, 3, limits.frequency_low, limits.frequency_high),
-    )
+    """Four sines of different frequency and sign that share range, speed and acceleration."""
+    inwards = _inwards(start, f)
     for sample in range(row.shape[0]):
         row[sample] = start
     for number in range(4):
-        frequency = frequencies[number]
-        amplitude = 0.25 * _largest_sine(start, frequency, f, limits) * between(key, 4 + number, 0.6, 1.2)
-        phase = between(key, 8 + number, 0.0, 2.0 * math.pi)
-        omega = 2.0 * math.pi * frequency
+        frequency = log_between(key, number, limits.frequency_low, limits.frequency_high)
+        amplitude = 0.25 * _largest_sine(start, inwards, frequency, f, limits) * between(key, 4 + number, 0.6, 1.0)
+        amplitude = amplitude if uniform(key, 8 + number) < 0.5 or inwards != 0.0 else -amplitude
         for sample in range(row.shape[0]):
-            time = sample * period
-            fade = min(time / 0.25, 1.0)
-            row[sample] += amplitude * fade * fade * (3.0 - 2.0 * fade) * (math.sin(omega * time + phase))
-    for sample in range(row.shape[0]):
-        row[sample] = min(max(row[sample], f.low), f.high)
+            row[sample] += amplitude * _swing(sample * period, frequency, inwards)
 
 
 @inline

@@ -1,0 +1,6 @@
+"""Controllers: PID and whatever else acts on observations, through one interface."""
+
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID, PIDGains
+
+__all__ = ["PID", "Controller", "ObservationLayout", "PIDGains"]

@@ -1,0 +1,82 @@
+"""The one interface of everything that acts: ``predict(observation, state, episode_start, deterministic)``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.axes import observation_layout
+
+Floats = NDArray[np.floating[Any]]
+
+
+class Controller(Protocol):
+    """Acts on what the rig measures; the same signature as a stable-baselines3 model.
+
+    ``predict`` takes one observation (n,) or a batch (N, n) and gives the commands, (1,) or (N, 1), with the
+    controller's memory. ``state`` is that memory from the call before, ``None`` at the start. ``episode_start`` (N,)
+    marks axes whose episode begins with this observation.
+    """
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Commands in [−1, 1] for the observations, and the memory for the next call."""
+        ...
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """What an observation holds: names, scales (SI per 1), and the control period (s) at which it comes."""
+
+    names: tuple[str, ...]
+    scale: tuple[float, ...]
+    control_period: float
+
+    @classmethod
+    def of(cls, config: TaskConfig) -> ObservationLayout:
+        """The layout of a task's observations."""
+        names, _, scale, _ = observation_layout(config)
+        return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
+
+    def index(self, name: str) -> int:
+        """Column of a signal.
+
+        Raises:
+            ConfigurationError: the observation holds no such signal.
+        """
+        if name not in self.names:
+            raise ConfigurationError(f"the observation holds no '{name}'; it holds: {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def si(self, observation: Floats, name: str) -> NDArray[np.float64]:
+        """A signal in SI units from a batch of observations (N, n)."""
+        column = self.index(name)
+        return np.asarray(observation[:, column], dtype=np.float64) * self.scale[column]
+
+    @property
+    def preview_times(self) -> tuple[float, ...]:
+        """How far ahead the previews look, s."""
+        prefix = "reference_preview_"
+        return tuple(
+            1e-3 * float(name.removeprefix(prefix).removesuffix("ms")) for name in self.names if name.startswith(prefix)
+        )
+
+    def previews(self, observation: Floats) -> NDArray[np.float64]:
+        """Reference ahead minus reference now, m, shape (N, previews)."""
+        columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
+        return np.asarray(observation[:, columns], dtype=np.float64) * np.array([self.scale[i] for i in columns])
+
+
+def as_batch(observation: Floats) -> tuple[Floats, bool]:
+    """Observation as a batch (N, n), and whether it was a single one."""
+    array = np.asarray(observation)
+    return (array[None], True) if array.ndim == 1 else (array, False)

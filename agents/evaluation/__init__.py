@@ -1,0 +1,1 @@
+"""Proof: the robustness protocol, control metrics, statistics, report."""

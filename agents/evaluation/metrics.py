@@ -1,0 +1,122 @@
+"""Control metrics of one episode, in SI and in the units of practice; NaN where a metric has no meaning."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.rollout import Rollout
+
+Array = NDArray[np.floating]
+
+SETTLING_BAND = 0.2e-3
+"""m; settled is who stays this close to a reference that stands still."""
+
+STANDSTILL = 0.1
+"""s; a reference that stands at least this long is a target to settle on."""
+
+FINAL_SHARE = 0.05
+"""s; the last part of a standstill, over which the steady-state error is taken."""
+
+METRICS: dict[str, tuple[str, str]] = {
+    "mean_error_mm": ("mm", "mean of |reference − position|"),
+    "rms_error_mm": ("mm", "root mean square of the error"),
+    "peak_error_mm": ("mm", "largest error"),
+    "settling_time_s": ("s", "from the reference standing still until the error stays within ±0.2 mm"),
+    "unsettled_share": ("1", "standstills on which it never settled"),
+    "overshoot_percent": ("%", "beyond the target, of the size of the step (family 'step')"),
+    "steady_state_error_mm": ("mm", "|mean error| over the last 50 ms of a standstill"),
+    "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
+    "control_effort": ("1", "root mean square of the command, in parts of 10 V"),
+    "valve_travel_per_s": ("1/s", "way of the spool in full strokes per second"),
+    "failed": ("1", "1 if the axis failed"),
+}
+"""Name, unit and meaning of every metric."""
+
+
+def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
+    """Stretches [first, last) of samples on which the reference stands still after it has moved."""
+    moving = np.flatnonzero(np.diff(reference) != 0.0) + 1
+    if len(moving) == 0:
+        return []
+    edges = [*moving.tolist(), len(reference)]
+    shortest = math.ceil(STANDSTILL / period - 1e-9)
+    return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= shortest]
+
+
+def settling_time(error: Array, period: float, band: float = SETTLING_BAND) -> float:
+    """Time in s from the first sample until |error| stays within the band; NaN if it does not."""
+    outside = np.flatnonzero(np.abs(error) > band)
+    if len(outside) == 0:
+        return 0.0
+    if outside[-1] == len(error) - 1:
+        return math.nan
+    return float((outside[-1] + 1) * period)
+
+
+def overshoot(position: Array, start: float, target: float) -> float:
+    """Largest excess beyond the target in % of the step from ``start`` to ``target``; 0 without excess."""
+    size = target - start
+    if size == 0.0:
+        return math.nan
+    return float(max(np.max((position - target) / size), 0.0) * 100.0)
+
+
+def case_metrics(
+    position: Array, reference: Array, command: Array, spool: Array, period: float, is_step: bool, failed: bool
+) -> dict[str, float]:
+    """All METRICS of one episode.
+
+    Args:
+        position: true position, (T,), m.
+        reference: (T,), m.
+        command: (T,), in parts of 10 V.
+        spool: true spool position, (T,).
+        period: control period, s.
+        is_step: whether the reference jumps, so that overshoot has a meaning.
+        failed: whether the axis failed.
+    """
+    error = np.asarray(reference, dtype=np.float64) - position
+    time = period * np.arange(1, len(error) + 1)
+    settling: list[float] = []
+    steady: list[float] = []
+    beyond: list[float] = []
+    final = max(round(FINAL_SHARE / period), 1)
+    for first, last in standstills(reference, period):
+        settling.append(settling_time(error[first:last], period))
+        steady.append(abs(float(np.mean(error[last - final : last]))))
+        if is_step:
+            beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
+    settled = [value for value in settling if not math.isnan(value)]
+    return {
+        "mean_error_mm": 1e3 * float(np.mean(np.abs(error))),
+        "rms_error_mm": 1e3 * float(np.sqrt(np.mean(error**2))),
+        "peak_error_mm": 1e3 * float(np.max(np.abs(error))),
+        "settling_time_s": float(np.mean(settled)) if settled else math.nan,
+        "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
+        "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
+        "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
+        "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
+        "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
+        "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
+        "failed": float(failed),
+    }
+
+
+def rollout_metrics(rollout: Rollout, families: NDArray[np.str_], period: float) -> dict[str, Array]:
+    """METRICS of every case, arrays (N,)."""
+    rows = [
+        case_metrics(
+            rollout.position[case],
+            rollout.reference[case],
+            rollout.command[case],
+            rollout.spool[case],
+            period,
+            str(families[case]) == "step",
+            bool(rollout.failed_at[case] >= 0),
+        )
+        for case in range(len(families))
+    ]
+    return {name: np.array([row[name] for row in rows]) for name in METRICS}

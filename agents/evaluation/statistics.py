@@ -1,0 +1,72 @@
+"""Means and paired ratios with bootstrap intervals, worst case and CVaR; plants are what is resampled."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest, bootstrap
+
+Array = NDArray[np.floating[Any]]
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+
+
+class Interval(NamedTuple):
+    """An estimate with its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
+    """Mean over plants with a 95 % bootstrap interval (BCa); NaNs are left out."""
+    values = np.asarray(per_plant, dtype=np.float64)
+    values = values[~np.isnan(values)]
+    if len(values) == 0:
+        return Interval(np.nan, np.nan, np.nan)
+    return _interval((values,), lambda x, axis: np.mean(x, axis=axis), seed)
+
+
+def ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) -> Interval:
+    """Mean of one over mean of the other, on the same plants, with a paired 95 % bootstrap interval."""
+    a, b = np.asarray(per_plant, dtype=np.float64), np.asarray(reference_per_plant, dtype=np.float64)
+    kept = ~(np.isnan(a) | np.isnan(b))
+    if not kept.any():
+        return Interval(np.nan, np.nan, np.nan)
+    return _interval((a[kept], b[kept]), lambda x, y, axis: np.mean(x, axis=axis) / np.mean(y, axis=axis), seed)
+
+
+def _interval(samples: tuple[Array, ...], statistic: Any, seed: int) -> Interval:
+    value = float(statistic(*samples, axis=0))
+    if len(samples[0]) < 3 or all(np.ptp(sample) == 0.0 for sample in samples):
+        return Interval(value, value, value)
+    result = bootstrap(
+        samples,
+        statistic,
+        paired=len(samples) > 1,
+        vectorized=True,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+    )
+    return Interval(value, float(result.confidence_interval.low), float(result.confidence_interval.high))
+
+
+def conditional_value_at_risk(values: Array, share: float = 0.05) -> float:
+    """Mean of the worst ``share`` of the values (at least one); larger is worse. NaNs are left out."""
+    ordered = np.sort(np.asarray(values, dtype=np.float64)[~np.isnan(values)])[::-1]
+    if len(ordered) == 0:
+        return float("nan")
+    return float(ordered[: max(int(np.ceil(share * len(ordered))), 1)].mean())
+
+
+def share_interval(hits: int, total: int) -> Interval:
+    """A share with its 95 % Wilson interval."""
+    if total == 0:
+        return Interval(np.nan, np.nan, np.nan)
+    found = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(hits / total, float(found.low), float(found.high))

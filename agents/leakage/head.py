@@ -1,0 +1,237 @@
+"""The leakage head: two seconds of observations in, probability and size of a leak out.
+
+Works under any controller, because it sees observations alone. ``MonitoredController`` attaches it to one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
+from agents.weights import load_weights, require, save_weights
+from hydro_env import ConfigurationError
+
+KIND = "leakage head"
+SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
+"""Measured signals that the head reads, in this order."""
+
+N_CHANNELS = 18
+
+
+class LeakageEstimate(NamedTuple):
+    """What the head says, each (N,); NaN while less than a window of observations has been seen."""
+
+    probability: NDArray[np.float64]  # of a leak, 0 to 1
+    flow_lpm: NDArray[np.float64]  # l/min at 100 bar
+
+
+def channels(signals: Tensor) -> Tensor:
+    """Input channels (N, 18, T) of the network from SIGNALS (N, 5, T) in the scales of the observation.
+
+    Besides the signals, the terms of the flow balance of each chamber (12), (13): the speed that takes oil up, the
+    pressure rates, and the products of spool and pressures of which the valve flows consist. A leak is what remains.
+    """
+    position, pressure_a, pressure_b, spool, command = signals.unbind(1)
+
+    def rate(values: Tensor) -> Tensor:
+        return torch.diff(values, dim=1, prepend=values[:, :1])
+
+    size = spool.abs()
+    rows = [
+        position,
+        pressure_a,
+        pressure_b,
+        spool,
+        command,
+        rate(position),
+        rate(pressure_a),
+        rate(pressure_b),
+        pressure_a - pressure_b,
+        spool * pressure_a,
+        spool * pressure_b,
+        size,
+        size * pressure_a,
+        size * pressure_b,
+        spool * torch.sqrt(pressure_a.clamp(min=0.0)),
+        spool * torch.sqrt(pressure_b.clamp(min=0.0)),
+        (size + 0.02).log(),
+        rate(spool),
+    ]
+    return torch.stack(rows, dim=1)
+
+
+class LeakageNetwork(nn.Module):
+    """Strided convolutions over time, pooled by mean and spread, then two outputs: logit and log10 of the flow."""
+
+    def __init__(self, width: int = 48) -> None:
+        super().__init__()
+        self.width = width
+        self.register_buffer("mean", torch.zeros(1, N_CHANNELS, 1))
+        self.register_buffer("scale", torch.ones(1, N_CHANNELS, 1))
+        self.convolutions = nn.Sequential(
+            nn.Conv1d(N_CHANNELS, width, 8, stride=4),
+            nn.ReLU(),
+            nn.Conv1d(width, width, 5, stride=2),
+            nn.ReLU(),
+            nn.Conv1d(width, 2 * width, 5, stride=2),
+            nn.ReLU(),
+        )
+        self.output = nn.Sequential(
+            nn.Linear(4 * width, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU(), nn.Linear(64, 2)
+        )
+
+    def forward(self, signals: Tensor) -> Tensor:
+        """(N, 2): logit of a leak, log10 of the flow in l/min at 100 bar, from SIGNALS (N, 5, T)."""
+        inputs = (channels(signals) - self.mean) * self.scale
+        hidden = self.convolutions(inputs)
+        pooled = torch.cat([hidden.mean(dim=2), (hidden.var(dim=2, correction=0) + 1e-6).sqrt()], dim=1)
+        result: Tensor = self.output(pooled)
+        return result
+
+
+@dataclass(frozen=True)
+class HeadSettings:
+    """What inference needs besides the weights."""
+
+    layout: ObservationLayout
+    window: int  # observations
+    threshold: float  # probability above which a leak is flagged: 1 % false alarms on validation plants
+    training: dict[str, Any]
+
+
+class LeakageHead:
+    """The trained network with everything that inference needs."""
+
+    def __init__(self, network: LeakageNetwork, settings: HeadSettings) -> None:
+        self.network = network.eval()
+        self.settings = settings
+        self.columns = np.array([settings.layout.index(name) for name in SIGNALS])
+
+    def estimate(self, history: Floats) -> LeakageEstimate:
+        """Probability and size of a leak.
+
+        Args:
+            history: observations (N, window, n) or (window, n), oldest first.
+
+        Raises:
+            ConfigurationError: the history has another shape.
+        """
+        array = np.asarray(history)
+        if array.ndim == 2:
+            array = array[None]
+        wanted = (self.settings.window, len(self.settings.layout.names))
+        if array.ndim != 3 or array.shape[1:] != wanted:
+            raise ConfigurationError(
+                f"leakage head: history has shape {np.shape(history)}: must be (N, {wanted[0]}, {wanted[1]})"
+            )
+        return self.estimate_signals(array[:, :, self.columns].transpose(0, 2, 1))
+
+    def estimate_signals(self, signals: NDArray[Any], batch: int = 2048) -> LeakageEstimate:
+        """The same from SIGNALS alone, (N, 5, window)."""
+        outputs = []
+        with torch.no_grad():
+            for first in range(0, len(signals), batch):
+                part = torch.from_numpy(np.ascontiguousarray(signals[first : first + batch], dtype=np.float32))
+                outputs.append(self.network(part).numpy())
+        values = np.concatenate(outputs).astype(np.float64)
+        return LeakageEstimate(1.0 / (1.0 + np.exp(-values[:, 0])), 10.0 ** np.clip(values[:, 1], -4.0, 2.0))
+
+    def save(self, path: str | Path) -> Path:
+        """Write weights and settings; see :func:`agents.weights.save_weights`."""
+        settings = {
+            "observation_names": list(self.settings.layout.names),
+            "observation_scale": list(self.settings.layout.scale),
+            "control_period": self.settings.layout.control_period,
+            "signals": list(SIGNALS),
+            "window": self.settings.window,
+            "threshold": self.settings.threshold,
+            "width": self.network.width,
+            "training": self.settings.training,
+        }
+        tensors = {name: value.detach().cpu().numpy() for name, value in self.network.state_dict().items()}
+        return save_weights(path, KIND, tensors, settings)
+
+    @classmethod
+    def load(cls, path: str | Path) -> LeakageHead:
+        """Read what ``save`` wrote.
+
+        Raises:
+            ConfigurationError: missing, damaged or foreign files.
+        """
+        tensors, stored = load_weights(path, KIND)
+        try:
+            layout = ObservationLayout(
+                tuple(stored["observation_names"]), tuple(stored["observation_scale"]), float(stored["control_period"])
+            )
+            window, threshold = int(stored["window"]), float(stored["threshold"])
+            settings = HeadSettings(layout, window, threshold, dict(stored["training"]))
+            width, signals = int(stored["width"]), tuple(stored["signals"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise ConfigurationError(f"{path}: its JSON lacks or mistypes {error}") from None
+        if signals != SIGNALS or not 1 <= width <= 4096:
+            raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
+        network = LeakageNetwork(width)
+        require(tensors, {name: tuple(value.shape) for name, value in network.state_dict().items()}, path)
+        network.load_state_dict({name: torch.from_numpy(tensors[name].copy()) for name in network.state_dict()})
+        return cls(network, settings)
+
+
+@dataclass
+class MonitorState:
+    """Memory: the controller's, and a ring of observations (N, window, n) with its next slot and fill (N,)."""
+
+    controller: Any
+    ring: NDArray[np.float32]
+    slot: int
+    seen: NDArray[np.int64]
+
+
+class MonitoredController:
+    """Any controller with the leakage head attached: acts as the controller does, and tells the leak on the side.
+
+    ``estimate(state)`` gives the head's answer for the last window of observations of each axis.
+    """
+
+    def __init__(self, controller: Controller, head: LeakageHead) -> None:
+        self.controller = controller
+        self.head = head
+
+    def predict(
+        self,
+        observation: Floats,
+        state: MonitorState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], MonitorState]:
+        """The controller's commands; the observations are remembered for the head."""
+        batch, single = as_batch(observation)
+        inner = state.controller if state is not None else None
+        action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
+        window = self.head.settings.window
+        if state is None:
+            ring = np.zeros((len(batch), window, batch.shape[1]), dtype=np.float32)
+            state = MonitorState(inner, ring, 0, np.zeros(len(batch), dtype=np.int64))
+        elif episode_start is not None:
+            state.seen[np.asarray(episode_start, dtype=np.bool_)] = 0
+        state.ring[:, state.slot] = batch
+        state = MonitorState(inner, state.ring, (state.slot + 1) % window, state.seen + 1)
+        return (action[0] if single else action), state
+
+    def estimate(self, state: MonitorState) -> LeakageEstimate:
+        """Probability and size of a leak on each axis (N,); NaN until a whole window has been seen."""
+        window = self.head.settings.window
+        order = (state.slot + np.arange(window)) % window
+        full = state.seen >= window
+        probability = np.full(len(full), np.nan)
+        flow = np.full(len(full), np.nan)
+        if full.any():
+            found = self.head.estimate(state.ring[full][:, order])
+            probability[full], flow[full] = found
+        return LeakageEstimate(probability, flow)

@@ -1,0 +1,1 @@
+"""Learning with stable-baselines3: VecEnv adaptor, features, training, checkpoints, weights."""

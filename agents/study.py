@@ -1,0 +1,276 @@
+"""The main job: train PPO and the leakage head from nothing, evaluate them beside the PID, write the report.
+
+Each phase leaves its result in the output folder, so that a study that was stopped can be resumed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from agents.console import ProgressDisplay
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID, PIDGains
+from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
+from agents.evaluation.report import Example, StudyRecord, write_report, write_tables
+from agents.leakage.head import LeakageHead
+from agents.leakage.training import HeadTrainingSettings, train_head
+from agents.learning.policy import PolicyController
+from agents.learning.training import PPOSettings, Progress, train_ppo
+from agents.rollout import Cases, run_cases
+from agents.splits import TEST_SEEDS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.configuration import Group, read_yaml, validate, write_whole, write_yaml
+
+POLICY_FILE = "policy"
+HEAD_FILE = "leakage_head"
+CURVE_FILE = "training_curve.csv"
+CONFIG_FILE = "study.yaml"
+REPORT_FILE = "report.html"
+
+
+class StudySettings(Group):
+    """A study: the task, the opponents, what is trained and how it is judged. ``configs/studies`` holds some."""
+
+    title: str = "A servo axis that leaks: PID, PPO and the leakage head"
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    pid: PIDGains = Field(default_factory=PIDGains, description="the opponent, tuned on the mean error")
+    base_pid: PIDGains | None = Field(None, description="what the residual policy corrects; absent: the opponent")
+    ppo: PPOSettings = Field(default_factory=PPOSettings)
+    leakage_head: HeadTrainingSettings = Field(default_factory=HeadTrainingSettings)
+    evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> StudySettings:
+        """Read a study; a group may be the path of another YAML file, relative to this one.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key or impossible value.
+        """
+        return validate(cls, with_included_files(read_yaml(path), Path(path).parent), str(path))
+
+
+def with_included_files(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Replace groups that are given as the path of a YAML file by the content of the file."""
+    return {
+        key: read_yaml(folder / value) if isinstance(value, str) and value.endswith((".yaml", ".yml")) else value
+        for key, value in values.items()
+    }
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """What a study leaves."""
+
+    report: Path
+    evaluation: Evaluation
+    timings: dict[str, float]
+
+
+def prepare_folder(folder: Path, resume: bool, overwrite: bool, marker: str) -> None:
+    """Check that results may go into a folder, and that it can be written.
+
+    Raises:
+        ConfigurationError: it holds results already and neither resume nor overwrite is asked for, or cannot be written.
+    """
+    if (folder / marker).exists() and not (resume or overwrite):
+        raise ConfigurationError(
+            f"{folder}: holds results already; --resume goes on with them, --overwrite begins anew, --output takes another folder"
+        )
+    probe = folder / ".write-test"
+    write_whole(probe, b"")
+    probe.unlink()
+
+
+def run_study(
+    settings: StudySettings,
+    folder: Path,
+    seed: int,
+    display: ProgressDisplay,
+    resume: bool = False,
+    overwrite: bool = False,
+    command: str = "hydro study",
+) -> StudyResult:
+    """Run all phases; with ``resume`` those that are done with the same settings are not repeated.
+
+    Raises:
+        ConfigurationError: the folder cannot be used, or its results are of other settings.
+        KeyboardInterrupt: Ctrl-C; what was done so far stays and can be resumed.
+    """
+    prepare_folder(folder, resume, overwrite, CONFIG_FILE)
+    described = {"seed": seed, **settings.model_dump(mode="json")}
+    stored = folder / CONFIG_FILE
+    if resume and stored.exists():
+        if read_yaml(stored) != json.loads(json.dumps(described)):
+            raise ConfigurationError(f"{stored}: is of other settings or another seed; --overwrite begins anew")
+    else:
+        for name in (f"{POLICY_FILE}.json", f"{HEAD_FILE}.json", "checkpoint.json", "head_checkpoint.json", CURVE_FILE):
+            (folder / name).unlink(missing_ok=True)
+        write_yaml(stored, described)
+
+    timings: dict[str, float] = {}
+    policy, curve = _timed(timings, "train PPO", lambda: _policy(settings, folder, seed, display))
+    pid = PID(settings.pid, ObservationLayout.of(settings.task))
+    controllers: dict[str, Controller] = {"PID": pid, "PPO": policy}
+    head = _timed(timings, "train leakage head", lambda: _head(settings, folder, seed, display, controllers))
+    evaluation = _timed(
+        timings,
+        "evaluate",
+        lambda: evaluate(settings.task, controllers, head, settings.evaluation, display.update),
+    )
+    examples = _timed(timings, "examples", lambda: example_traces(settings.task, controllers))
+    write_tables(folder / "tables", evaluation)
+    record = StudyRecord(
+        title=settings.title,
+        configuration=stored.read_text(encoding="utf-8"),
+        command=command,
+        versions=package_versions(),
+        machine=machine_description(),
+        seed=seed,
+        timings=timings,
+        training_curve=curve,
+        examples=examples,
+    )
+    report = folder / REPORT_FILE
+    write_report(report, evaluation, record)
+    return StudyResult(report, evaluation, timings)
+
+
+def _timed(timings: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
+    began = time.monotonic()
+    result = work()
+    timings[name] = time.monotonic() - began
+    return result
+
+
+def _policy(
+    settings: StudySettings, folder: Path, seed: int, display: ProgressDisplay
+) -> tuple[PolicyController, pd.DataFrame]:
+    curve_file = folder / CURVE_FILE
+    if (folder / f"{POLICY_FILE}.json").exists():
+        display.say("PPO: already trained")
+        curve = pd.read_csv(curve_file) if curve_file.exists() else pd.DataFrame()
+        return PolicyController.load(folder / POLICY_FILE), curve
+    rows: list[dict[str, float]] = []
+    gains = settings.base_pid or settings.pid
+    go_on = (folder / "checkpoint.json").exists()
+    policy = train_ppo(
+        settings.task,
+        settings.ppo,
+        gains,
+        seed,
+        folder,
+        resume=go_on,
+        progress=ppo_progress(display, rows),
+    )
+    curve = pd.DataFrame(rows)
+    write_whole(curve_file, curve.to_csv(index=False).encode())
+    policy.save(folder / POLICY_FILE)
+    return policy, curve
+
+
+def ppo_progress(display: ProgressDisplay, rows: list[dict[str, float]]) -> Callable[[Progress], None]:
+    """A callback that shows a PPO training and notes its curve."""
+    last = [0.0, 0]
+
+    def report(progress: Progress) -> None:
+        passed, steps = progress.seconds - last[0], progress.steps - last[1]
+        last[:] = progress.seconds, progress.steps
+        rows.append({"steps": progress.steps, "seconds": progress.seconds, "mean_reward": progress.mean_reward})
+        rate = f"{steps / passed:,.0f} steps/s" if passed > 0 else ""
+        reward = "" if math.isnan(progress.mean_reward) else f", mean reward {progress.mean_reward:.4f}"
+        display.update("train PPO", min(progress.steps, progress.total_steps), progress.total_steps, rate + reward)
+
+    return report
+
+
+def head_progress(display: ProgressDisplay) -> Callable[[str, int, int, float], None]:
+    """A callback that shows the training of the leakage head."""
+
+    def report(phase: str, done: int, total: int, loss: float) -> None:
+        note = "" if math.isnan(loss) else f"loss {loss:.4f}"
+        display.update(f"leakage head, {phase}", done, total, note)
+
+    return report
+
+
+def _head(
+    settings: StudySettings,
+    folder: Path,
+    seed: int,
+    display: ProgressDisplay,
+    controllers: Mapping[str, Controller],
+) -> LeakageHead:
+    if (folder / f"{HEAD_FILE}.json").exists():
+        display.say("leakage head: already trained")
+        return LeakageHead.load(folder / HEAD_FILE)
+    head = train_head(
+        settings.task,
+        list(controllers.values()),
+        settings.leakage_head,
+        seed,
+        head_progress(display),
+        folder=folder,
+        resume=(folder / "head_checkpoint.json").exists(),
+    )
+    head.save(folder / HEAD_FILE)
+    return head
+
+
+EXAMPLES = (
+    ("step", 0.01, "steps, healthy seal (0.01 l/min at 100 bar)"),
+    ("step", 4.0, "the same with 4 l/min"),
+    ("start_stop", 0.01, "start–stop, healthy seal (0.01 l/min at 100 bar)"),
+    ("start_stop", 4.0, "the same with 4 l/min"),
+)
+
+
+def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], number: int = 0) -> list[Example]:
+    """Time traces of a few test episodes under every controller."""
+    seed = TEST_SEEDS.start + 900_000 + number
+    cases = Cases(
+        np.full(len(EXAMPLES), seed, dtype=np.int64),
+        np.array([leak for _, leak, _ in EXAMPLES]),
+        np.array([family for family, _, _ in EXAMPLES]),
+    )
+    runs = {name: run_cases(config, controller, cases) for name, controller in controllers.items()}
+    first = next(iter(runs.values()))
+    return [
+        Example(
+            title=title,
+            time=first.time,
+            reference=first.reference[case],
+            position={name: run.position[case] for name, run in runs.items()},
+            command={name: run.command[case] for name, run in runs.items()},
+        )
+        for case, (_, _, title) in enumerate(EXAMPLES)
+    ]
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of what the results rest on."""
+    names = ("hydro_env", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+
+
+def machine_description() -> str:
+    """Processor, cores and system in one line."""
+    model = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
+    except OSError:
+        pass
+    return f"{model}, {os.cpu_count()} cores, {platform.system()}"

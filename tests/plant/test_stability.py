@@ -1,0 +1,137 @@
+"""The integrator's inner step is stable over the whole randomised range, and nothing leaves the model's validity."""
+
+import numpy as np
+import pytest
+
+from hydro_env.axes import Axes
+from hydro_env.plant.analysis import fastest_eigenvalue, fastest_rate_bound
+from hydro_env.plant.equations import VAPOUR_PRESSURE
+from hydro_env.plant.kernel import LANES, STEP_LIMIT
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.simulate import valid_ranges
+from hydro_env.task.configuration import task_config
+from hydro_env.task.kernel import FAILURES
+
+COUNT, STEPS, SAMPLES = 384, 400, 8
+RUNGE_KUTTA_LIMIT = 2.7
+"""|hλ| up to which the classical Runge–Kutta method is stable on the negative real axis, with a little to spare."""
+
+
+def lively_actions(rng, count, steps):
+    """Commands of three characters: white noise, held levels, and full opening held long enough to meet an end stop."""
+    noise = rng.uniform(-1, 1, (steps, count))
+    held = np.repeat(rng.uniform(-1.2, 1.2, (steps // 20, count)), 20, axis=0)
+    full = np.repeat(np.sign(rng.uniform(-1, 1, (steps // 200, count))), 200, axis=0)
+    kind = np.arange(count) % 3
+    return np.where(kind == 0, noise, np.where(kind == 1, held, full))
+
+
+@pytest.fixture(scope="module")
+def rollout():
+    """States (sample, axis, 9) of randomised plants along lively rollouts, the axes, and all failures met."""
+    config = task_config(None)
+    axes = Axes(config, COUNT)
+    for axis in range(COUNT):
+        axes.seed(axis, np.random.default_rng([11, axis]))
+    observation = np.empty((COUNT, len(axes.observation_names)), np.float32)
+    reward, ended, cut = np.empty(COUNT), np.empty(COUNT, np.bool_), np.empty(COUNT, np.bool_)
+    axes.begin(np.arange(COUNT), observation)
+    states, failures, worst = [], set(), 0.0
+    rng = np.random.default_rng(12)
+    for step, action in enumerate(lively_actions(rng, COUNT, STEPS)):
+        axes.step(action, observation, reward, ended, cut)
+        failures |= set(np.unique(axes.column("failure")).astype(int))
+        worst = max(worst, np.abs(observation / axes.limit).max())
+        assert np.isfinite(observation).all()
+        assert np.isfinite(reward).all()
+        if step % (STEPS // SAMPLES) == 7:
+            states.append(axes.state.transpose(0, 2, 1).reshape(-1, axes.state.shape[1])[:COUNT].copy())
+    return np.array(states), axes, failures, worst
+
+
+def rates(parameters, state):
+    """Fastest eigenvalue, and the integrator's estimate of it, in 1/s.
+
+    A spool at its limit of slew or stroke, or a pressure at that of cavitation, is moved a little inside: at the limit
+    itself the right-hand side jumps, and has no linearisation.
+    """
+    state = state.copy()
+    state[2:4] = np.maximum(state[2:4], VAPOUR_PRESSURE + 100.0)
+    state[4] = np.clip(state[4], -0.999, 0.999)
+    state[5] = np.clip(state[5], -0.999 * parameters.valve.slew_limit, 0.999 * parameters.valve.slew_limit)
+    return fastest_eigenvalue(parameters, state), fastest_rate_bound(parameters, state)
+
+
+def test_the_inner_step_is_stable_everywhere(rollout):
+    states, axes, _, _ = rollout
+    period = axes.config.control_period - axes.config.command_latency
+    products = np.empty(states.shape[:2])
+    for axis in range(COUNT):
+        parameters = axes.parameters(axis)
+        for sample, state in enumerate(states[:, axis]):
+            # As the kernel: equal steps of the hold interval, none longer than either limit.
+            rate, bound = rates(parameters, state)
+            step = period / np.ceil(period / min(axes.config.maximum_step, STEP_LIMIT / bound))
+            products[sample, axis] = step * rate
+    assert products.max() < RUNGE_KUTTA_LIMIT
+    assert products.max() > 0.1  # the eigenvalues are really there
+
+
+def test_the_bound_is_not_wastefully_high(rollout):
+    """The estimate that sets the step stays within a factor of the true rate where it decides the step."""
+    states, axes, _, _ = rollout
+    ratios = []
+    for axis in range(0, COUNT, 4):
+        parameters = axes.parameters(axis)
+        ratios += [bound / rate for rate, bound in (rates(parameters, state) for state in states[:, axis])]
+    assert np.median(ratios) < 5.0
+    assert min(ratios) > 0.95  # and it is an upper estimate
+
+
+def test_no_state_leaves_its_valid_range(rollout):
+    states, axes, failures, worst = rollout
+    assert np.isfinite(states).all()
+    names = {FAILURES[code] for code in failures}
+    assert not any("valid range" in name for name in names)
+    assert "end stop hit at speed" in names  # the rollouts reach the ends of the stroke
+    for axis in range(0, COUNT, 16):
+        low, high = valid_ranges(axes.parameters(axis))
+        assert ((states[:, axis] >= low) & (states[:, axis] <= high)).all()
+    assert worst <= 1.0
+    assert np.abs(states[..., 4]).max() <= 1.0  # spool stroke
+
+
+def test_the_draws_reach_both_ends_of_their_ranges(rollout):
+    """Else the two tests above would say little."""
+    _, axes, _, _ = rollout
+    paths = list(axes.config.randomisation)
+    for path in paths:
+        distribution = axes.config.randomisation[path]
+        values = axes.physical[:, PARAMETER_PATHS.index(path)]
+        if distribution.times:
+            values = values / axes.physical[:, PARAMETER_PATHS.index(distribution.times)]
+        if distribution.otherwise is not None:
+            share = np.mean(values == distribution.otherwise)
+            assert share == pytest.approx(distribution.otherwise_probability, abs=0.08)
+            values = values[values != distribution.otherwise]
+        low, high = distribution.bounds
+        assert (values >= low * (1 - 1e-12)).all()
+        assert (values <= high * (1 + 1e-12)).all()
+        place = (values - low) / (high - low)
+        if distribution.log_uniform:
+            place = np.log(values / low) / np.log(high / low)
+        assert place.min() < 0.05
+        assert place.max() > 0.95
+
+
+def test_spare_lanes_do_no_harm():
+    axes = Axes(task_config(None), 3)
+    assert axes.state.shape == (1, 9, LANES)
+    axes.seed(0, np.random.default_rng(0))
+    observation = np.empty((3, len(axes.observation_names)), np.float32)
+    axes.begin(np.arange(3), observation)
+    for _ in range(5):
+        axes.step(np.ones(3), observation, np.empty(3), np.empty(3, np.bool_), np.empty(3, np.bool_))
+    assert np.isfinite(axes.state).all()
+    assert np.abs(axes.state[0, 0, 3:]).max() < 1e-4  # a plant at rest with a closed valve
+    assert np.abs(axes.state[0, 0, :3] - axes.column("position")).max() == 0.0

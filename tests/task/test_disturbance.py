@@ -1,0 +1,119 @@
+"""Disturbing forces: what acts when, and what it does to the axis."""
+
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, simulate
+from hydro_env.plant.equations import STATE_NAMES
+
+PERIOD = 5e-3
+SMOOTH = {"friction": {"model": "none"}}
+
+
+def forces(steps=100, count=40, plant=None, **disturbance):
+    """External force in the middle of each period (step, axis), and the drawn amplitude, start and frequency."""
+    envs = ServoHydraulicVectorEnv(count, disturbance=disturbance, episode_duration=steps * PERIOD, plant=plant or {})
+    envs.reset(seed=0, options={"reference": "step", "initial_position": 0.0})
+    axes = envs.axes
+    drawn = [axes.column(name).copy() for name in ("force_amplitude", "force_start_time", "force_frequency")]
+    rows = []
+    for _ in range(steps):
+        envs.step(np.zeros((count, 1)))
+        rows.append([axes.external_force(axis) for axis in range(count)])
+    return np.array(rows), *drawn
+
+
+def middle(steps=100):
+    return PERIOD * (np.arange(steps)[:, None] + 0.5)
+
+
+def test_no_disturbance_by_default():
+    envs = ServoHydraulicVectorEnv(20, plant={"load": {"external_force": 150.0}})
+    envs.reset(seed=0)
+    assert envs.config.disturbance.kind == "none"
+    for _ in range(20):
+        envs.step(np.zeros((20, 1)))
+    assert (envs.axes.column("force_amplitude") == 0.0).all()
+    assert {envs.axes.external_force(axis) for axis in range(20)} == {150.0}
+
+
+def test_step_force():
+    force, amplitude, start, _ = forces(kind="step", force_range=[200.0, 1000.0], plant={"load": {"external_force": 50.0}})
+    np.testing.assert_array_equal(force, 50.0 + np.where(middle() >= start, amplitude, 0.0))
+    assert 200.0 <= np.abs(amplitude).min() < 300.0
+    assert 900.0 < np.abs(amplitude).max() <= 1000.0
+    assert 10 <= (amplitude > 0).sum() <= 30
+    assert start.min() >= 0.2 * 0.5
+    assert start.max() <= 0.6 * 0.5
+
+
+def test_pulse_force():
+    force, amplitude, start, _ = forces(kind="pulse", pulse_duration=0.05)
+    inside = (middle() >= start) & (middle() < start + 0.05)
+    np.testing.assert_array_equal(force, np.where(inside, amplitude, 0.0))
+    assert set(inside.sum(axis=0)) <= {9, 10, 11}
+
+
+def test_sine_force():
+    force, amplitude, start, frequency = forces(kind="sine", frequency_range=[1.0, 5.0])
+    expected = np.where(middle() >= start, amplitude * np.sin(2 * np.pi * frequency * (middle() - start)), 0.0)
+    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-9)
+    assert frequency.min() >= 1.0
+    assert frequency.max() <= 5.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_step_force_changes_the_acceleration_by_force_over_mass(sign):
+    """Positive against extension. Seen over one half millisecond, before pressures answer."""
+    period, force = 0.5e-3, 700.0
+    shared = {"control_period": period, "command_latency": 0.0, "plant": SMOOTH, "randomisation": {}}
+    disturbance = {"kind": "step", "force_range": [force, force], "start_range": [0.0, 0.0]}
+    env = ServoHydraulicEnv(disturbance=disturbance, **shared)
+    plain = ServoHydraulicEnv(**shared)
+    for seed in range(20):
+        env.reset(seed=seed)
+        if np.sign(env._axes.column("force_amplitude")[0]) == sign:
+            break
+    _, info = plain.reset(seed=seed)
+    hold = plain._axes.column("command").copy()
+    assert abs(plain.step(hold)[-1]["velocity"]) < 1e-9  # at rest without the force
+    velocity = env.step(hold)[-1]["velocity"]
+    assert velocity == pytest.approx(-sign * force / 63.0 * period, rel=0.01)
+    assert env.parameters.load.external_force == 0.0  # the plant's own
+
+
+def test_a_disturbed_axis_moves_as_the_plant_with_that_force():
+    env = ServoHydraulicEnv(
+        disturbance={"kind": "step", "force_range": [800.0, 800.0], "start_range": [0.0, 0.0]}, command_latency=0.0
+    )
+    env.reset(seed=2, options={"initial_position": 0.01, "reference": "step"})
+    start = dict(zip(STATE_NAMES, env._axes.state[0, :, 0], strict=True))
+    force = env._axes.column("force_amplitude")[0]
+    run = simulate(env.parameters.replace(load={"external_force": force}), np.full(30, 1.0), PERIOD, start)
+    positions = [env.step(np.full(1, 0.1))[-1]["position"] for _ in range(30)]
+    np.testing.assert_allclose(positions, run.position[1:], rtol=0, atol=1e-12)
+    assert abs(positions[-1] - 0.01) > 1e-4
+
+
+def test_the_force_of_the_last_episode_is_forgotten():
+    env = ServoHydraulicEnv(disturbance={"kind": "step", "start_range": [0.0, 0.0]})
+    env.reset(seed=0)
+    env.step(np.zeros(1))
+    assert env._axes.external_force(0) != 0.0
+    env.reset()
+    assert env._axes.external_force(0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "message"),
+    [
+        ({"kind": "gust"}, "disturbance.kind = 'gust': .*'none', 'step', 'pulse' or 'sine'"),
+        ({"force_range": [500.0, 100.0]}, r"force_range = \[500, 100\]: the lower bound must not exceed"),
+        ({"force_range": [float("nan"), 100.0]}, "force_range.* must be a number, not NaN"),
+        ({"pulse_duration": 0.0}, "pulse_duration = 0.0: .*unit: s"),
+    ],
+)
+def test_impossible_disturbances_are_refused_with_one_line(disturbance, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ServoHydraulicEnv(disturbance=disturbance)
+    assert len(str(caught.value).splitlines()) == 1

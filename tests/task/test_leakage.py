@@ -1,0 +1,247 @@
+"""Leakage of an episode: its distribution, classes, schedules and laws; known to the judge, hidden from the controller."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hydro_env import LEAKAGE_CLASSES, ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, simulate
+from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.parameters import LITRE_PER_MINUTE, resistance_from_flow
+
+COUNT = 4000
+PERIOD = 5e-3
+
+
+def leaks(count=COUNT, seed=0, **leakage):
+    envs = ServoHydraulicVectorEnv(count, leakage=leakage)
+    _, info = envs.reset(seed=seed)
+    return info
+
+
+def test_leaks_are_log_uniform_within_healthy_and_faulty_range():
+    flow = leaks()["leakage_flow_lpm"]
+    healthy = flow <= 0.03
+    assert flow[healthy].min() >= 0.003
+    assert flow[~healthy].min() >= 0.1
+    assert flow.max() <= 4.0
+    assert stats.kstest(flow[healthy], stats.loguniform(0.003, 0.03).cdf).pvalue > 1e-3
+    assert stats.kstest(flow[~healthy], stats.loguniform(0.1, 4.0).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("share", [0.25, 0.6])
+def test_share_of_healthy_seals(share):
+    healthy = int((leaks(healthy_share=share)["leakage_flow_lpm"] <= 0.03).sum())
+    assert stats.binomtest(healthy, COUNT, share).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(("share", "allowed"), [(0.0, {1, 2, 3}), (1.0, {0})])
+def test_shares_of_none_and_all_are_exact(share, allowed):
+    assert set(leaks(1000, healthy_share=share)["leakage_class"]) == allowed
+
+
+def test_classes_have_the_shares_that_the_draw_implies():
+    label = leaks()["leakage_class"]
+    width = math.log(4.0 / 0.1)
+    shares = [0.25, *(0.75 * math.log(high / low) / width for low, high in ((0.1, 0.3), (0.3, 1.0), (1.0, 4.0)))]
+    observed = [int((label == index).sum()) for index in range(4)]
+    assert stats.chisquare(observed, np.array(shares) * COUNT).pvalue > 1e-3
+    assert LEAKAGE_CLASSES == ("healthy", "incipient", "moderate", "severe")
+
+
+BOUNDS = [
+    (0.0, 0),
+    (0.03, 0),
+    (0.0301, 1),
+    (0.1, 1),
+    (0.3, 1),
+    (0.301, 2),
+    (1.0, 2),
+    (1.001, 3),
+    (4.0, 3),
+]
+
+
+def test_labels_at_the_bounds_belong_to_the_lower_class():
+    env = ServoHydraulicEnv()
+    envs = ServoHydraulicVectorEnv(len(BOUNDS))
+    for flow, label in BOUNDS:
+        assert env.reset(options={"leakage_flow_lpm": flow})[1]["leakage_class"] == label
+    _, info = envs.reset(options={"leakage_flow_lpm": np.array([flow for flow, _ in BOUNDS])})
+    assert info["leakage_class"].tolist() == [label for _, label in BOUNDS]
+
+
+def test_labels_follow_configured_bounds():
+    info = leaks(500, class_bounds=[0.2, 0.5, 2.0])
+    expected = np.searchsorted([0.2, 0.5, 2.0], info["leakage_flow_lpm"])
+    np.testing.assert_array_equal(info["leakage_class"], expected)
+    assert set(expected) == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize("option", ["leakage_flow_lpm", "leakage_resistance"])
+def test_a_given_leak_acts_and_stands_in_the_info(option):
+    env = ServoHydraulicEnv()
+    value = 0.7 if option == "leakage_flow_lpm" else resistance_from_flow(0.7)
+    _, info = env.reset(seed=0, options={option: value})
+    assert info["leakage_flow_lpm"] == pytest.approx(0.7, rel=1e-12)
+    assert info["leakage_resistance"] == pytest.approx(resistance_from_flow(0.7), rel=1e-12)
+    assert env.parameters.leakage.internal_resistance == pytest.approx(resistance_from_flow(0.7), rel=1e-12)
+    assert env.parameters.leakage.orifice_gain == 0.0
+
+
+def test_the_leak_of_the_task_replaces_that_of_the_plant():
+    """Else the labels would not tell the leak that acts."""
+    env = ServoHydraulicEnv(plant={"leakage": {"internal_resistance": 1e11, "orifice_gain": 1e-7}})
+    env.reset(seed=0, options={"leakage_flow_lpm": 0.02})
+    assert env.parameters.leakage.orifice_gain == 0.0
+    assert env.parameters.leakage.internal_resistance == pytest.approx(3e13)
+    for field in ("internal_resistance", "orifice_gain"):
+        with pytest.raises(ConfigurationError, match=f"parameters.leakage.{field}: give leakage_flow_lpm"):
+            env.reset(options={"parameters": {"leakage": {field: 1e12}}})
+    env.reset(options={"parameters": {"leakage": {"external_resistance": 4e12}}})
+    assert env.parameters.leakage.external_resistance == 4e12
+
+
+def test_a_tight_piston_may_be_asked_for():
+    env = ServoHydraulicEnv()
+    for options in ({"leakage_flow_lpm": 0.0}, {"leakage_resistance": math.inf}):
+        _, info = env.reset(seed=0, options=options)
+        assert info["leakage_flow_lpm"] < 1e-6
+        assert info["leakage_resistance"] > 1e18
+        assert info["leakage_class"] == 0
+
+
+@pytest.mark.parametrize("law", ["laminar", "orifice"])
+def test_either_law_gives_the_stated_flow_at_100_bar(law):
+    env = ServoHydraulicEnv(leakage={"law": law})
+    _, info = env.reset(seed=0, options={"leakage_flow_lpm": 1.7})
+    parameters = env.parameters
+    assert (parameters.leakage.orifice_gain > 0.0) == (law == "orifice")
+    assert math.isinf(parameters.leakage.internal_resistance) == (law == "orifice")
+    flows = []
+    for bar in (100.0, 25.0):
+        start = {**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": bar * 1e5, "supply_pressure": 70e5, "gas_volume": 8e-4}
+        run = simulate(parameters, [0.0], 1e-6, start)
+        flows.append(run.leakage_flow[0] / LITRE_PER_MINUTE)
+    assert flows[0] == pytest.approx(1.7, rel=1e-4)
+    assert flows[1] == pytest.approx(1.7 / (4 if law == "laminar" else 2), rel=1e-3)
+    assert info["leakage_flow_lpm"] == pytest.approx(1.7)
+
+
+def along_an_episode(schedule, count=200, seed=0, **leakage):
+    """Leak of each axis (step, axis) through one episode, target, start flow and start time of its schedule."""
+    envs = ServoHydraulicVectorEnv(count, leakage={"schedule": schedule, **leakage}, autoreset_mode="Disabled")
+    _, info = envs.reset(seed=seed)
+    axes = envs.axes
+    drawn = [axes.column(name).copy() for name in ("leak_target_flow", "leak_start_flow", "leak_start_time")]
+    flow, conductance = [info["leakage_flow_lpm"]], []
+    truncated = np.zeros(count, dtype=bool)
+    rng = np.random.default_rng(0)
+    while not truncated.all():
+        _, _, terminated, truncated, info = envs.step(rng.uniform(-0.3, 0.3, (count, 1)))
+        assert not terminated.any()
+        flow.append(info["leakage_flow_lpm"])
+        conductance.append([1.0 / axes.parameters(axis).leakage.internal_resistance for axis in (0, 7, count - 1)])
+    return np.array(flow), *drawn, np.array(conductance)
+
+
+def test_constant_leak():
+    flow, target, *_, conductance = along_an_episode("constant")
+    assert (flow == target).all()
+    np.testing.assert_allclose(conductance, (target * LITRE_PER_MINUTE / 100e5)[[0, 7, -1]] * np.ones((400, 1)), rtol=1e-12)
+
+
+def test_sudden_onset():
+    flow, target, start, begin, conductance = along_an_episode("onset", healthy_share=0.0)
+    assert (flow[0] == start).all()
+    assert start.max() <= 0.03
+    assert target.min() >= 0.1
+    # After k steps the info tells the leak that acted in period k − 1.
+    times = PERIOD * np.arange(400)[:, None]
+    np.testing.assert_array_equal(flow[1:], np.where(times < begin, start, target))
+    assert begin.min() >= 0.25 * 2.0
+    assert begin.max() <= 0.75 * 2.0
+    assert stats.kstest(begin, stats.uniform(0.5, 1.0).cdf).pvalue > 1e-3
+    np.testing.assert_allclose(conductance, flow[1:, [0, 7, -1]] * LITRE_PER_MINUTE / 100e5, rtol=1e-12)
+
+
+def test_slow_growth():
+    flow, target, start, begin, conductance = along_an_episode("growth", healthy_share=0.0)
+    assert (flow[0] == start).all()
+    assert (np.diff(flow, axis=0) >= 0.0).all()
+    times = PERIOD * np.arange(400)[:, None]
+    share = np.clip((times - begin) / (2.0 - begin), 0.0, 1.0)
+    np.testing.assert_allclose(flow[1:], start * (target / start) ** share, rtol=1e-9)
+    # The straight line in the logarithm meets the target at the end of the episode.
+    end = flow[-1] * flow[-1] / flow[-2]
+    np.testing.assert_allclose(end, target, rtol=1e-6)
+    assert (flow[-1] <= target).all()
+    np.testing.assert_allclose(conductance, flow[1:, [0, 7, -1]] * LITRE_PER_MINUTE / 100e5, rtol=1e-12)
+
+
+@pytest.mark.parametrize("schedule", ["onset", "growth"])
+def test_a_healthy_seal_stays_healthy(schedule):
+    flow, *_ = along_an_episode(schedule, count=50, healthy_share=1.0)
+    assert flow.max() <= 0.03
+    assert flow.min() >= 0.003
+
+
+def test_a_given_leak_is_the_end_of_its_schedule():
+    env = ServoHydraulicEnv(leakage={"schedule": "onset", "start_range": [0.1, 0.1]}, episode_duration=0.5)
+    _, info = env.reset(seed=0, options={"leakage_flow_lpm": 2.0})
+    labels = [info["leakage_class"]]
+    for _ in range(100):
+        info = env.step(np.zeros(1))[-1]
+        labels.append(info["leakage_class"])
+    assert labels == [0] * 11 + [3] * 90
+    assert info["leakage_flow_lpm"] == pytest.approx(2.0)
+
+
+def test_the_leak_is_no_part_of_the_observation():
+    """Two leaks, the same seed: before anything has moved, only what the leak does to pressures and spool differs."""
+    env = ServoHydraulicEnv()
+    assert not any("leak" in name for name in env.observation_names)
+    seen = {}
+    for flow in (0.003, 4.0):
+        observation, _ = env.reset(seed=8, options={"leakage_flow_lpm": flow})
+        seen[flow] = dict(zip(env.observation_names, observation.tolist(), strict=True))
+    differing = {name for name in env.observation_names if seen[0.003][name] != seen[4.0][name]}
+    assert differing <= {"pressure_a", "pressure_b", "spool_position", "previous_command"}
+    assert "previous_command" in differing  # physics: a leak needs a spool offset to be held
+    # And with equal measured signals equal observations: a schedule that has not begun cannot be seen.
+    rows = []
+    for schedule in ("onset", "growth"):
+        late = ServoHydraulicEnv(leakage={"schedule": schedule, "start_range": [1.0, 1.0], "healthy_share": 0.0})
+        observation, _ = late.reset(seed=9)
+        rows.append([observation] + [late.step(np.full(1, 0.1))[0] for _ in range(50)])
+    np.testing.assert_array_equal(rows[0], rows[1])
+
+
+def test_more_leakage_needs_more_spool():
+    env = ServoHydraulicEnv(sensors={"enabled": False}, randomisation={})
+    index = env.observation_names.index("spool_position")
+    options = [{"leakage_flow_lpm": flow, "initial_position": 0.06, "reference": "step"} for flow in (0.01, 0.3, 1.0, 4.0)]
+    spool = [env.reset(seed=0, options=option)[0][index] for option in options]
+    assert np.all(np.diff(spool) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("leakage", "message"),
+    [
+        ({"healthy_share": 1.2}, "leakage.healthy_share = 1.2: .*less than or equal to 1"),
+        ({"healthy_range": [0.03, 0.003]}, r"healthy_range = \[0.03, 0.003\]: the lower bound must not exceed"),
+        ({"faulty_range": [0.0, 4.0]}, r"faulty_range = \[0, 4\] must lie within 0 \(excluded\) to 20 l/min"),
+        ({"faulty_range": [0.1, 30.0]}, r"faulty_range = \[0.1, 30\] must lie within"),
+        ({"faulty_range": [0.1]}, r"leakage\.faulty_range\.1 = \[0\.1\]: is missing"),
+        ({"class_bounds": [0.3, 0.03, 1.0]}, "class_bounds must be positive and rising"),
+        ({"law": "turbulent"}, "leakage.law = 'turbulent': .*'laminar' or 'orifice'"),
+        ({"schedule": "sudden"}, "leakage.schedule = 'sudden': .*'constant', 'onset' or 'growth'"),
+        ({"start_range": [0.5, 1.5]}, "start_range must lie within 0 to 1"),
+        ({"start_range": [float("nan"), 1.0]}, "start_range.* must be a number, not NaN"),
+    ],
+)
+def test_impossible_leakage_is_refused_with_one_line(leakage, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ServoHydraulicEnv(leakage=leakage)
+    assert len(str(caught.value).splitlines()) == 1

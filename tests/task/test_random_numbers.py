@@ -1,0 +1,190 @@
+"""Counted random numbers: their distributions, and that no source of randomness disturbs another."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hydro_env import ServoHydraulicVectorEnv
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.kernel import Record
+from hydro_env.task.random_numbers import (
+    DISTURBANCE,
+    INITIAL_STATE,
+    LEAKAGE,
+    NOISE,
+    PLANT,
+    REFERENCE,
+    between,
+    log_between,
+    normal_pair,
+    source_key,
+    uniform,
+)
+
+COUNT = 20_000
+ROOT = np.uint64(0x0123456789ABCDEF)
+
+
+def key_of(root, episode, source):
+    """The key as the type that compiled code uses (called from Python, it comes back as an integer of Python)."""
+    return np.uint64(source_key(np.uint64(root), episode, source))
+
+
+def along_one_key(function, *more, source=PLANT):
+    key = key_of(ROOT, 0, source)
+    return np.array([function(key, index, *more) for index in range(COUNT)])
+
+
+@pytest.mark.parametrize("kind", ["numbers of a key", "episodes of an axis", "axes", "neighbouring keys"])
+def test_uniform_numbers_are_uniform(kind):
+    """Along every direction in which the environment counts."""
+    rng = np.random.default_rng(0)
+    if kind == "numbers of a key":
+        values = along_one_key(uniform)
+    elif kind == "episodes of an axis":
+        values = np.array([uniform(key_of(ROOT, episode, LEAKAGE), 2) for episode in range(COUNT)])
+    elif kind == "axes":
+        roots = rng.integers(0, 2**64, COUNT, dtype=np.uint64)
+        values = np.array([uniform(key_of(root, 0, REFERENCE), 0) for root in roots])
+    else:
+        values = np.array([uniform(np.uint64(key), 0) for key in range(COUNT)])
+    assert values.min() > 0.0
+    assert values.max() < 1.0
+    assert values.mean() == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / COUNT))
+    assert values.var() == pytest.approx(1 / 12, abs=4 * np.sqrt(1 / 180 / COUNT))
+    assert stats.kstest(values, "uniform").pvalue > 1e-3
+    assert abs(np.corrcoef(values[:-1], values[1:])[0, 1]) < 4 / np.sqrt(COUNT)
+    assert len(np.unique(values)) == COUNT
+
+
+def test_the_mixing_function_is_splitmix64():
+    """Known answers of SplitMix64 seeded with 1234567 (Vigna's reference implementation)."""
+    known = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431, 16408922859458223821]
+    numbers = [uniform(np.uint64(1234567), index) for index in range(len(known))]
+    assert numbers == [((bits >> 11) + 0.5) * 2.0**-53 for bits in known]
+
+
+def test_bounds_of_uniform_and_log_uniform_draws():
+    values = along_one_key(between, -3.0, 5.0)
+    assert stats.kstest(values, stats.uniform(-3.0, 8.0).cdf).pvalue > 1e-3
+    values = along_one_key(log_between, 1e-3, 1e2)
+    assert stats.kstest(values, stats.loguniform(1e-3, 1e2).cdf).pvalue > 1e-3
+    assert values.min() >= 1e-3
+    assert values.max() <= 1e2
+    assert between(np.uint64(7), 3, 2.0, 2.0) == 2.0
+    assert log_between(np.uint64(7), 3, 2.0, 2.0) == 2.0
+
+
+def test_normal_pairs_are_standard_normal_and_independent():
+    pairs = along_one_key(normal_pair, source=NOISE)
+    for column in pairs.T:
+        assert stats.kstest(column, "norm").pvalue > 1e-3
+        assert column.mean() == pytest.approx(0.0, abs=4 / np.sqrt(COUNT))
+        assert column.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * COUNT))
+    first, second = pairs.T
+    for a, b in ((first, second), (first**2, second**2), (first[1:], first[:-1]), (first[1:], second[:-1])):
+        assert abs(np.corrcoef(a, b)[0, 1]) < 4.5 / np.sqrt(COUNT)
+    # The angle of a pair is uniform: no direction is preferred.
+    angle = np.arctan2(second, first) / (2 * np.pi) + 0.5
+    assert stats.kstest(angle, "uniform").pvalue > 1e-3
+
+
+def test_sources_and_episodes_have_keys_of_their_own():
+    sources = (PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE)
+    keys = {
+        key_of(root, episode, source)
+        for root in (0, 1, 2**63, 2**64 - 1)
+        for episode in range(50)
+        for source in sources
+    }
+    assert len(keys) == 4 * 50 * len(sources)
+    rows = np.array([[uniform(key_of(ROOT, e, source), 0) for source in sources] for e in range(4000)])
+    correlation = np.corrcoef(rows.T) - np.eye(len(sources))
+    assert np.abs(correlation).max() < 4.5 / np.sqrt(4000)
+
+
+def begin(options=None, count=40, **config):
+    """What every source drew in one episode of many axes."""
+    envs = ServoHydraulicVectorEnv(count, **config)
+    first, _ = envs.reset(seed=77, options=options)
+    axes = envs.axes
+    column = {name: axes.column(name).copy() for name in Record._fields}
+    reference = axes.reference.copy()
+    envs.step(np.zeros((count, 1), np.float32))
+    return {
+        "plant": axes.physical.copy(),
+        "leak": column["leak_target_flow"],
+        "leak start": column["leak_start_time"],
+        "position": column["position"],
+        "family": column["reference_family"],
+        "reference": reference,
+        "bias": np.array([column[f"bias_{name}"] for name in ("position", "a", "b", "spool")]),
+        "noise": axes.column("measured_position") - axes.column("position"),
+        "force": column["force_amplitude"],
+        "first observation": first,
+    }
+
+
+LEFT_ALONE = {
+    "leakage": (
+        {"options": {"leakage_flow_lpm": 2.5}},
+        ("plant", "position", "family", "reference", "bias", "noise", "leak start"),
+    ),
+    "healthy share": (
+        {"leakage": {"healthy_share": 1.0, "schedule": "onset"}},
+        ("plant", "position", "family", "reference", "bias", "noise", "leak start"),
+    ),
+    "reference": ({"options": {"reference": "sine"}}, ("plant", "leak", "leak start", "position", "bias", "noise")),
+    "reference weights": (
+        {"references": {"weights": {"ramp": 1.0}}},
+        ("plant", "leak", "leak start", "position", "bias", "noise"),
+    ),
+    "initial position": (
+        {"options": {"initial_position": 0.011}},
+        ("plant", "leak", "leak start", "family", "bias"),
+    ),
+    "one parameter": (
+        {"options": {"parameters": {"valve": {"damping_ratio": 0.7}}}},
+        ("leak", "leak start", "position", "family", "reference", "bias", "noise"),
+    ),
+    "sensors off": (
+        {"sensors": {"enabled": False}},
+        ("plant", "leak", "leak start", "position", "family", "reference"),
+    ),
+    "disturbance": (
+        {"disturbance": {"kind": "step"}},
+        ("plant", "leak", "leak start", "position", "family", "reference", "bias", "first observation"),
+    ),
+}
+
+
+@pytest.mark.parametrize("what", LEFT_ALONE)
+def test_one_source_never_shifts_another(what):
+    change, untouched = LEFT_ALONE[what]
+    plain, changed = begin(), begin(**change)
+    for name in untouched:
+        if name == "noise":  # the plants differ a little after the step: quantisation may fall on the other side
+            np.testing.assert_allclose(changed[name], plain[name], rtol=0, atol=1.01 * 0.4 / 26214, err_msg=name)
+        else:
+            np.testing.assert_array_equal(changed[name], plain[name], err_msg=name)
+    assert any((changed[name] != plain[name]).any() for name in set(plain) - set(untouched))
+
+
+def test_a_fixed_parameter_leaves_the_other_parameters_alone():
+    column = PARAMETER_PATHS.index("valve.damping_ratio")
+    plain = begin()["plant"]
+    changed = begin({"parameters": {"valve": {"damping_ratio": 0.7}}})["plant"]
+    assert (changed[:, column] == 0.7).all()
+    np.testing.assert_array_equal(np.delete(changed, column, axis=1), np.delete(plain, column, axis=1))
+
+
+def test_what_multiplies_a_fixed_parameter_follows_it():
+    """The breakaway force is drawn as 1.2 to 1.8 times the Coulomb force, also of a fixed one."""
+    plant = begin({"parameters": {"friction": {"coulomb_force": 500.0}}})["plant"]
+    ratio = plant[:, PARAMETER_PATHS.index("friction.breakaway_force")] / 500.0
+    assert ratio.min() >= 1.2
+    assert ratio.max() <= 1.8
+    plain = begin()["plant"]
+    own = plain[:, PARAMETER_PATHS.index("friction.breakaway_force")]
+    own = own / plain[:, PARAMETER_PATHS.index("friction.coulomb_force")]
+    np.testing.assert_allclose(ratio, own, rtol=1e-12)

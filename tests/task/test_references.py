@@ -1,0 +1,227 @@
+"""References: where they start, what they ask of the plant, how often each family occurs, and the user's own."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env.plant.analysis import reachable_range, speed_limits
+
+FAMILIES = REFERENCE_FAMILIES[:-1]
+COUNT, PERIOD = 200, 5e-3
+RANGE_SHARE, SPEED_SHARE, LARGEST, ACCELERATION = 0.6, 0.7, 0.10, 4.0
+
+
+def drawn(family, count=COUNT, seed=0, **config):
+    """References of one family (axis, sample) and the axes behind them."""
+    envs = ServoHydraulicVectorEnv(count, **config)
+    envs.reset(seed=seed, options={"reference": family})
+    return envs.axes.reference.copy(), envs.axes
+
+
+def allowed_range(parameters):
+    """The range that references promise: a share of what the supply can hold, and no more than ±100 mm."""
+    low, high = reachable_range(parameters)
+    if parameters.load.spring_stiffness == 0.0:
+        return -LARGEST, LARGEST
+    return max(-LARGEST, RANGE_SHARE * low), min(LARGEST, RANGE_SHARE * high)
+
+
+def speed_ratio(row, parameters):
+    """Largest speed of a reference over the share of what the plant can do at that place in that direction."""
+    speed = np.diff(row) / PERIOD
+    ratios = []
+    for value, place in zip(speed, row[:-1], strict=True):
+        limits = speed_limits(parameters, parameters.load.spring_stiffness * place)
+        ratios.append(abs(value) / (limits.extending if value > 0 else limits.retracting))
+    return max(ratios) / SPEED_SHARE
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_references_start_at_the_axis_and_stay_within_reach(family):
+    rows, axes = drawn(family)
+    np.testing.assert_array_equal(rows[:, 0], axes.column("position"))
+    assert rows.shape == (COUNT, 401 + 8)  # two seconds, and the preview of 40 ms behind them
+    assert np.isfinite(rows).all()
+    for axis in range(COUNT):
+        low, high = allowed_range(axes.parameters(axis))
+        assert rows[axis].min() >= low - 1e-12
+        assert rows[axis].max() <= high + 1e-12
+    assert (np.ptp(rows, axis=1) > 1e-3).all()  # every one asks for something
+    assert len(np.unique(rows[:, 200])) == COUNT
+
+
+@pytest.mark.parametrize("family", ["point_to_point", "ramp", "sine", "multi_sine", "start_stop"])
+def test_references_ask_for_no_more_speed_than_their_share(family):
+    rows, axes = drawn(family, count=60)
+    ratios = [speed_ratio(rows[axis], axes.parameters(axis)) for axis in range(60)]
+    assert max(ratios) < 1.0 + 1e-2  # the discrete speed stands for the middle of the sample
+    assert max(ratios) > 0.5  # and they do use it
+
+
+@pytest.mark.parametrize("family", ["point_to_point", "sine", "multi_sine"])
+def test_smooth_references_keep_the_acceleration_limit(family):
+    rows, _ = drawn(family)
+    acceleration = np.abs(np.diff(rows, 2)).max(axis=1) / PERIOD**2
+    assert acceleration.max() < ACCELERATION * (1 + 1e-3)
+    assert acceleration.max() > 0.25 * ACCELERATION
+    slow, _ = drawn(family, references={"acceleration_limit": 0.5})
+    assert np.abs(np.diff(slow, 2)).max() / PERIOD**2 < 0.5 * (1 + 1e-3)
+
+
+def test_ramps_and_start_stop_runs_have_one_speed_at_a_time():
+    for family in ("ramp", "start_stop"):
+        rows, _ = drawn(family)
+        steps = np.abs(np.diff(rows))
+        change = np.abs(np.diff(steps, axis=1))
+        even = change < 1e-12
+        assert even.mean() > 0.95  # speed is constant but for the starts, stops and last samples of a run
+
+
+def test_start_stop_runs_have_one_speed_in_an_episode():
+    rows, _ = drawn("start_stop")
+    for row in rows:
+        steps = np.abs(np.diff(row))
+        full = steps[steps > 1e-12]
+        assert np.median(full) == pytest.approx(full.max(), rel=1e-9)
+
+
+def test_steps_have_the_configured_size_and_hold_still_between():
+    low, high = 0.01, 0.02
+    rows, axes = drawn("step", references={"step_range": (low, high)})
+    counts = []
+    for axis, row in enumerate(rows):
+        jumps = np.diff(row)
+        sizes = np.abs(jumps[jumps != 0.0])
+        counts.append(np.count_nonzero(jumps[:400]))
+        reach_low, reach_high = allowed_range(axes.parameters(axis))
+        if reach_high - reach_low > 2 * high:  # else a step may go to the end of the range instead
+            assert sizes.min() >= low - 1e-12
+            assert sizes.max() <= high + 1e-12
+    assert min(counts) >= 1
+    assert max(counts) <= 5
+    assert len(set(counts)) > 1
+
+
+def test_sines_have_the_configured_frequency():
+    rows, axes = drawn("sine", references={"frequency_range": (1.5, 1.5)})
+    time = PERIOD * np.arange(401)
+    inner = 0
+    for axis, row in enumerate(rows[:, :401]):
+        # After the fade the row is a constant plus one sine of 1.5 Hz: three coefficients leave no residue.
+        late = time > 1.0 / 3.0
+        basis = np.column_stack([np.ones(401), np.sin(2 * np.pi * 1.5 * time), np.cos(2 * np.pi * 1.5 * time)])[late]
+        coefficients, *_ = np.linalg.lstsq(basis, row[late], rcond=None)
+        assert np.abs(basis @ coefficients - row[late]).max() < 1e-9
+        start = axes.column("position")[axis]
+        if abs(coefficients[2]) < 1e-9:  # about the start
+            inner += 1
+            assert coefficients[0] == pytest.approx(start, abs=1e-9)
+        else:  # beside it, from the end of the range inwards
+            assert coefficients[0] + coefficients[2] == pytest.approx(start, abs=1e-9)
+    assert COUNT // 2 < inner < COUNT
+
+
+def test_a_start_outside_the_range_of_references_is_where_they_start():
+    start = 0.07  # held by the supply, but beyond 60 % of what it can hold
+    for family in FAMILIES:
+        envs = ServoHydraulicVectorEnv(20, randomisation={})
+        envs.reset(seed=0, options={"reference": family, "initial_position": start})
+        rows = envs.axes.reference
+        assert (rows[:, 0] == start).all()
+        assert (np.abs(np.diff(rows[:, :5], axis=1)) < 0.04 + 1e-12).all()
+        assert rows.max() <= start + 1e-12
+        assert (rows.min(axis=1) < start - 1e-4).all()
+
+
+def test_families_occur_with_their_weights():
+    count = 3000
+    weights = {"step": 1.0, "ramp": 3.0, "sine": 0.0, "start_stop": 6.0}
+    envs = ServoHydraulicVectorEnv(count, references={"weights": weights})
+    _, info = envs.reset(seed=5)
+    observed = [int((info["reference_family"] == name).sum()) for name in ("step", "ramp", "start_stop")]
+    assert sum(observed) == count
+    assert stats.chisquare(observed, [count * 0.1, count * 0.3, count * 0.6]).pvalue > 1e-3
+
+
+def test_families_are_equally_frequent_by_default():
+    count = 3000
+    envs = ServoHydraulicVectorEnv(count)
+    _, info = envs.reset(seed=6)
+    observed = [int((info["reference_family"] == name).sum()) for name in FAMILIES]
+    assert sum(observed) == count
+    assert stats.chisquare(observed).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_preview_is_the_future_reference(family):
+    """What the observation previews is what the reference then becomes."""
+    env = ServoHydraulicEnv(episode_duration=0.5)
+    observation, info = env.reset(seed=1, options={"reference": family})
+    seen, references = [observation * env.observation_scale], [info["reference"]]
+    for _ in range(100):
+        observation, _, _, _, info = env.step(np.zeros(1, np.float32))
+        seen.append(observation * env.observation_scale)
+        references.append(info["reference"])
+    for column, ahead in enumerate((1, 2, 4, 8), start=1):
+        for k in range(101 - ahead):
+            assert seen[k][column] == pytest.approx(references[k + ahead] - references[k], abs=2e-8)
+    names = env.observation_names[1:5]
+    assert names == tuple(f"reference_preview_{ms}ms" for ms in (5, 10, 20, 40))
+
+
+def test_other_preview_times():
+    env = ServoHydraulicEnv(references={"preview_times": [0.1]})
+    assert env.observation_space.shape == (10,)
+    env.reset(seed=0, options={"reference": np.linspace(0.0, 0.03, 61)})
+    observation = env.step(np.zeros(1, np.float32))[0]
+    assert observation[1] * env.observation_scale[1] == pytest.approx(20 * 0.0005, abs=1e-8)
+    assert ServoHydraulicEnv(references={"preview_times": []}).observation_space.shape == (9,)
+
+
+def test_a_users_reference_is_followed_sample_by_sample_and_held_at_its_end():
+    wanted = 0.02 * np.sin(np.arange(30) * 0.2) + 0.01
+    for env in (
+        ServoHydraulicEnv(references={"user": wanted.tolist(), "weights": {"user": 1.0}}, episode_duration=0.25),
+        ServoHydraulicEnv(episode_duration=0.25),
+    ):
+        options = None if env.config.references.user else {"reference": wanted}
+        _, info = env.reset(seed=0, options=options)
+        assert info["reference_family"] == "user"
+        assert info["position"] == wanted[0]
+        heard = [info["reference"]]
+        truncated = False
+        while not truncated:
+            _, _, _, truncated, info = env.step(np.zeros(1, np.float32))
+            heard.append(info["reference"])
+        np.testing.assert_array_equal(heard, np.append(wanted, np.full(51 - 30, wanted[-1])))
+
+
+def test_a_users_reference_competes_with_the_others_by_weight():
+    envs = ServoHydraulicVectorEnv(1000, references={"user": [0.01, 0.02], "weights": {"user": 1.0, "step": 1.0}})
+    _, info = envs.reset(seed=0)
+    users = info["reference_family"] == "user"
+    assert 430 < users.sum() < 570
+    assert (info["position"][users] == 0.01).all()
+    assert (info["reference_family"][~users] == "step").all()
+
+
+@pytest.mark.parametrize(
+    ("references", "message"),
+    [
+        ({"weights": {"zigzag": 1.0}}, "unknown family 'zigzag'; known: step, point_to_point"),
+        ({"weights": {"step": 0.0}}, "at least one family needs a positive weight"),
+        ({"weights": {"step": -1.0}}, "weights.step = -1.0: .*greater than or equal to 0"),
+        ({"weights": {"user": 1.0}}, "family 'user' needs 'user', an array of positions"),
+        ({"weights": {"user": 1.0}, "user": [0.0, 0.3]}, r"references.user\[1\] = 0.3 m: must be a position within"),
+        ({"weights": {"user": 1.0}, "user": [float("nan")]}, r"references.user.*nan"),
+        ({"step_range": [0.02, 0.01]}, r"step_range = \[0.02, 0.01\]: the lower bound must not exceed"),
+        ({"frequency_range": [0.0, 1.0]}, "frequency_range must be positive"),
+        ({"preview_times": [0.02, 0.01]}, "preview_times must rise"),
+        ({"range_share": 0.99}, "range_share = 0.99: .*less than or equal to 0.95"),
+    ],
+)
+def test_impossible_references_are_refused_with_one_line(references, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ServoHydraulicEnv(references=references)
+    assert len(str(caught.value).splitlines()) == 1

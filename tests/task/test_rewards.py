@@ -1,0 +1,180 @@
+"""Rewards and ends of episodes: named terms that add up, failures that are physical, truncation by the clock."""
+
+import numpy as np
+import pytest
+
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env.env import REWARD_TERMS
+
+FREE = {"load": {"spring_stiffness": 0.0}}
+
+
+def rollout(env, policy, seed=0, options=None):
+    """Rewards, infos and flags of one episode."""
+    env.reset(seed=seed, options=options)
+    rows, step = [], 0
+    while True:
+        _, reward, terminated, truncated, info = env.step(np.array([policy(step)]))
+        rows.append((reward, info, terminated, truncated))
+        step += 1
+        if terminated or truncated:
+            return rows
+
+
+def test_the_reward_is_the_sum_of_its_terms():
+    rng = np.random.default_rng(0)
+    for reward, info, _, _ in rollout(ServoHydraulicEnv(), lambda _: rng.uniform(-1, 1)):
+        assert tuple(info["reward_terms"]) == REWARD_TERMS
+        assert reward == pytest.approx(sum(info["reward_terms"].values()), rel=1e-12, abs=1e-15)
+        assert all(value <= 0.0 for value in info["reward_terms"].values())
+
+
+def test_rewards_of_many_axes_are_the_sums_of_their_terms():
+    envs = ServoHydraulicVectorEnv(10)
+    envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        _, reward, _, _, info = envs.step(rng.uniform(-1, 1, (10, 1)))
+        total = sum(info["reward_terms"][name] for name in REWARD_TERMS)
+        np.testing.assert_allclose(reward, total, rtol=1e-12)
+
+
+def test_each_term_is_what_the_configuration_says():
+    reward = {
+        "tracking": 2.0,
+        "error_scale": 0.004,
+        "error_limit": 3.0,
+        "precision": 0.7,
+        "precision_scale": 0.5e-3,
+        "effort": 0.5,
+    }
+    rng = np.random.default_rng(1)
+    commands = np.append(np.zeros(20), rng.uniform(-1.5, 1.5, 380))
+    env = ServoHydraulicEnv(reward=reward)
+    env.reset(seed=1)
+    previous = env._axes.column("command")[0]
+    limited = 0
+    for command in commands:
+        _, _, terminated, _, info = env.step(np.array([command]))
+        assert not terminated
+        error = abs(info["tracking_error"])
+        assert info["tracking_error"] == info["reference"] - info["position"]
+        acting = np.clip(command, -1.0, 1.0)
+        terms = info["reward_terms"]
+        assert terms["tracking"] == pytest.approx(-2.0 * min(error / 0.004, 3.0), rel=1e-12)
+        assert terms["precision"] == pytest.approx(-0.7 * error / (error + 0.5e-3), rel=1e-12)
+        assert terms["effort"] == pytest.approx(-0.5 * (acting - previous) ** 2, rel=1e-9, abs=1e-15)
+        assert terms["failure"] == 0.0
+        limited += error > 0.012
+        previous = acting
+    assert 0 < limited < 400  # the limit was met, and not always
+
+
+def test_a_weight_of_zero_removes_a_term():
+    rows = rollout(ServoHydraulicEnv(reward=dict.fromkeys(REWARD_TERMS, 0.0)), lambda _: 0.5)
+    assert {row[0] for row in rows} == {0.0}
+
+
+def test_perfect_tracking_costs_nothing():
+    env = ServoHydraulicEnv(randomisation={}, leakage={"healthy_share": 1.0})
+    env.reset(seed=0, options={"reference": np.full(10, 0.02)})
+    hold = env._axes.column("command").copy()
+    for _ in range(100):
+        reward = env.step(hold)[1]
+        assert -1e-3 < reward <= 0.0
+
+
+def test_an_end_stop_met_at_speed_terminates_and_is_paid_once():
+    env = ServoHydraulicEnv(plant=FREE, randomisation={}, reward={"failure": 123.0})
+    rows = rollout(env, lambda _: 1.0, options={"initial_position": 0.08, "reference": "step"})
+    *before, last = rows
+    assert len(rows) < 400
+    assert all(info["failure"] == "none" and info["reward_terms"]["failure"] == 0.0 for _, info, _, _ in before)
+    assert not any(terminated or truncated for _, _, terminated, truncated in before)
+    reward, info, terminated, truncated = last
+    assert terminated
+    assert not truncated
+    assert info["failure"] == "end stop hit at speed"
+    assert info["reward_terms"]["failure"] == -123.0
+    assert reward < -123.0
+    # It was the outer end of the stroke, within the way of one period.
+    assert info["position"] == pytest.approx(0.2, abs=1e-3)
+    assert before[-1][1]["velocity"] > 0.05
+    assert before[-1][1]["position"] < 0.2
+
+
+def test_the_inner_end_stop_fails_too():
+    env = ServoHydraulicEnv(plant=FREE, randomisation={})
+    info = rollout(env, lambda _: -1.0, options={"initial_position": -0.09, "reference": "step"})[-1][1]
+    assert info["failure"] == "end stop hit at speed"
+    assert info["position"] == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_an_end_stop_met_slowly_is_no_failure():
+    """Also: whoever rests against the stop goes on until the clock."""
+    env = ServoHydraulicEnv(plant=FREE, randomisation={}, episode_duration=4.0, failure={"end_stop_speed": 0.05})
+    rows = rollout(env, lambda _: 0.2, options={"initial_position": 0.17, "reference": "step"})
+    _, info, terminated, truncated = rows[-1]
+    assert not terminated
+    assert truncated
+    assert len(rows) == 800
+    assert info["position"] == pytest.approx(0.2, abs=2e-3)
+    assert max(row[1]["position"] for row in rows) > 0.2  # it presses into the stop
+    # The same move is a failure where less speed is allowed.
+    strict = ServoHydraulicEnv(plant=FREE, randomisation={}, episode_duration=4.0, failure={"end_stop_speed": 0.01})
+    rows = rollout(strict, lambda _: 0.2, options={"initial_position": 0.17, "reference": "step"})
+    assert rows[-1][1]["failure"] == "end stop hit at speed"
+
+
+def test_pressure_above_the_rating_terminates():
+    env = ServoHydraulicEnv(randomisation={}, failure={"pressure_rating": 60e5})
+    rows = rollout(env, lambda _: 1.0, options={"reference": "step"})
+    _, info, terminated, _ = rows[-1]
+    assert terminated
+    assert info["failure"] == "pressure above the rating"
+    assert info["reward_terms"]["failure"] == -env.config.reward.failure
+    assert max(env._axes.state[0, 2:4, 0]) < 70e5 * 1.5
+    assert rollout(ServoHydraulicEnv(randomisation={}), lambda _: 1.0, options={"reference": "step"})[-1][3]
+
+
+def test_the_rated_pressure_is_watched_between_the_samples():
+    """A peak shorter than the control period counts: the rating lies between the highest sample and the peak."""
+    slow = {"control_period": 0.02, "command_latency": 0.0, "randomisation": {}}
+    options = {"initial_position": 0.0, "reference": "step"}
+
+    def policy(step):
+        return 1.0 if step % 4 < 2 else -1.0
+
+    env = ServoHydraulicEnv(**slow)
+    env.reset(seed=0, options=options)
+    peaks, samples = [], []
+    for step in range(40):
+        env.step(np.array([policy(step)]))
+        peaks.append(env._axes._peaks[0, 0, 0])
+        samples.append(max(env._axes.state[0, 2:4, 0]))
+    highest = int(np.argmax(peaks))
+    assert peaks[highest] > max(samples) + 1e3
+    rating = 0.5 * (peaks[highest] + max(samples))
+    assert max(samples) < rating < peaks[highest]
+    rows = rollout(ServoHydraulicEnv(**slow, failure={"pressure_rating": rating}), policy, options=options)
+    assert len(rows) <= highest + 1
+    assert rows[-1][1]["failure"] == "pressure above the rating"
+
+
+@pytest.mark.parametrize(("duration", "period", "steps"), [(None, None, 400), (0.5, None, 100), (0.3, 2e-3, 150), (0.01, None, 2)])
+def test_truncation_by_the_clock(duration, period, steps):
+    config = {} if duration is None else {"episode_duration": duration}
+    config |= {} if period is None else {"control_period": period}
+    env = ServoHydraulicEnv(**config)
+    rows = rollout(env, lambda _: 0.0, options={"reference": "sine"})
+    assert len(rows) == steps == env.config.steps
+    assert [row[3] for row in rows] == [False] * (steps - 1) + [True]
+    assert not any(row[2] for row in rows)
+    assert rows[-1][1]["failure"] == "none"
+
+
+def test_failing_never_pays():
+    """The failure costs more than the worst of all other costs, held for ever at a discount of 0.98."""
+    reward = ServoHydraulicEnv().config.reward
+    worst = reward.tracking * reward.error_limit + reward.precision
+    assert reward.failure >= worst / (1 - 0.98) * (1 - 1e-9)

@@ -1,0 +1,287 @@
+"""What the transducers make of the truth: noise, bias, steps, limits, delay; and how the observation is laid out."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
+from hydro_env.axes import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
+from hydro_env.task.configuration import Sensors
+
+PERIOD = 5e-3
+CHANNELS = ("position", "a", "b", "spool")
+FIELDS = ("position", "pressure_a", "pressure_b", "spool_position")
+IDEAL = {"noise": 0.0, "bias": 0.0, "resolution": 0.0}
+
+
+def sensors(**channels):
+    """Settings of ideal transducers, some of them changed."""
+    default = Sensors()
+    return {
+        field: {"low": getattr(default, field).low, "high": getattr(default, field).high, **IDEAL, **channels.get(field, {})}
+        for field in FIELDS
+    }
+
+
+def errors(count, **config):
+    """Measured minus true value of each channel of many axes at rest, and the axes."""
+    envs = ServoHydraulicVectorEnv(count, **config)
+    envs.reset(seed=0)
+    axes = envs.axes
+    state = axes.state.transpose(0, 2, 1).reshape(-1, axes.state.shape[1])[:count]
+    true = dict(zip(CHANNELS, state[:, [0, 2, 3, 4]].T, strict=True))
+    return {name: axes.column(f"measured_{name}") - true[name] for name in CHANNELS}, axes
+
+
+@pytest.mark.parametrize("channel", range(4))
+def test_noise_is_normal_with_the_configured_deviation(channel):
+    field, name = FIELDS[channel], CHANNELS[channel]
+    sigma = getattr(Sensors(), field).noise
+    assert sigma > 0.0
+    error, _ = errors(4000, sensors=sensors(**{field: {"noise": sigma}}))
+    assert stats.kstest(error[name] / sigma, "norm").pvalue > 1e-3
+    assert error[name].std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * 4000))
+    for other, row in zip(CHANNELS, (0.4, 100e5, 400e5, 2.0), strict=True):
+        if other != name:
+            assert np.abs(error[other]).max() < 1e-14 * row
+
+
+@pytest.mark.parametrize("channel", range(4))
+def test_bias_is_uniform(channel):
+    field, name = FIELDS[channel], CHANNELS[channel]
+    largest = getattr(Sensors(), field).bias
+    assert largest > 0.0
+    error, axes = errors(3000, sensors=sensors(**{field: {"bias": largest}}))
+    assert stats.kstest(error[name] / largest, stats.uniform(-1, 2).cdf).pvalue > 1e-3
+    np.testing.assert_allclose(axes.column(f"bias_{name}"), error[name], rtol=1e-6, atol=1e-12)
+
+
+def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
+    envs = ServoHydraulicVectorEnv(20, sensors=sensors(position={"bias": 1e-3}))
+    biases = []
+    for _ in range(2):
+        envs.reset(seed=None if biases else 0)
+        bias = envs.axes.column("measured_position") - envs.axes.column("position")
+        for _ in range(5):
+            envs.step(np.ones((20, 1)))
+            error = envs.axes.column("measured_position") - envs.axes.column("position")
+            np.testing.assert_allclose(error, bias, rtol=0, atol=1e-12)
+        biases.append(bias)
+    assert (np.abs(biases[1] - biases[0]) > 1e-7).all()
+
+
+def test_noise_is_drawn_anew_in_every_sample_and_channel():
+    env = ServoHydraulicEnv(sensors=sensors(**{field: {"noise": 1e-3 * (1e8 if "pressure" in field else 1)} for field in FIELDS}))
+    env.reset(seed=0)
+    rows = []
+    for _ in range(400):
+        env.step(np.zeros(1))
+        axes = env._axes
+        truth = (axes.state[0, 0, 0], axes.column("sensed_a")[0], axes.column("sensed_b")[0], axes.state[0, 4, 0])
+        rows.append([axes.column(f"measured_{name}")[0] - true for name, true in zip(CHANNELS, truth, strict=True)])
+    noise = np.array(rows)
+    correlation = np.corrcoef(noise.T) - np.eye(4)
+    assert np.abs(correlation).max() < 4.5 / np.sqrt(400)
+    for column in noise.T:
+        assert abs(np.corrcoef(column[1:], column[:-1])[0, 1]) < 4.5 / np.sqrt(400)
+        assert len(np.unique(column)) == 400
+
+
+@pytest.mark.parametrize("channel", range(4))
+def test_readings_lie_on_the_steps_of_the_acquisition(channel):
+    field, name = FIELDS[channel], CHANNELS[channel]
+    sensor = getattr(Sensors(), field)
+    error, axes = errors(500)
+    steps = (axes.column(f"measured_{name}") - sensor.low) / sensor.resolution
+    assert np.abs(steps - np.round(steps)).max() < 1e-6
+    assert len(np.unique(np.round(steps))) > 20
+    exact, _ = errors(500, sensors=sensors(**{field: {"resolution": sensor.resolution}}))
+    assert np.abs(exact[name]).max() <= 0.5 * sensor.resolution * (1 + 1e-6)
+    assert np.abs(exact[name]).max() > 0.4 * sensor.resolution
+    assert np.abs(error[name]).max() < sensor.bias + 6 * sensor.noise
+
+
+def test_a_current_loop_has_26214_steps():
+    """4–20 mA over 500 Ω, on 16 bits of ±10 V."""
+    for field, span in (("position", 0.4), ("pressure_a", 100e5), ("pressure_b", 400e5)):
+        assert span / getattr(Sensors(), field).resolution == pytest.approx(26214.4)
+
+
+def test_readings_stay_within_the_range_of_the_transducer():
+    narrow = {"low": 18e5, "high": 20e5, "noise": 3e5}
+    error, axes = errors(2000, sensors=sensors(pressure_a=narrow))
+    reading = axes.column("measured_a")
+    assert reading.min() == 18e5
+    assert reading.max() == 20e5
+    assert np.abs(error["a"]).max() > 1e6
+    # Quantisation must not lead out of the range either, where its end is no step.
+    _, axes = errors(2000, sensors=sensors(pressure_a={**narrow, "resolution": 0.7e5}))
+    assert axes.column("measured_a").max() <= 20e5
+
+
+def test_pressure_transducers_lag_as_a_first_order_system():
+    """Against the closed form: a jump decays with τ = rise time / ln 9, a ramp is followed τ late."""
+    rise = 0.02
+    env = ServoHydraulicEnv(sensors={**sensors(), "pressure_rise_time": rise}, randomisation={}, command_latency=0.0)
+    env.reset(seed=0)
+    tau = rise / np.log(9.0)
+    times = np.linspace(0.0, PERIOD, 2001)
+    rng = np.random.default_rng(0)
+    expected = {name: env._axes.column(f"true_{name}")[0] for name in "ab"}
+    last = dict(expected)
+    seen = 0.0
+    for _ in range(60):
+        observation = env.step(rng.uniform(-1, 1, 1))[0]
+        for name, row in (("a", 2), ("b", 3)):
+            new = env._axes.state[0, row, 0]
+            # y' = (p(t) − y)/τ, p linear between the samples: y(T) = ∫ p(s) exp(−(T−s)/τ)/τ ds + y(0) exp(−T/τ).
+            pressure = last[name] + (new - last[name]) * times / PERIOD
+            integral = np.trapezoid(pressure * np.exp(-(PERIOD - times) / tau) / tau, times)
+            expected[name] = integral + expected[name] * np.exp(-PERIOD / tau)
+            last[name] = new
+            measured = env._axes.column(f"measured_{name}")[0]
+            assert measured == pytest.approx(expected[name], rel=1e-5)
+            index = env.observation_names.index(f"pressure_{name}")
+            assert observation[index] * env.observation_scale[index] == pytest.approx(measured, rel=1e-6)
+            seen = max(seen, abs(measured - new))
+    assert seen > 1e5  # the lag matters in this run
+
+
+def test_transducers_without_rise_time_do_not_lag():
+    env = ServoHydraulicEnv(sensors={**sensors(), "pressure_rise_time": 0.0}, command_latency=0.0)
+    env.reset(seed=0)
+    for _ in range(20):
+        env.step(np.ones(1))
+        assert env._axes.column("measured_a")[0] == pytest.approx(env._axes.state[0, 2, 0], rel=1e-12)
+
+
+def test_velocity_estimate_of_a_steady_move():
+    """A filtered difference: exact at constant speed, with the time constant of the filter on the way there."""
+    plant = {"load": {"spring_stiffness": 0.0}, "supply": {"model": "constant"}}
+    env = ServoHydraulicEnv(sensors={"enabled": False}, plant=plant, randomisation={})
+    _, info = env.reset(seed=0, options={"initial_position": -0.1, "reference": "step"})
+    index = env.observation_names.index("velocity_estimate")
+    blend = PERIOD / (PERIOD + 0.010)
+    estimate, position = 0.0, info["position"]
+    for _ in range(120):
+        observation, _, _, _, info = env.step(np.array([0.5]))
+        estimate += blend * ((info["position"] - position) / PERIOD - estimate)
+        position = info["position"]
+        assert observation[index] * env.observation_scale[index] == pytest.approx(estimate, abs=1e-7)
+    assert info["velocity"] > 0.05
+    assert estimate == pytest.approx(info["velocity"], rel=1e-4)
+
+
+def test_error_integral_is_leaky_and_limited():
+    env = ServoHydraulicEnv(sensors={"enabled": False}, episode_duration=10.0)
+    _, info = env.reset(seed=0, options={"reference": np.full(2000, 0.02), "initial_position": 0.0})
+    index = env.observation_names.index("error_integral")
+    integral, reached = 0.0, 0.0
+    while True:
+        position = info["position"]
+        observation, _, terminated, truncated, info = env.step(np.array([0.5 * (-0.02 - position) / 0.02]))
+        assert not terminated
+        integral += PERIOD * (info["tracking_error"] - integral / ERROR_INTEGRAL_TIME)
+        integral = np.clip(integral, -ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_LIMIT)
+        assert observation[index] * env.observation_scale[index] == pytest.approx(integral, abs=1e-8)
+        reached = max(reached, integral)
+        if truncated:
+            break
+    assert reached == ERROR_INTEGRAL_LIMIT
+
+
+def test_switched_off_sensors_tell_the_exact_truth():
+    env = ServoHydraulicEnv(sensors={"enabled": False}, command_latency=0.0)
+    names = list(env.observation_names)
+    rng = np.random.default_rng(0)
+    observation, info = env.reset(seed=3)
+    previous, last_command = env._axes.column("command")[0], None
+    for _ in range(50):
+        state = env._axes.state[0, :, 0]
+        si = dict(zip(names, observation * env.observation_scale, strict=True))
+        expected = {
+            "position": state[0],
+            "pressure_a": state[2],
+            "pressure_b": state[3],
+            "spool_position": state[4],
+            "reference": info["reference"],
+            "tracking_error": info["reference"] - state[0],
+            "previous_command": previous if last_command is None else last_command,
+        }
+        for name, value in expected.items():
+            assert si[name] == pytest.approx(value, rel=2e-7, abs=1e-9), name
+        assert info["position"] == state[0]
+        assert info["velocity"] == state[1]
+        action = rng.uniform(-1, 1, 1)
+        last_command = action[0]
+        observation, _, _, _, info = env.step(action)
+
+
+def test_first_observation_is_the_equilibrium():
+    env = ServoHydraulicEnv(sensors={"enabled": False})
+    observation, info = env.reset(seed=4)
+    rest, voltage = equilibrium(env.parameters, info["position"])
+    si = dict(zip(env.observation_names, observation * env.observation_scale, strict=True))
+    assert si["pressure_a"] == pytest.approx(rest["pressure_a"], rel=1e-6)
+    assert si["pressure_b"] == pytest.approx(rest["pressure_b"], rel=1e-6)
+    assert si["spool_position"] == pytest.approx(rest["spool_position"], abs=1e-7)
+    assert si["previous_command"] == pytest.approx(voltage / 10.0, abs=1e-7)
+    assert si["velocity_estimate"] == si["error_integral"] == si["tracking_error"] == 0.0
+
+
+def test_layout_of_the_observation():
+    env = ServoHydraulicEnv()
+    size = env.observation_space.shape[0]
+    assert size == len(env.observation_names) == len(env.observation_units) == len(env.observation_scale) == 13
+    assert len(set(env.observation_names)) == size
+    units = dict(zip(env.observation_names, env.observation_units, strict=True))
+    assert units["position"] == units["reference"] == units["tracking_error"] == "m"
+    assert units["pressure_a"] == units["pressure_b"] == "Pa"
+    assert units["velocity_estimate"] == "m/s"
+    assert (env.observation_scale > 0.0).all()
+    assert env.observation_space.dtype == np.float32
+    assert not any("leak" in name for name in env.observation_names)
+    vector = ServoHydraulicVectorEnv(2)
+    assert vector.observation_names == env.observation_names
+    np.testing.assert_array_equal(vector.observation_scale, env.observation_scale)
+
+
+def test_observations_stay_inside_the_box_whatever_is_done():
+    """Also with springless axes that crash into the end stops, at full command and with wild transducers."""
+    wild = {field: {**values, "noise": 10 * values["high"]} for field, values in sensors().items()}
+    for config in ({}, {"sensors": wild}, {"plant": {"load": {"spring_stiffness": 0.0}}, "randomisation": {}}):
+        envs = ServoHydraulicVectorEnv(32, **config)
+        observation, _ = envs.reset(seed=1)
+        rng = np.random.default_rng(2)
+        action = rng.uniform(-1, 1, (32, 1)).astype(np.float32)
+        ended = 0
+        for step in range(500):
+            assert envs.observation_space.contains(observation)
+            if step % 100 == 0:
+                level = np.sign(rng.uniform(-1, 1, (32, 1)))
+            action = level if step % 200 < 100 else rng.uniform(-1.5, 1.5, (32, 1))
+            observation, reward, terminated, _, _ = envs.step(action.astype(np.float32))
+            assert np.isfinite(reward).all()
+            ended += int(terminated.sum())
+        if "plant" in config:
+            assert ended > 0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"position": {"noise": -1e-6}}, "sensors.position.noise = -1e-06: .*greater than or equal to 0"),
+        ({"position": {"low": 0.3}}, "low = 0.3 must be below high = 0.2"),
+        ({"position": {"scale": 1.0}}, "sensors.position.scale = 1.0: unknown key; known here: noise, bias"),
+        ({"pressure_rise_time": -1.0}, "pressure_rise_time = -1.0: .*unit: s"),
+        ({"enabled": "perhaps"}, "sensors.enabled = 'perhaps'"),
+        ({"position": {"high": float("nan")}}, "sensors.position.high = nan"),
+    ],
+)
+def test_impossible_sensors_are_refused_with_one_line(given, message):
+    full = Sensors().model_dump()
+    for key, value in given.items():
+        full[key] = {**full[key], **value} if isinstance(value, dict) else value
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ServoHydraulicEnv(sensors=full)
+    assert len(str(caught.value).splitlines()) == 1

@@ -1,0 +1,251 @@
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gymnasium.error import DependencyNotInstalled
+
+from hydro_env import rendering
+from hydro_env.rendering import AxisRenderer, View
+
+pygame = pytest.importorskip("pygame")
+
+TIME = 0.005 * np.arange(401)
+PISTON_ROW, LOAD_ROW, VALVE_ROW = 132, 104, 265
+
+
+def make_view(**changes):
+    view = View(
+        time=2.0,
+        position=0.02,
+        velocity=0.05,
+        reference=0.05,
+        reference_preview=np.full(100, 0.05),
+        pressure_a=30e5,
+        pressure_b=40e5,
+        supply_pressure=70e5,
+        spool_position=0.2,
+        command=0.3,
+        leakage_flow_lpm=0.3,
+        external_force=0.0,
+        stroke=0.4,
+        bore_diameter=0.040,
+        rod_diameter=0.028,
+        has_spring=True,
+        history_time=TIME,
+        history_position=0.02 * TIME / 2,
+        history_reference=np.full(len(TIME), 0.05),
+    )
+    return replace(view, **changes)
+
+
+def draw(**changes):
+    return AxisRenderer("rgb_array", 50).draw(make_view(**changes))
+
+
+def where(picture, color):
+    """The rows and columns of the pixels that have exactly this colour."""
+    return np.nonzero((picture == np.array(color)).all(axis=-1))
+
+
+def center(picture, row, color):
+    (columns,) = where(picture[row], color)
+    assert len(columns) > 0
+    return columns.mean()
+
+
+def test_frame_is_a_plain_array_of_its_own():
+    renderer = AxisRenderer("rgb_array", 50)
+    first = renderer.draw(make_view())
+    kept = first.copy()
+    second = renderer.draw(make_view(position=-0.05))
+    assert first.shape == (rendering.HEIGHT, rendering.WIDTH, 3)
+    assert first.dtype == np.uint8
+    assert first.flags.c_contiguous
+    assert first.flags.writeable
+    assert np.array_equal(first, kept)
+    assert not np.array_equal(first, second)
+    assert np.array_equal(renderer.draw(make_view()), first)
+
+
+@pytest.mark.parametrize("position", [-0.2, -0.07, 0.0, 0.13, 0.2])
+def test_piston_and_load_stand_at_the_true_position(position):
+    middle, moved = draw(position=0.0), draw(position=position)
+    expected = position / 0.4 * rendering.STROKE_PIXELS
+    for row, color in ((PISTON_ROW, rendering.PISTON), (LOAD_ROW, rendering.POSITION)):
+        assert center(moved, row, color) - center(middle, row, color) == pytest.approx(expected, abs=1.0)
+
+
+def test_stroke_sets_the_scale():
+    for row, color in ((PISTON_ROW, rendering.PISTON), (LOAD_ROW, rendering.POSITION)):
+        short, long = draw(position=0.05, stroke=0.2, reference=0), draw(position=0.1, stroke=0.4, reference=0)
+        assert center(short, row, color) == pytest.approx(center(long, row, color), abs=0.5)
+
+
+@pytest.mark.parametrize("reference", [-0.12, 0.05, 0.15])
+def test_reference_marker_is_on_the_scale_of_the_load(reference):
+    rows = slice(100, 170)  # dashed, so that one row may fall into a gap
+    marker = where(draw(reference=reference, position=reference + 0.03)[rows], rendering.REFERENCE)[1]
+    load = center(draw(position=reference, reference=0.0), LOAD_ROW, rendering.POSITION)
+    assert len(marker) > 0
+    assert np.ptp(marker) <= 2
+    assert marker.mean() == pytest.approx(load, abs=1.0)
+
+
+def test_leak_arrow_grows_with_the_leak_and_points_to_the_lower_pressure():
+    areas = [len(where(draw(leakage_flow_lpm=flow), rendering.LEAK)[0]) for flow in (0.0, 0.1, 0.3, 1.0, 4.0)]
+    assert areas[0] == 0
+    assert areas == sorted(set(areas))
+
+    def heavy_side(picture):  # the head of the arrow holds the pixels farthest from the bore wall
+        rows, columns = where(picture[:132], rendering.LEAK)
+        return columns[rows == rows.max()].mean() - center(picture, PISTON_ROW, rendering.PISTON)
+
+    assert heavy_side(draw(pressure_a=60e5, pressure_b=10e5)) > 0
+    assert heavy_side(draw(pressure_a=10e5, pressure_b=60e5)) < 0
+    assert len(where(draw(pressure_a=20e5, pressure_b=20e5), rendering.LEAK)[0]) == 0
+
+
+def test_oil_turns_from_blue_to_red_with_pressure():
+    low, high = (draw(pressure_a=pressure)[PISTON_ROW, 100].astype(int) for pressure in (1e5, 68e5))
+    assert low[2] > low[0]
+    assert high[0] > high[2]
+    untouched = draw(pressure_a=1e5)[PISTON_ROW - 36, 380], draw(pressure_a=68e5)[PISTON_ROW - 36, 380]
+    assert np.array_equal(*untouched)
+
+
+def test_spool_moves_the_valve_symbol_by_a_box_at_full_stroke():
+    def left_edge(spool):
+        row = draw(spool_position=spool)[VALVE_ROW, :460]
+        return np.nonzero((row != np.array(rendering.PAPER)).any(axis=-1))[0].min()
+
+    assert left_edge(1.0) - left_edge(0.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
+    assert left_edge(0.0) - left_edge(-1.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
+
+
+def test_spring_only_where_there_is_one():
+    def marks(picture):
+        between = picture[115:150, 750:920]
+        return (between != np.array(rendering.PAPER)).any(axis=-1).sum()
+
+    assert marks(draw(has_spring=True)) > 100
+    assert marks(draw(has_spring=False)) == 0
+
+
+def test_external_force_points_against_extension_when_positive():
+    free, pushed, pulled = (draw(external_force=force)[100:112, 720:800] for force in (0.0, 2000.0, -2000.0))
+    inks = [where(part, rendering.INK) for part in (pushed, pulled)]
+    assert not np.array_equal(free, pushed)
+    tall = [np.bincount(columns, minlength=80).argmax() for _, columns in inks]  # the head is the tallest part
+    assert tall[0] < tall[1]
+
+
+def test_plot_shows_history_and_what_is_coming():
+    plot = slice(380, 505)
+    usual = draw()
+    later = draw(history_position=-0.03 * np.ones(len(TIME)))
+    assert not np.array_equal(usual[plot], later[plot])
+    assert np.array_equal(usual[:340], later[:340])
+    assert len(where(usual[plot], rendering.REFERENCE_COMING)[0]) > 10
+    assert len(where(draw(reference_preview=np.zeros(0))[plot], rendering.REFERENCE_COMING)[0]) == 0
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2, 20_000])
+@pytest.mark.parametrize("coming", [0, 1, 20_000])
+def test_any_length_of_history_can_be_drawn(samples, coming):
+    past = {name: np.zeros(samples) for name in ("history_position", "history_reference")}
+    picture = draw(history_time=0.001 * np.arange(samples), time=20.0, reference_preview=np.zeros(coming), **past)
+    assert picture.std() > 0
+
+
+def test_extreme_values_can_be_drawn():
+    extreme = {"pressure_a": -0.9e5, "pressure_b": 900e5, "supply_pressure": 600e5, "leakage_flow_lpm": 100.0}
+    assert draw(**extreme, position=0.21, reference=-0.5, spool_position=-1.0, command=1.2).std() > 0
+
+
+def test_array_mode_opens_no_display(monkeypatch):
+    pygame.display.quit()
+
+    def refuse(*_):
+        raise AssertionError("array mode must not touch the display")
+
+    monkeypatch.setattr(pygame.display, "init", refuse)
+    monkeypatch.setattr(pygame.display, "set_mode", refuse)
+    renderer = AxisRenderer("rgb_array", 50)
+    assert renderer.draw(make_view()) is not None
+    assert not pygame.display.get_init()
+    renderer.close()
+    renderer.close()
+    assert not pygame.display.get_init()
+
+
+def test_array_mode_needs_no_video_driver_and_no_system_fonts():
+    program = (
+        "import sys, hydro_env.rendering\n"
+        "assert 'pygame' not in sys.modules\n"
+        "from test_rendering import draw, rendering, where\n"
+        "assert draw().std() > 0\n"
+        "import pygame; assert not pygame.display.get_init()\n"
+    )
+    environment = {**os.environ, "PATH": "", "SDL_VIDEODRIVER": "none such", "PYTHONPATH": os.pathsep.join(sys.path)}
+    result = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert "font" not in result.stderr.lower()
+
+
+@pytest.fixture
+def dummy_video(monkeypatch):
+    pygame.display.quit()
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    yield
+    pygame.display.quit()
+
+
+@pytest.mark.usefixtures("dummy_video")
+def test_window_shows_the_same_picture_and_closes_once():
+    renderer = AxisRenderer("human", 1000)
+    assert not pygame.display.get_init()
+    assert renderer.draw(make_view()) is None
+    shown = np.swapaxes(pygame.surfarray.array3d(pygame.display.get_surface()), 0, 1)
+    assert np.array_equal(shown, draw())
+    renderer.close()
+    assert not pygame.display.get_init()
+    renderer.close()
+
+
+@pytest.mark.usefixtures("dummy_video")
+def test_window_closed_by_its_user_stays_closed():
+    renderer = AxisRenderer("human", 1000)
+    renderer.draw(make_view())
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    assert renderer.draw(make_view()) is None
+    assert not pygame.display.get_init()
+    assert renderer.draw(make_view()) is None
+    assert not pygame.display.get_init()
+    renderer.close()
+
+
+@pytest.mark.usefixtures("dummy_video")
+def test_window_keeps_the_frame_rate():
+    renderer = AxisRenderer("human", 20)
+    clock = pygame.time.get_ticks
+    renderer.draw(make_view())
+    start = clock()
+    for _ in range(4):
+        renderer.draw(make_view())
+    elapsed = clock() - start
+    renderer.close()
+    assert elapsed >= 150
+
+
+def test_missing_pygame_is_named_with_its_remedy(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match=r'pip install "hydro_env\[render\]"'):
+        AxisRenderer("rgb_array", 50)
+
+
+def test_unknown_mode_is_refused():
+    with pytest.raises(ValueError, match="ansi"):
+        AxisRenderer("ansi", 50)
