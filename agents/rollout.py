@@ -120,7 +120,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         failed_at[alive & terminated] = step
     env.close()
     return Rollout(
-        time=config.control_period * np.arange(1, steps + 1),
+        time=config.control_period * np.arange(1, steps + 1, dtype=np.float64),
         position=position,
         reference=reference,
         command=command,

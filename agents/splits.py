@@ -1,5 +1,6 @@
-"""Which seeds belong to training, validation and test. A seed fixes plant, reference and noise, so the sets of all
-three are disjoint.
+"""Which seeds belong to training, validation and test.
+
+A seed fixes plant, reference and noise, so that the sets of all three are disjoint.
 """
 
 from __future__ import annotations

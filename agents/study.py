@@ -83,11 +83,12 @@ def prepare_folder(folder: Path, resume: bool, overwrite: bool, marker: str) -> 
     """Check that results may go into a folder, and that it can be written.
 
     Raises:
-        ConfigurationError: it holds results already and neither resume nor overwrite is asked for, or cannot be written.
+        ConfigurationError: it holds results and neither resume nor overwrite is asked for, or cannot be written.
     """
     if (folder / marker).exists() and not (resume or overwrite):
         raise ConfigurationError(
-            f"{folder}: holds results already; --resume goes on with them, --overwrite begins anew, --output takes another folder"
+            f"{folder}: holds results already; --resume goes on with them, --overwrite begins anew, "
+            "--output takes another folder"
         )
     probe = folder / ".write-test"
     write_whole(probe, b"")

@@ -94,7 +94,7 @@ def train_leakage_head(
     """Train the leakage head on data of the PID and of a policy."""
     prepare_folder(folder, resume, overwrite, "head_checkpoint.json")
     pid = PID(settings.pid, ObservationLayout.of(settings.task))
-    controllers = [pid, load_policy(policy, settings.task)]
+    controllers: list[Controller] = [pid, load_policy(policy, settings.task)]
     with ProgressDisplay() as display:
         head = train_head(
             settings.task,

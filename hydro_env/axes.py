@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant import kernel as plant_kernel
+from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import (
     MODEL_CODES,
     PARAMETER_PATHS,
@@ -96,8 +97,6 @@ def settings_of(config: TaskConfig) -> Floats:
             tracking_weight=config.reward.tracking,
             error_scale=config.reward.error_scale,
             error_limit=config.reward.error_limit,
-            precision_weight=config.reward.precision,
-            precision_scale=config.reward.precision_scale,
             effort_weight=config.reward.effort,
             failure_weight=config.reward.failure,
             end_stop_speed=config.failure.end_stop_speed,
@@ -349,6 +348,9 @@ class Axes:
             b,
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}  # threads cannot be copied; they start again when needed
+
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
         if self._pool is not None:
@@ -369,7 +371,7 @@ class Axes:
         """The physical parameters of an axis in its present episode, leakage included."""
         vector = self.physical[axis].copy()
         block, lane = axis // LANES, axis % LANES
-        names = plant_kernel.Coefficients._fields
+        names = Coefficients._fields
         conductance = self.coefficient[block, names.index("leakage_conductance"), lane]
         vector[PARAMETER_PATHS.index("leakage.internal_resistance")] = (
             1.0 / conductance if conductance > 0.0 else np.inf
@@ -380,7 +382,7 @@ class Axes:
 
     def external_force(self, axis: int) -> float:
         """External force in N that acts on an axis now, disturbance included."""
-        row = plant_kernel.Coefficients._fields.index("external_force")
+        row = Coefficients._fields.index("external_force")
         return float(self.coefficient[axis // LANES, row, axis % LANES])
 
     # Options of reset -----------------------------------------------------------------------------------------------
@@ -445,7 +447,8 @@ class Axes:
             raise ConfigurationError(
                 f"reset options: leakage of {flow[wrong][0]:g} l/min at 100 bar: must be within 0 to {LEAKAGE_LIMIT:g}"
             )
-        return np.maximum(flow, 1e-9)
+        lowest: Floats = np.maximum(flow, 1e-9)
+        return lowest
 
     def _position_option(self, options: Mapping[str, Any], axes: NDArray[np.int64]) -> Floats:
         if "initial_position" not in options:

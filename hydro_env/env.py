@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer
 
 Observation = NDArray[np.float32]
-REWARD_TERMS = ("tracking", "precision", "effort", "failure")
+REWARD_TERMS = ("tracking", "effort", "failure")
 _COLUMN = {name: index for index, name in enumerate(Record._fields)}
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -66,8 +66,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
     ## Rewards
 
     The sum of named terms, each at most zero; their values stand in ``info["reward_terms"]``: ``tracking``
-    (−|error|/10 mm, at most 5), ``precision`` (−0.2 |error|/(|error| + 0.1 mm)), ``effort`` (−0.05 (change of
-    command)²), ``failure`` (−260, once).
+    (−|error|/10 mm, at most 5), ``effort`` (−0.05 (change of command)²), ``failure`` (−250, once).
 
     ## Starting State
 
@@ -98,7 +97,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
     * v0: first version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
 
     def __init__(
         self,
@@ -160,7 +159,8 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         except (TypeError, ValueError):
             command = np.empty(0)
         if command.shape != (1,) or not abs(command[0]) < np.inf:
-            raise ConfigurationError(f"action = {action!r}: must be one finite number within -1 to 1, shape (1,)")
+            shown = " ".join(repr(action).split())
+            raise ConfigurationError(f"action = {shown}: must be one finite number within -1 to 1, shape (1,)")
         if not self._begun:
             raise ConfigurationError("step: call reset first")
         observation = np.empty((1, self._size), dtype=np.float32)
@@ -204,7 +204,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         row = self._axes.record[0]
         self._history.append((row[_COLUMN["position"]], row[_COLUMN["reference"]]))
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Draw the axis: an image (height, width, 3) with ``"rgb_array"``, a window with ``"human"``."""
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")

@@ -73,7 +73,8 @@ class ObservationLayout:
     def previews(self, observation: Floats) -> NDArray[np.float64]:
         """Reference ahead minus reference now, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
-        return np.asarray(observation[:, columns], dtype=np.float64) * np.array([self.scale[i] for i in columns])
+        scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
+        return np.asarray(observation[:, columns], dtype=np.float64) * scale
 
 
 def as_batch(observation: Floats) -> tuple[Floats, bool]:

@@ -53,8 +53,8 @@ class PIDState:
 class PID:
     """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
 
-    e and ẋ_ref may be taken a little ahead of time from the preview, to make up for latency and valve. The derivative acts on
-    the filtered difference of the measured position. While the command saturates, the integral is led back
+    e and ẋ_ref may be taken a little ahead of time from the preview, to make up for latency and valve. The derivative
+    acts on the filtered difference of the measured position. While the command saturates, the integral is led back
     (back-calculation). Starts without a bump: the integral takes the command that holds the axis.
 
     Args:

@@ -126,7 +126,8 @@ def evaluate(
 
 def _per_plant(frame: pd.DataFrame, metric: str) -> NDArray[np.float64]:
     """Mean over everything else, by plant."""
-    return frame.groupby("plant")[metric].mean().to_numpy()
+    means: NDArray[np.float64] = frame.groupby("plant")[metric].mean().to_numpy(dtype=np.float64)
+    return means
 
 
 def _summary(cases: pd.DataFrame, by: str) -> pd.DataFrame:

@@ -11,6 +11,8 @@ from scipy.stats import binomtest, bootstrap
 Array = NDArray[np.floating[Any]]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
+FEWEST = 3
+"""Fewer samples give no interval."""
 
 
 class Interval(NamedTuple):
@@ -22,7 +24,7 @@ class Interval(NamedTuple):
 
 
 def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
-    """Mean over plants with a 95 % bootstrap interval (BCa); NaNs are left out."""
+    """Mean over plants with a 95 % bootstrap interval (percentile); NaNs are left out."""
     values = np.asarray(per_plant, dtype=np.float64)
     values = values[~np.isnan(values)]
     if len(values) == 0:
@@ -41,7 +43,9 @@ def ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) 
 
 def _interval(samples: tuple[Array, ...], statistic: Any, seed: int) -> Interval:
     value = float(statistic(*samples, axis=0))
-    if len(samples[0]) < 3 or all(np.ptp(sample) == 0.0 for sample in samples):
+    if len(samples[0]) < FEWEST:
+        return Interval(value, np.nan, np.nan)
+    if all(np.ptp(sample) == 0.0 for sample in samples):
         return Interval(value, value, value)
     result = bootstrap(
         samples,

@@ -70,6 +70,9 @@ def channels(signals: Tensor) -> Tensor:
 class LeakageNetwork(nn.Module):
     """Strided convolutions over time, pooled by mean and spread, then two outputs: logit and log10 of the flow."""
 
+    mean: Tensor
+    scale: Tensor
+
     def __init__(self, width: int = 48) -> None:
         super().__init__()
         self.width = width

@@ -35,8 +35,8 @@ class PPOSettings(Group):
     residual: bool = Field(True, description="true: the policy corrects the PID; false: it acts on its own")
     residual_scale: float = Field(0.25, gt=0.0, le=2.0, description="command per 1 of the policy's output")
     paired: bool = Field(True, description="reward against a twin under the PID (residual form only)")
-    reference_weights: dict[str, float] | None = Field(
-        None, description="families of references in training; absent: those of the task"
+    practice: dict[str, Any] = Field(
+        default_factory=dict, description="fields of the task that differ in training, such as what occurs more often"
     )
     total_steps: int = Field(8_000_000, ge=1, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
@@ -179,9 +179,7 @@ def train_ppo(
         tensors, stored = load_weights(checkpoint, CHECKPOINT_KIND)
         done = _checked_checkpoint(stored, settings, config, checkpoint)
     # A resumed training meets new episodes, not those of its beginning again.
-    practised = config
-    if settings.reference_weights is not None:
-        practised = task_config(config, references={"weights": settings.reference_weights})
+    practised = task_config(config, **settings.practice)
     env = AxisVecEnv(
         practised,
         settings.axes,
@@ -192,7 +190,7 @@ def train_ppo(
     )
     model = make_model(env, settings, seed)
     with torch.no_grad():
-        model.policy.action_net.weight.mul_(0.1 if settings.residual else 1.0)
+        model.policy.get_parameter("action_net.weight").mul_(0.1 if settings.residual else 1.0)
     if resume:
         _restore(model, tensors, checkpoint)
         model.num_timesteps = done

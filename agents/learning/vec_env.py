@@ -56,7 +56,7 @@ class AxisVecEnv(VecEnv):
         self.reward_scale = reward_scale
         self.render_mode = None
         self._first_seed: int | None = seed
-        self._reset_options: dict[str, Any] | None = None
+        self._next_options: dict[str, Any] | None = None
         self._state: FeatureState | None = None
         self._twins: PIDState | None = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
@@ -71,7 +71,7 @@ class AxisVecEnv(VecEnv):
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
         seed = self._first_seed
         seeds = None if seed is None else [seed + axis % self.num_envs for axis in range(self._total)]
-        observation, _ = self.env.reset(seed=seeds, options=self._reset_options)
+        observation, _ = self.env.reset(seed=seeds, options=self._next_options)
         self._first_seed = None
         if self._stagger:
             steps = self.env.axes.column("step")
@@ -150,7 +150,7 @@ class AxisVecEnv(VecEnv):
 
     def set_options(self, options: Any = None) -> None:
         """Options of the next reset, as the vector environment takes them."""
-        self._reset_options = options
+        self._next_options = options
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """An attribute, the same for every axis."""

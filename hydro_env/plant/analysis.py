@@ -58,7 +58,7 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits
 
 
 def reachable_range(parameters: PlantParameters) -> tuple[float, float]:
-    """Lowest and highest position in m that the supply can hold against spring and external force, within the stroke."""
+    """Lowest and highest position in m that the supply can hold against spring and external force."""
     c = Coefficients(*coefficient_array(parameters))
     out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - c.external_force
     back = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + c.external_force

@@ -5,19 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-STRICT = {"error_model": "numpy", "fastmath": False, "nogil": True}
+STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "nogil": True}
 """IEEE arithmetic as written (bit-reproducible), divisions like NumPy's, other Python threads may run."""
 
 
 def inline(function: Function) -> Function:
     """Compile a scalar function that is always merged into its caller, so that loops over it vectorise."""
-    return numba.njit(forceinline=True, **STRICT)(function)  # type: ignore[no-any-return]
+    return cast("Function", numba.njit(forceinline=True, **STRICT)(function))
 
 
 def compiled(function: Function) -> Function:
@@ -27,9 +27,9 @@ def compiled(function: Function) -> Function:
     files therefore takes their :func:`source_stamp` as a closure variable.
     """
     try:
-        return numba.njit(cache=True, **STRICT)(function)  # type: ignore[no-any-return]
+        return cast("Function", numba.njit(cache=True, **STRICT)(function))
     except RuntimeError:  # no folder for the cache can be written
-        return numba.njit(cache=False, **STRICT)(function)  # type: ignore[no-any-return]
+        return cast("Function", numba.njit(cache=False, **STRICT)(function))
 
 
 def source_stamp(*sources: str) -> int:
@@ -44,4 +44,5 @@ def source_stamp(*sources: str) -> int:
 def tuple_reader(kind: type, first: int = 0) -> Callable[..., Any]:
     """A compiled function that reads a one-dimensional array, from index ``first`` on, as a named tuple ``kind``."""
     fields = ", ".join(f"array[{first + index}]" for index in range(len(kind._fields)))  # type: ignore[attr-defined]
-    return inline(eval(f"lambda array: Kind({fields})", {"Kind": kind}))
+    reader: Callable[..., Any] = eval(f"lambda array: Kind({fields})", {"Kind": kind})
+    return inline(reader)

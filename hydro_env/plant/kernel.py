@@ -51,7 +51,8 @@ _ROWS = _VOLTAGE_ROW + 1
 def _lane_reader(kind: type, first_row: int) -> Callable[..., Any]:
     """A compiled function that reads one lane of the flat work array as a named tuple."""
     fields = ", ".join(f"work[{(first_row + row) * LANES} + lane]" for row in range(len(kind._fields)))  # type: ignore[attr-defined]
-    return compiler.inline(eval(f"lambda work, lane: Kind({fields})", {"Kind": kind}))
+    reader: Callable[..., Any] = eval(f"lambda work, lane: Kind({fields})", {"Kind": kind})
+    return compiler.inline(reader)
 
 
 _read_state = _lane_reader(State, _STATE_ROW)
@@ -143,10 +144,11 @@ def _build(stamp: int) -> Callable[..., None]:
                         work[7 * LANES + lane] = n.supply_pressure if moving else s.supply_pressure
                         work[8 * LANES + lane] = n.gas_volume if moving else s.gas_volume
                         # Peaks: of pressure over all steps, of speed where an end stop has just been met.
-                        highest = max(n.pressure_a, n.pressure_b)
+                        # A lane that has done its own steps (not moving) adds nothing, whatever its neighbours need.
+                        highest = max(n.pressure_a, n.pressure_b) if moving else -1e300
                         peak = work[(_PEAK_ROW + PEAK_PRESSURE) * LANES + lane]
                         work[(_PEAK_ROW + PEAK_PRESSURE) * LANES + lane] = max(highest, peak)
-                        beyond = abs(n.position) > c.end_stop_position
+                        beyond = moving and abs(n.position) > c.end_stop_position
                         outwards = max(s.velocity, 0.0) if n.position > 0.0 else max(-s.velocity, 0.0)
                         impact = work[(_PEAK_ROW + IMPACT_SPEED) * LANES + lane]
                         work[(_PEAK_ROW + IMPACT_SPEED) * LANES + lane] = max(impact, outwards if beyond else 0.0)

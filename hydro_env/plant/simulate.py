@@ -58,7 +58,7 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     state, voltage, found = _equilibrium(float(position), to_vector(parameters))
     if not found:
         raise HydroError(
-            f"position = {position:g} m cannot be held: the spring, the leakage or the external force asks for more than "
+            f"position = {position:g} m cannot be held: spring, leakage or external force ask for more than "
             f"the supply of {parameters.supply.pressure / 1e5:g} bar gives"
         )
     return dict(zip(STATE_NAMES, state, strict=True)), voltage
@@ -150,7 +150,7 @@ def simulate(
         states = _reference(start, coefficients, inputs, float(sample_time), relative_tolerance)
     else:
         raise HydroError(f"method = {method!r}: must be 'rk4' or 'radau'")
-    time = sample_time * np.arange(len(inputs) + 1)
+    time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
     columns = {name: states[:, row].copy() for row, name in enumerate(STATE_NAMES)}

@@ -200,19 +200,16 @@ class Sensors(Group):
 class Reward(Group):
     """Weights of the named reward terms (all terms are costs, so that their sum is at most zero).
 
-    ``tracking``: −weight · min(|error| / error_scale, error_limit). ``precision``: −weight · |error| / (|error| +
-    precision_scale), which keeps small errors worth correcting. ``effort``: −weight · (change of command)².
-    ``failure``: paid once when the axis fails; with the default it exceeds the worst cost held for ever at a
+    ``tracking``: −weight · min(|error| / error_scale, error_limit). ``effort``: −weight · (change of command)².
+    ``failure``: paid once when the axis fails; with the default it equals the worst tracking cost held for ever at a
     discount of 0.98, so that failing never pays.
     """
 
     tracking: Number = Field(1.0, ge=0.0)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
     error_limit: Number = Field(5.0, gt=0.0, description="largest tracking cost of a step, in units of error_scale")
-    precision: Number = Field(0.2, ge=0.0)
-    precision_scale: Number = quantity(0.1e-3, "m", "error at which half of the precision cost is paid", 1e-9, 1.0)
     effort: Number = Field(0.05, ge=0.0)
-    failure: Number = Field(260.0, ge=0.0)
+    failure: Number = Field(250.0, ge=0.0)
 
 
 class Failure(Group):

@@ -59,8 +59,6 @@ class Settings(NamedTuple):
     tracking_weight: float
     error_scale: float
     error_limit: float
-    precision_weight: float
-    precision_scale: float
     effort_weight: float
     failure_weight: float
     end_stop_speed: float
@@ -107,7 +105,6 @@ class Record(NamedTuple):
     velocity: float  # m/s, true
     reference: float  # m, now
     cost_tracking: float
-    cost_precision: float
     cost_effort: float
     cost_failure: float
     failure: float  # code, see FAILURES
@@ -428,7 +425,7 @@ def _build(stamp):
             voltage[block, 0, lane] = 10.0 * row[C_COMMAND]
             voltage[block, 1, lane] = 10.0 * command
             change = command - row[C_COMMAND]
-            row[C_COST + 2] = settings.effort_weight * change * change
+            row[C_COST + 1] = settings.effort_weight * change * change
             row[C_COMMAND] = command
             time = row[C_STEP] * period
             if settings.schedule > 0.0:
@@ -487,9 +484,8 @@ def _build(stamp):
 
             error = abs(now - position)
             row[C_COST] = settings.tracking_weight * min(error / settings.error_scale, settings.error_limit)
-            row[C_COST + 1] = settings.precision_weight * error / (error + settings.precision_scale)
-            row[C_COST + 3] = settings.failure_weight if failure != NO_FAILURE else 0.0
-            reward[axis] = -(row[C_COST] + row[C_COST + 1] + row[C_COST + 2] + row[C_COST + 3])
+            row[C_COST + 2] = settings.failure_weight if failure != NO_FAILURE else 0.0
+            reward[axis] = -(row[C_COST] + row[C_COST + 1] + row[C_COST + 2])
             terminated[axis] = failure != NO_FAILURE
             truncated[axis] = step >= last_step
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)

@@ -9,16 +9,20 @@ import numpy as np
 import pytest
 
 import hydro_env
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.axes import Axes
 from hydro_env.plant import compiler, kernel
+from hydro_env.plant.analysis import fastest_rate_bound
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
 
+STATE_AT_REST = np.array(list(equilibrium(PlantParameters())[0].values()))
+
 
 def drawn_plants(count, seed=0):
-    """Axes with ``count`` randomised plants at rest."""
-    axes = Axes(task_config(None), count)
+    """Axes with ``count`` randomised plants at rest; the friction of some asks for shorter inner steps."""
+    stiffness = {"friction.transition_velocity": {"log_uniform": [5e-5, 2e-3]}}
+    axes = Axes(task_config(None, randomisation=task_config(None).model_dump()["randomisation"] | stiffness), count)
     for axis in range(count):
         axes.seed(axis, np.random.default_rng([seed, axis]))
     axes.begin(np.arange(count), np.empty((count, len(axes.observation_names)), np.float32))
@@ -31,6 +35,8 @@ def test_a_plant_among_others_moves_exactly_as_it_does_alone():
     rng = np.random.default_rng(1)
     durations = np.array([1e-3, 4e-3])
     inputs = 10.0 * rng.uniform(-1, 1, (periods, axes.blocks, intervals, kernel.LANES))
+    rates = [fastest_rate_bound(axes.parameters(axis), STATE_AT_REST) for axis in range(count)]
+    assert len({np.ceil(4e-3 * max(rate / kernel.STEP_LIMIT, 1 / 0.25e-3)) for rate in rates}) > 5
     together = axes.state.copy()
     peaks = np.empty((axes.blocks, kernel.N_PEAKS, kernel.LANES))
     for voltage in inputs:

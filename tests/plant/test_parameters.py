@@ -87,7 +87,10 @@ def test_parameters_are_frozen():
 WRONG = {
     "unknown key": ("load: {weight: 60}", "load.weight = 60: unknown key; known here: mass, spring_stiffness"),
     "unknown group": ("loads: {mass: 60}", "loads: unknown key; known here: cylinder, valve, fluid, load"),
-    "bar instead of Pa": ("supply: {pressure: 70}", "supply.pressure = 70: .* greater than or equal to 100000 .*unit: Pa"),
+    "bar instead of Pa": (
+        "supply: {pressure: 70}",
+        "supply.pressure = 70: .* greater than or equal to 100000 .*unit: Pa",
+    ),
     "mm instead of m": ("cylinder: {stroke: 400}", "cylinder.stroke = 400: .* less than or equal to 10 .*unit: m"),
     "l/min": ("valve: {rated_flow: 10}", "valve.rated_flow = 10: .* less than or equal to 0.1 .*unit: m³/s"),
     "sign": ("load: {mass: -60.0}", "load.mass = -60.0: .* greater than or equal to 0.01 .*unit: kg"),
@@ -101,10 +104,19 @@ WRONG = {
     "nothing": ("load: {mass: }", "load.mass: .* number.*unit: kg"),
     "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*'none', 'coulomb' or 'stribeck'"),
     "group is a number": ("load: 60", "load = 60: .*"),
-    "rod does not fit": ("cylinder: {rod_diameter: 0.05}", "rod_diameter = 0.05 m does not fit: .* bore_diameter = 0.04 m"),
-    "tank above supply": ("supply: {tank_pressure: 80e5}", "pressure = 7e[+]06 Pa must be above tank_pressure = 8e[+]06 Pa"),
+    "rod does not fit": (
+        "cylinder: {rod_diameter: 0.05}",
+        "rod_diameter = 0.05 m does not fit: .* bore_diameter = 0.04 m",
+    ),
+    "tank above supply": (
+        "supply: {tank_pressure: 80e5}",
+        "pressure = 7e[+]06 Pa must be above tank_pressure = 8e[+]06 Pa",
+    ),
     "precharge": ("supply: {precharge_pressure: 75e5}", "precharge_pressure = 7.5e[+]06 Pa must be below pressure"),
-    "breakaway": ("friction: {breakaway_force: 100}", "breakaway_force = 100 N must not be below coulomb_force = 120 N"),
+    "breakaway": (
+        "friction: {breakaway_force: 100}",
+        "breakaway_force = 100 N must not be below coulomb_force = 120 N",
+    ),
     "two at once": ("load: {mass: -1, speed: 2}", r"load.mass = -1: .* \(and 1 more\)"),
     "a list": ("- load", "a mapping of settings is needed, not list"),
     "not YAML": ("load: {mass: 60", "not valid YAML in line 1: .*"),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.axes import Axes
 from hydro_env.plant.analysis import fastest_eigenvalue, fastest_rate_bound
 from hydro_env.plant.equations import VAPOUR_PRESSURE
@@ -86,6 +87,34 @@ def test_the_bound_is_not_wastefully_high(rollout):
         ratios += [bound / rate for rate, bound in (rates(parameters, state) for state in states[:, axis])]
     assert np.median(ratios) < 5.0
     assert min(ratios) > 0.95  # and it is an upper estimate
+
+
+STIFF = {
+    "friction": {"friction": {"transition_velocity": 1e-4}},
+    "oil": {
+        "cylinder": {"dead_volume": 1e-6, "stroke": 0.01},
+        "fluid": {"bulk_modulus": 1e10, "air_fraction": 0.0},
+        "load": {"mass": 5.0},
+    },
+    "light mass": {"load": {"mass": 1.0}, "cylinder": {"piston_mass": 0.2}},
+    "spool": {"valve": {"natural_frequency": 5000.0, "damping_ratio": 2.0}},
+}
+
+
+@pytest.mark.parametrize("changes", STIFF.values(), ids=STIFF)
+def test_stiff_plants_get_the_shorter_steps_that_they_need(changes):
+    """They are unstable with the longest step allowed; the integrator sees that, and meets the implicit solver."""
+    parameters = PlantParameters().replace(**changes)
+    rest, _ = equilibrium(parameters)
+    state = np.array(list(rest.values()))
+    rate, bound = rates(parameters, state)
+    assert 0.25e-3 * rate > 2.79
+    assert STEP_LIMIT / bound * rate < RUNGE_KUTTA_LIMIT
+    voltage = np.repeat([0.5, -0.5, 0.2, 0.0], 5)
+    fast, exact = (simulate(parameters, voltage, 5e-3, method=method) for method in ("rk4", "radau"))
+    size = np.ptp(exact.states, axis=0)
+    assert (np.abs(fast.states - exact.states).max(axis=0) / size).max() < 2e-2
+    assert np.abs(fast.position - exact.position).max() < 1e-3 * size[0]
 
 
 def test_no_state_leaves_its_valid_range(rollout):

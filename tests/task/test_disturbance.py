@@ -38,7 +38,9 @@ def test_no_disturbance_by_default():
 
 
 def test_step_force():
-    force, amplitude, start, _ = forces(kind="step", force_range=[200.0, 1000.0], plant={"load": {"external_force": 50.0}})
+    force, amplitude, start, _ = forces(
+        kind="step", force_range=[200.0, 1000.0], plant={"load": {"external_force": 50.0}}
+    )
     np.testing.assert_array_equal(force, 50.0 + np.where(middle() >= start, amplitude, 0.0))
     assert 200.0 <= np.abs(amplitude).min() < 300.0
     assert 900.0 < np.abs(amplitude).max() <= 1000.0
@@ -74,7 +76,7 @@ def test_a_step_force_changes_the_acceleration_by_force_over_mass(sign):
         env.reset(seed=seed)
         if np.sign(env._axes.column("force_amplitude")[0]) == sign:
             break
-    _, info = plain.reset(seed=seed)
+    plain.reset(seed=seed)
     hold = plain._axes.column("command").copy()
     assert abs(plain.step(hold)[-1]["velocity"]) < 1e-9  # at rest without the force
     velocity = env.step(hold)[-1]["velocity"]

@@ -1,4 +1,4 @@
-"""Leakage of an episode: its distribution, classes, schedules and laws; known to the judge, hidden from the controller."""
+"""Leakage of an episode: distribution, classes, schedules, laws; known to the judge, hidden from the controller."""
 
 import math
 
@@ -121,7 +121,12 @@ def test_either_law_gives_the_stated_flow_at_100_bar(law):
     assert math.isinf(parameters.leakage.internal_resistance) == (law == "orifice")
     flows = []
     for bar in (100.0, 25.0):
-        start = {**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": bar * 1e5, "supply_pressure": 70e5, "gas_volume": 8e-4}
+        start = {
+            **dict.fromkeys(STATE_NAMES, 0.0),
+            "pressure_a": bar * 1e5,
+            "supply_pressure": 70e5,
+            "gas_volume": 8e-4,
+        }
         run = simulate(parameters, [0.0], 1e-6, start)
         flows.append(run.leakage_flow[0] / LITRE_PER_MINUTE)
     assert flows[0] == pytest.approx(1.7, rel=1e-4)
@@ -149,7 +154,9 @@ def along_an_episode(schedule, count=200, seed=0, **leakage):
 def test_constant_leak():
     flow, target, *_, conductance = along_an_episode("constant")
     assert (flow == target).all()
-    np.testing.assert_allclose(conductance, (target * LITRE_PER_MINUTE / 100e5)[[0, 7, -1]] * np.ones((400, 1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        conductance, (target * LITRE_PER_MINUTE / 100e5)[[0, 7, -1]] * np.ones((400, 1)), rtol=1e-12
+    )
 
 
 def test_sudden_onset():
@@ -221,7 +228,9 @@ def test_the_leak_is_no_part_of_the_observation():
 def test_more_leakage_needs_more_spool():
     env = ServoHydraulicEnv(sensors={"enabled": False}, randomisation={})
     index = env.observation_names.index("spool_position")
-    options = [{"leakage_flow_lpm": flow, "initial_position": 0.06, "reference": "step"} for flow in (0.01, 0.3, 1.0, 4.0)]
+    options = [
+        {"leakage_flow_lpm": flow, "initial_position": 0.06, "reference": "step"} for flow in (0.01, 0.3, 1.0, 4.0)
+    ]
     spool = [env.reset(seed=0, options=option)[0][index] for option in options]
     assert np.all(np.diff(spool) > 0.0)
 

@@ -86,6 +86,17 @@ def test_start_stop_runs_have_one_speed_in_an_episode():
         assert np.median(full) == pytest.approx(full.max(), rel=1e-9)
 
 
+def test_moves_from_point_to_point_rest_at_their_ends():
+    rows, _ = drawn("point_to_point")
+    speed = np.abs(np.diff(rows))
+    pauses = [
+        len(run) for row in speed for run in np.split(row, np.flatnonzero(np.diff(row == 0.0)) + 1) if run[0] == 0.0
+    ]
+    assert max(pauses) * PERIOD > 0.15  # 0.05 to 0.25 s before the first move, up to 0.2 s after each
+    assert np.mean(speed == 0.0) > 0.1
+    assert (speed[:, 0] == 0.0).all()
+
+
 def test_steps_have_the_configured_size_and_hold_still_between():
     low, high = 0.01, 0.02
     rows, axes = drawn("step", references={"step_range": (low, high)})

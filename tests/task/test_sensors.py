@@ -18,7 +18,12 @@ def sensors(**channels):
     """Settings of ideal transducers, some of them changed."""
     default = Sensors()
     return {
-        field: {"low": getattr(default, field).low, "high": getattr(default, field).high, **IDEAL, **channels.get(field, {})}
+        field: {
+            "low": getattr(default, field).low,
+            "high": getattr(default, field).high,
+            **IDEAL,
+            **channels.get(field, {}),
+        }
         for field in FIELDS
     }
 
@@ -71,7 +76,9 @@ def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
 
 
 def test_noise_is_drawn_anew_in_every_sample_and_channel():
-    env = ServoHydraulicEnv(sensors=sensors(**{field: {"noise": 1e-3 * (1e8 if "pressure" in field else 1)} for field in FIELDS}))
+    env = ServoHydraulicEnv(
+        sensors=sensors(**{field: {"noise": 1e-3 * (1e8 if "pressure" in field else 1)} for field in FIELDS})
+    )
     env.reset(seed=0)
     rows = []
     for _ in range(400):

@@ -146,19 +146,31 @@ WRONG = {
     "plant value": ({"plant": {"supply": {"pressure": 70}}}, "plant.supply.pressure = 70: .*unit: Pa"),
     "plant geometry": ({"plant": {"cylinder": {"rod_diameter": 0.04}}}, "rod_diameter = 0.04 m does not fit"),
     "group is a number": ({"leakage": 3}, "leakage = 3: "),
-    "no such parameter": ({"randomisation": {"load.weight": {"uniform": [1, 2]}}}, "'load.weight' is no number of the plant"),
+    "no such parameter": (
+        {"randomisation": {"load.weight": {"uniform": [1, 2]}}},
+        "'load.weight' is no number of the plant",
+    ),
     "a choice": ({"randomisation": {"supply.model": {"uniform": [0, 1]}}}, "'supply.model' is no number of the plant"),
     "leak": (
         {"randomisation": {"leakage.internal_resistance": {"uniform": [1e12, 2e12]}}},
         "'leakage.internal_resistance' is drawn by the group 'leakage'",
     ),
     "no bounds": ({"randomisation": {"load.mass": {}}}, "needs either 'uniform"),
-    "two kinds": ({"randomisation": {"load.mass": {"uniform": [1, 2], "log_uniform": [1, 2]}}}, "needs either 'uniform"),
+    "two kinds": (
+        {"randomisation": {"load.mass": {"uniform": [1, 2], "log_uniform": [1, 2]}}},
+        "needs either 'uniform",
+    ),
     "falling": ({"randomisation": {"load.mass": {"uniform": [70, 50]}}}, r"bounds = \[70, 50\]: the lower bound"),
     "NaN bounds": ({"randomisation": {"load.mass": {"uniform": [NAN, 50]}}}, "must be a number, not NaN"),
     "log of zero": ({"randomisation": {"load.mass": {"log_uniform": [0, 50]}}}, "log_uniform needs positive bounds"),
-    "below the limit": ({"randomisation": {"load.mass": {"uniform": [0, 50]}}}, "load.mass = 0 is below its limit 0.01"),
-    "above the limit": ({"randomisation": {"load.mass": {"uniform": [1, 1e9]}}}, "load.mass = 1e[+]09 is above its limit 1e[+]06"),
+    "below the limit": (
+        {"randomisation": {"load.mass": {"uniform": [0, 50]}}},
+        "load.mass = 0 is below its limit 0.01",
+    ),
+    "above the limit": (
+        {"randomisation": {"load.mass": {"uniform": [1, 1e9]}}},
+        "load.mass = 1e[+]09 is above its limit 1e[+]06",
+    ),
     "times nothing": (
         {"randomisation": {"load.mass": {"uniform": [1, 2], "times": "load.weight"}}},
         "times = 'load.weight' is no parameter",
@@ -207,11 +219,11 @@ def test_a_wrong_file_is_named(tmp_path):
     path.write_text("reward: {effort: -1}\n")
     with pytest.raises(ConfigurationError, match=rf"^{path}: reward\.effort = -1: "):
         ServoHydraulicEnv(path)
-    with pytest.raises(ConfigurationError, match="absent.yaml: cannot be read: No such file"):
+    with pytest.raises(ConfigurationError, match=r"absent\.yaml: cannot be read: No such file"):
         ServoHydraulicEnv(tmp_path / "absent.yaml")
 
 
 @pytest.mark.parametrize("config", [42, ["reward"], 3.5, True])
 def test_a_config_of_another_kind_is_refused(config):
-    with pytest.raises(ConfigurationError, match="config = .*: must be a YAML file, a mapping or a TaskConfig"):
+    with pytest.raises(ConfigurationError, match=r"config = .*: must be a YAML file, a mapping or a TaskConfig"):
         ServoHydraulicEnv(config)

@@ -1,0 +1,202 @@
+"""The figures of the report about noticing the leak: detection rate, ROC, precision and recall, estimated size."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from agents.evaluation.canvas import (
+    GREY,
+    INK,
+    Array,
+    Plot,
+    add_legend,
+    bars,
+    controllers_of,
+    description,
+    dodge,
+    draw,
+    looks_of,
+)
+
+if TYPE_CHECKING:
+    from agents.evaluation.protocol import Evaluation
+
+FEWEST_FALSE_ALARMS = 1e-3
+"""Left end of the ROC."""
+
+POINTS = 350
+"""Dots per controller."""
+
+SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+
+
+def detection_plots(evaluation: Evaluation) -> list[Plot]:
+    """All figures about detection; none without a leakage head."""
+    if evaluation.detection.empty:
+        return []
+    return [_rates(evaluation), _roc(evaluation), _size(evaluation), _precision_recall(evaluation)]
+
+
+def _rates(evaluation: Evaluation) -> Plot:
+    rates = evaluation.detection_rates
+    by_size = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
+    frame = rates[(rates["value"] == "healthy") | by_size]
+    looks = looks_of(controllers_of(evaluation))
+    values = list(dict.fromkeys(str(value) for value in frame["value"]))
+    parts = {name: frame[frame["controller"] == name] for name in looks}
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
+        for index, (name, part) in enumerate(parts.items()):
+            places = np.array([values.index(str(value)) for value in part["value"]]) + dodge(len(parts), index, 0.16)
+            percent = part.assign(**{column: 100.0 * part[column] for column in ("flagged_share", "low", "high")})
+            bars(axes, places, percent, "flagged_share", looks[name], name, "points")
+        axes.set_xticks(range(len(values)), values)
+        axes.grid(visible=False, axis="x")
+        axes.set_ylim(-2.0, 102.0)
+        axes.set_ylabel("flagged, % of episodes")
+        axes.set_xlabel("leak, l/min at 100 bar")
+        add_legend(axes)
+
+    title = "Flagged episodes by leak size"
+    alt = description(
+        title, {n: list(zip(p["value"], 100.0 * p["flagged_share"], strict=True)) for n, p in parts.items()}, " %"
+    )
+    note = "Bars: 95 % interval. What is flagged on healthy seals (left) are false alarms."
+    return Plot(title, note, alt, draw("rates", alt, paint))
+
+
+def _curve(evaluation: Evaluation, controller: str, name: str) -> tuple[Array, Array]:
+    curves = evaluation.curves
+    part = curves[(curves["controller"] == controller) & (curves["curve"] == name)]
+    return part["x"].to_numpy(dtype=np.float64), part["y"].to_numpy(dtype=np.float64)
+
+
+def _corners(x: Array, y: Array) -> tuple[Array, Array]:
+    """A staircase from its left end, without the points on its straight stretches."""
+    start = int(np.flatnonzero(x == x[0])[-1])
+    x, y = x[start:], y[start:]
+    kept = np.ones(len(x), dtype=np.bool_)
+    kept[1:-1] = ~(((x[1:-1] == x[:-2]) & (x[1:-1] == x[2:])) | ((y[1:-1] == y[:-2]) & (y[1:-1] == y[2:])))
+    return x[kept], y[kept]
+
+
+def _operating_point(detection: pd.DataFrame, controller: str) -> tuple[float, float]:
+    """False-alarm rate, and detection rate of all leaks, at the head's own threshold."""
+    part = detection[detection["controller"] == controller]
+    flow, flagged = part["leakage_flow_lpm"].to_numpy(), part["flagged"].to_numpy(dtype=np.float64)
+    return float(flagged[flow <= 0.03].mean()), float(flagged[flow > 0.1].mean())
+
+
+def _roc(evaluation: Evaluation) -> Plot:
+    looks = looks_of(controllers_of(evaluation))
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.axvline(1e-2, color=GREY, linewidth=0.9, linestyle="--")
+        axes.text(1.08e-2, 5.0, "1 %", color=GREY, fontsize=8.5)
+        chance = np.geomspace(FEWEST_FALSE_ALARMS, 1.0, 60)
+        axes.plot(chance, 100.0 * chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
+        for name, look in looks.items():
+            x, y = _corners(*_curve(evaluation, name, "roc"))
+            line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
+            axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
+            alarms, found = _operating_point(evaluation.detection, name)
+            point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
+            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * found, look.marker, **point, clip_on=False)
+        axes.set_xscale("log")
+        axes.set_xlim(FEWEST_FALSE_ALARMS, 1.0)
+        axes.set_xticks([1e-3, 1e-2, 1e-1, 1.0], ["0.1", "1", "10", "100"])
+        axes.set_ylim(0.0, 102.0)
+        axes.set_xlabel("false alarms, % of healthy episodes")
+        axes.set_ylabel("leaks flagged, %")
+        add_legend(axes)
+
+    title = "Leaks flagged against false alarms"
+    areas = _from_summary(evaluation, "auroc_above_0.1_lpm", 3)
+    note = (
+        "All leaks above 0.1 l/min, every threshold (receiver operating characteristic, ROC). Marked: the threshold in "
+        f"use. Area under the curve on linear axes: {areas}."
+    )
+    alt = f"{title}. Area under the curve: {areas}."
+    return Plot(title, note, alt, draw("roc", alt, paint))
+
+
+def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
+    """One number of every controller, in words."""
+    rows = evaluation.detection_summary
+    return ", ".join(
+        f"{name} {value:.{decimals}f}" for name, value in zip(rows["controller"], rows[column], strict=True)
+    )
+
+
+def _precision_recall(evaluation: Evaluation) -> Plot:
+    looks = looks_of(controllers_of(evaluation))
+    row = evaluation.detection_summary.iloc[0]
+    share = float(row["leaking_episodes"] / (row["leaking_episodes"] + row["healthy_episodes"]))
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.axhline(100.0 * share, color=GREY, linewidth=0.8, linestyle=":", label="chance")
+        for name, look in looks.items():
+            x, y = _curve(evaluation, name, "precision_recall")
+            kept = np.unique(np.linspace(0, len(x) - 1, 400).astype(np.int64))
+            axes.plot(100.0 * x[kept], 100.0 * y[kept], color=look.colour, linestyle=look.line, label=name)
+        axes.set_xlim(0.0, 101.0)
+        axes.set_ylim(0.0, 102.0)
+        axes.set_xlabel("recall: leaks flagged, %")
+        axes.set_ylabel("precision: flags that are right, %")
+        add_legend(axes)
+
+    title = "How many flags are right"
+    areas = _from_summary(evaluation, "average_precision", 3)
+    note = (
+        f"Precision against recall. Here {100.0 * share:.0f} % of the episodes leak; where leaks are rarer, fewer "
+        f"flags are right. Average precision: {areas}."
+    )
+    alt = f"{title}: precision against recall. Average precision: {areas}."
+    return Plot(title, note, alt, draw("precision", alt, paint))
+
+
+def _size(evaluation: Evaluation) -> Plot:
+    looks = looks_of(controllers_of(evaluation))
+    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > 0.1]
+    low, high = float(leaking["leakage_flow_lpm"].min()), float(leaking["leakage_flow_lpm"].max())
+    bottom = min(max(float(leaking["estimated_flow_lpm"].min()), SIZE_TICKS[0]), 0.5 * low)
+    top = min(max(float(leaking["estimated_flow_lpm"].max()), 2.0 * high), 50.0)
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        true = np.array([low, high])
+        axes.fill_between(true, 0.5 * true, 2.0 * true, color="#ececec", linewidth=0.0, label="factor of 2")
+        axes.plot(true, true, color=INK, linewidth=0.9)
+        for name, look in looks.items():
+            part = leaking[leaking["controller"] == name]
+            part = part.iloc[np.unique(np.linspace(0, len(part) - 1, POINTS).astype(np.int64))]
+            dots: dict[str, Any] = {"color": look.colour, "markersize": 2.8, "markeredgewidth": 0.0, "alpha": 0.6}
+            estimated = part["estimated_flow_lpm"].clip(bottom, top)
+            axes.plot(part["leakage_flow_lpm"], estimated, look.marker, label=name, **dots)
+        axes.set(xscale="log", yscale="log", xlim=(low / 1.05, 1.05 * high), ylim=(bottom / 1.1, 1.1 * top))
+        _size_axes(axes)
+        add_legend(axes)
+
+    title = "Estimated against true leak size"
+    factors = _from_summary(evaluation, "median_size_error_factor", 2)
+    note = f"One dot per leaking episode (thinned). Median factor between the two: {factors}."
+    alt = f"{title}, both logarithmic. {note}"
+    return Plot(title, note, alt, draw("size", alt, paint))
+
+
+def _size_axes(axes: Axes) -> None:
+    for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
+        axis.set_major_locator(FixedLocator(SIZE_TICKS))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_label_text(f"{name} leak, l/min")

@@ -1,0 +1,295 @@
+"""What an evaluation found, in sentences; every number and every verdict comes from its tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from agents.evaluation.canvas import FAMILY_NAMES, controllers_of
+from agents.evaluation.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
+
+if TYPE_CHECKING:
+    from agents.evaluation.protocol import Evaluation
+
+FEWEST_PLANTS = 3
+"""Fewer give no intervals, so that nothing can be called better or worse."""
+
+FEW_PLANTS = 12
+"""Fewer give rough intervals, and the report says so."""
+
+FALSE_ALARM_TARGET = 0.01
+"""For which the threshold of the leakage head was set."""
+
+HEALTHY = 0.03
+"""l/min at 100 bar; a seal that leaks no more is healthy."""
+
+NEITHER = "no clear difference"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The short of it, and the numbers."""
+
+    lead: str
+    text: str
+
+
+# Numbers as text ----------------------------------------------------------------------------------------------------
+
+
+def decimals_for(size: float, digits: int = 3) -> int:
+    """Decimals that give a number of this size so many significant digits."""
+    if size == 0.0 or not np.isfinite(size):
+        return 0
+    return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), 6)
+
+
+def number(value: float, decimals: int | None = None) -> str:
+    """A number with three significant digits or with so many decimals, never with an exponent; – for NaN."""
+    if not np.isfinite(value):
+        return "–" if np.isnan(value) else "∞"
+    return f"{value:.{decimals_for(value) if decimals is None else decimals}f}"
+
+
+def interval_text(interval: Interval, unit: str = "", decimals: int | None = None) -> str:
+    """Value, unit, and the interval in brackets where there is one."""
+    if decimals is None:
+        decimals = decimals_for(interval.value)
+    value, low, high = (number(part, decimals) for part in interval)
+    unit = f" {unit}" if unit else ""
+    return f"{value}{unit}" if np.isnan(interval.low) else f"{value}{unit} ({low} to {high})"
+
+
+def percent(interval: Interval) -> str:
+    """A share as percent, with its interval."""
+    if np.isnan(interval.value):
+        return "–"
+    return interval_text(Interval(*(100.0 * part for part in interval)), "%", 1)
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Parts as in a sentence: a, b and c."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def family_name(family: str) -> str:
+    """What a person calls a family of references."""
+    return FAMILY_NAMES.get(family, family)
+
+
+def row_interval(row: Any, column: str) -> Interval:
+    """Interval in a row of a table."""
+    return Interval(float(row[column]), float(row["low"]), float(row["high"]))
+
+
+# Judging ------------------------------------------------------------------------------------------------------------
+
+
+def plants_of(evaluation: Evaluation) -> int:
+    """Plants per leak size and family."""
+    return int(evaluation.cases["plant"].nunique())
+
+
+def verdict(interval: Interval, plants: int) -> str:
+    """'wins' where the whole interval of a ratio of errors lies below 1, 'loses' above, else 'no clear difference'."""
+    if plants < FEWEST_PLANTS or not np.isfinite([interval.low, interval.high]).all():
+        return NEITHER
+    if interval.high < 1.0:
+        return "wins"
+    return "loses" if interval.low > 1.0 else NEITHER
+
+
+def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> Interval:
+    """Mean error at the largest leak over that at the smallest, on the same plants."""
+    own = cases[cases["controller"] == controller]
+    own = own if family is None else own[own["family"] == family]
+    level = own["leakage_flow_lpm"]
+    most, least = (
+        own[level == end].groupby("plant")["mean_error_mm"].mean().to_numpy() for end in (level.max(), level.min())
+    )
+    return ratio_interval(most, least)
+
+
+def findings(evaluation: Evaluation) -> list[Finding]:
+    """The findings, in the order in which a person with an axis asks for them."""
+    found = [_leak(evaluation)]
+    found += [_comparison(evaluation, name) for name in controllers_of(evaluation)[1:]]
+    if not evaluation.detection_summary.empty:
+        found += [_detection(evaluation), _size(evaluation)]
+    return [Finding(_bound(item.lead), _bound(item.text)) for item in found]
+
+
+def _bound(text: str) -> str:
+    """Numbers and their units kept on one line."""
+    return re.sub(r"(?<=[\d×]) (?=(%|mm|l/min)(?!\w)|\d)", "\u00a0", text)
+
+
+def caution(evaluation: Evaluation) -> str:
+    """A warning where there are few plants, else nothing."""
+    plants = plants_of(evaluation)
+    if plants >= FEW_PLANTS:
+        return ""
+    what = "there are no intervals" if plants < FEWEST_PLANTS else "the intervals are rough"
+    return (
+        f"A small run: {plants} plants per leak size and kind of reference, so {what}: too small to decide anything by."
+    )
+
+
+def failures(evaluation: Evaluation) -> str:
+    """How many runs failed under which controller."""
+    total = evaluation.cases.groupby("controller", sort=False)["failed"].agg(["sum", "count"])
+    if float(total["sum"].sum()) == 0.0:
+        return "No run failed (end stop or pressure limit)."
+    parts = [f"{int(row['sum'])} of {int(row['count'])} under {name}" for name, row in total.iterrows()]
+    return f"Failed runs (end stop or pressure limit): {listed(parts)}."
+
+
+# What a leak does ---------------------------------------------------------------------------------------------------
+
+
+def _change(ratio: float) -> str:
+    """A ratio of errors in words."""
+    if ratio >= 2.0:
+        return f"{number(ratio)} times the error"
+    return f"{100.0 * abs(ratio - 1.0):.0f} % {'more' if ratio > 1.0 else 'less'} error"
+
+
+def _level_mean(evaluation: Evaluation, controller: str, level: float) -> Interval:
+    table = evaluation.levels
+    own = (table["controller"] == controller) & (table["metric"] == "mean_error_mm")
+    return row_interval(table[own & (table["leakage_flow_lpm"] == level)].iloc[0], "mean")
+
+
+def _seal(level: float) -> str:
+    return f"a healthy seal ({level:g} l/min)" if level <= HEALTHY else f"a leak of {level:g} l/min"
+
+
+def _leak(evaluation: Evaluation) -> Finding:
+    cases, names = evaluation.cases, controllers_of(evaluation)
+    base, plants = names[0], plants_of(evaluation)
+    first, last = float(cases["leakage_flow_lpm"].min()), float(cases["leakage_flow_lpm"].max())
+    least, most = _level_mean(evaluation, base, first), _level_mean(evaluation, base, last)
+    if first == last:
+        return Finding(
+            f"One leak size was tried: {first:g} l/min.", f"Mean error of {base}: {interval_text(least, 'mm')}."
+        )
+    whole = growth(cases, base)
+    kind = verdict(whole, plants)
+    lead = f"A leak of {last:g} l/min makes no clear difference to the mean error of {base}."
+    if kind != NEITHER:
+        than = "that it makes" if whole.value >= 2.0 else "than"
+        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {_seal(first)}."
+    text = (
+        f"{base}: {interval_text(least, 'mm')} mean error with {_seal(first)}, {interval_text(most, 'mm')} with "
+        f"{_seal(last)}: × {interval_text(whole, decimals=2)}. {_growth_by_family(cases, base, plants)}"
+    )
+    others = [f"{name} × {interval_text(growth(cases, name), decimals=2)}" for name in names[1:]]
+    return Finding(lead, text + (f" For comparison: {listed(others)}." if others else ""))
+
+
+def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
+    """Where the leak hurts and where it does not, in one sentence."""
+    parts: dict[str, list[str]] = {"loses": [], "wins": [], NEITHER: []}
+    for family in map(str, cases["family"].unique()):
+        interval = growth(cases, base, family)
+        parts[verdict(interval, plants)].append(f"{family_name(family)} (× {number(interval.value, 2)})")
+    words = {"loses": "more error in", "wins": "less error in", NEITHER: "no clear difference in"}
+    sentence = "; ".join(f"{words[kind]} {listed(found)}" for kind, found in parts.items() if found)
+    return f"{sentence[0].upper()}{sentence[1:]}."
+
+
+# Which controller copes better --------------------------------------------------------------------------------------
+
+
+def _comparison(evaluation: Evaluation, name: str) -> Finding:
+    frame = evaluation.ratios[evaluation.ratios["controller"] == name]
+    base, plants = str(frame["against"].iloc[0]), plants_of(evaluation)
+    row = frame[frame["group"] == "all"].iloc[0]
+    whole = row_interval(row, "ratio")
+    lead = {
+        "wins": f"{name} positions better than {base}: {_change(whole.value)}.",
+        "loses": f"{name} loses to {base}: {_change(whole.value)}.",
+    }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
+    mine, theirs = (_worst_twentieth(evaluation.cases, who) for who in (name, base))
+    text = (
+        f"Over all runs the mean error of {name} is {interval_text(whole, decimals=2)} times that of {base}; {name} is "
+        f"the better one in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
+        f"{_breakdown(frame, 'level', plants)} {_breakdown(frame, 'family', plants)} "
+        f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
+    )
+    return Finding(lead, text)
+
+
+def _worst_twentieth(cases: pd.DataFrame, controller: str) -> float:
+    return conditional_value_at_risk(cases[cases["controller"] == controller]["mean_error_mm"].to_numpy())
+
+
+def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
+    """At which levels or families a controller wins, loses, or neither, as a sentence."""
+    found: dict[str, list[str]] = {"wins": [], "loses": [], NEITHER: []}
+    for row in frame[frame["group"] == group].to_dict("records"):
+        value = str(row["value"])
+        label = f"{float(value):g}" if group == "level" else family_name(value)
+        found[verdict(row_interval(row, "ratio"), plants)].append(label)
+    words = {"wins": "wins", "loses": "loses", NEITHER: "shows no clear difference"}
+    kinds = [kind for kind, values in found.items() if values]
+    if len(kinds) == 1 and len(found[kinds[0]]) > 1:
+        return f"It {words[kinds[0]]} {'at every leak size' if group == 'level' else 'on every kind of reference'}."
+    at, unit, what = ("at", " l/min", "By leak size") if group == "level" else ("on", "", "By reference")
+    return f"{what} it " + "; ".join(f"{words[kind]} {at} {listed(found[kind])}{unit}" for kind in kinds) + "."
+
+
+# Noticing the leak --------------------------------------------------------------------------------------------------
+
+
+def _flagged(evaluation: Evaluation, controller: str, value: str) -> Interval:
+    rates = evaluation.detection_rates
+    chosen = rates[(rates["controller"] == controller) & (rates["value"] == value)]
+    return row_interval(chosen.iloc[0], "flagged_share")
+
+
+def _false_alarms(row: Any) -> Interval:
+    healthy = int(row["healthy_episodes"])
+    return share_interval(round(float(row["false_alarm_rate"]) * healthy), healthy)
+
+
+def _detection(evaluation: Evaluation) -> Finding:
+    rates = evaluation.detection_rates
+    smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
+    summary = {str(row["controller"]): row for row in evaluation.detection_summary.to_dict("records")}
+    found = {name: _flagged(evaluation, name, "≥ 0.3") for name in summary}
+    alarms = {name: _false_alarms(row) for name, row in summary.items()}
+    if min(found[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
+        lead = "Leaks from 0.3 l/min can be flagged from one episode of ordinary motion."
+    elif min(found[name].low - alarms[name].high for name in summary) > 0.0:
+        lead = "Leaks from 0.3 l/min can be flagged, but not reliably."
+    else:
+        lead = "Leaks from 0.3 l/min cannot be told from healthy seals here."
+    parts = [
+        f"Flagged under {name}: {percent(found[name])} of the leaks from 0.3 l/min, "
+        f"{percent(_flagged(evaluation, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
+        f"the healthy seals (false alarms); AUROC {number(float(row['auroc_above_0.1_lpm']), 3)}."
+        for name, row in summary.items()
+    ]
+    return Finding(lead, " ".join([*parts, "(AUROC: 1 is perfect, 0.5 is chance.)", _alarm_sentence(alarms)]))
+
+
+def _alarm_sentence(alarms: dict[str, Interval]) -> str:
+    """Whether the false alarms on test plants keep what validation plants promised."""
+    sentence = f"The threshold was set for {100.0 * FALSE_ALARM_TARGET:g} % false alarms on validation plants"
+    above = [name for name, interval in alarms.items() if interval.low > FALSE_ALARM_TARGET]
+    return f"{sentence}; on the test plants there are clearly more under {listed(above)}." if above else f"{sentence}."
+
+
+def _size(evaluation: Evaluation) -> Finding:
+    rows = evaluation.detection_summary.to_dict("records")
+    middle = max(float(row["median_size_error_factor"]) for row in rows)
+    lead = f"The size of a leak is estimated within a factor of {middle:.2f} for half of the leaks."
+    parts = [f"{number(float(row['p90_size_error_factor']), 2)} under {row['controller']}" for row in rows]
+    text = f"For nine in ten it is within a factor of {listed(parts)} (leaks above 0.1 l/min; 1 would be exact)."
+    return Finding(lead, text)

@@ -1,0 +1,127 @@
+"""Training is reproducible, survives interruption, and its weights carry everything that inference needs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from agents.controllers import ObservationLayout, PIDGains
+from agents.learning.policy import PolicyController
+from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
+from agents.learning.vec_env import AxisVecEnv
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.1)
+GAINS = PIDGains()
+SETTINGS = PPOSettings(
+    total_steps=1024, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), torch_threads=1
+)
+
+
+def weights_of(policy):
+    return np.concatenate([np.concatenate([weight.ravel(), bias]) for weight, bias in policy.layers])
+
+
+def test_same_seed_gives_the_same_weights_and_another_does_not():
+    first, second = (train_ppo(CONFIG, SETTINGS, GAINS, seed=1) for _ in range(2))
+    other = train_ppo(CONFIG, SETTINGS, GAINS, seed=2)
+    np.testing.assert_array_equal(weights_of(first), weights_of(second))
+    assert not np.array_equal(weights_of(first), weights_of(other))
+    assert first.training["steps"] == 1024
+
+
+def test_policy_controller_acts_as_the_model_does():
+    features = make_features(CONFIG, SETTINGS, GAINS)
+    env = AxisVecEnv(CONFIG, 16, features)
+    model = make_model(env, SETTINGS, 0)
+    policy = PolicyController.from_model(model, make_features(CONFIG, SETTINGS, GAINS), {})
+    inputs = env.reset()
+    observation, _ = env.env.reset(seed=list(range(16)))
+    output, _ = model.predict(inputs, deterministic=True)
+    command, _ = policy.predict(observation)
+    np.testing.assert_allclose(command, features.command(output, env._state), atol=1e-6)
+
+
+@pytest.mark.parametrize("residual", [True, False])
+def test_weights_round_trip(tmp_path, residual):
+    settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256})
+    policy = train_ppo(CONFIG, settings, GAINS)
+    policy.save(tmp_path / "policy")
+    again = PolicyController.load(tmp_path / "policy.safetensors")
+    rows = np.random.default_rng(0).standard_normal((20, 3, len(ObservationLayout.of(CONFIG).names)))
+    mine, other = None, None
+    for row in rows.astype(np.float32):
+        a, mine = policy.predict(row, mine)
+        b, other = again.predict(row, other)
+        np.testing.assert_array_equal(a, b)
+        assert np.abs(a).max() <= 1.0
+    noisy, _ = again.predict(rows[0].astype(np.float32), deterministic=False)
+    quiet, _ = again.predict(rows[0].astype(np.float32))
+    assert not np.array_equal(noisy, quiet)
+
+
+def test_interrupted_training_keeps_its_checkpoint_and_resumes(tmp_path):
+    def interrupt(progress):
+        if progress.steps >= 512:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path, progress=interrupt)
+    stored = json.loads((tmp_path / "checkpoint.json").read_text())
+    assert 512 <= stored["steps"] < 1024
+    seen = []
+    policy = train_ppo(
+        CONFIG, SETTINGS, GAINS, folder=tmp_path, resume=True, progress=lambda progress: seen.append(progress.steps)
+    )
+    assert seen[0] == stored["steps"] + 256
+    assert policy.training["steps"] == 1024
+
+
+def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"checkpoint.json: cannot be read"):
+        train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path, resume=True)
+    short = SETTINGS.model_copy(update={"total_steps": 256})
+    train_ppo(CONFIG, short, GAINS, folder=tmp_path)
+    other = SETTINGS.model_copy(update={"discount": 0.5})
+    with pytest.raises(ConfigurationError, match="'discount' differs"):
+        train_ppo(CONFIG, other, GAINS, folder=tmp_path, resume=True)
+    task = TaskConfig(episode_duration=0.2)
+    with pytest.raises(ConfigurationError, match="'episode_duration' differs"):
+        train_ppo(task, SETTINGS, GAINS, folder=tmp_path, resume=True)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    policy = train_ppo(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), GAINS)
+    policy.save(tmp_path / "policy")
+    return tmp_path / "policy"
+
+
+def test_foreign_and_damaged_weights_are_refused(saved):
+    from agents.leakage.head import LeakageHead
+
+    with pytest.raises(ConfigurationError, match="holds 'hydro_env policy', not the 'hydro_env leakage head'"):
+        LeakageHead.load(saved)
+    description = json.loads(saved.with_suffix(".json").read_text())
+    good = saved.with_suffix(".safetensors").read_bytes()
+    for content, message in ((b"not weights", "damaged"), (good[: len(good) // 2], "damaged")):
+        saved.with_suffix(".safetensors").write_bytes(content)
+        with pytest.raises(ConfigurationError, match=message) as caught:
+            PolicyController.load(saved)
+        assert "\n" not in str(caught.value)
+    saved.with_suffix(".safetensors").write_bytes(good)
+    for change, message in (
+        ({"layer_sizes": [3, 8, 1]}, "must begin with"),
+        ({"features": None}, "lacks or mistypes"),
+        ({"layer_sizes": [*description["layer_sizes"][:1], 9, 1]}, "has shape"),
+        ({"format": "another"}, "holds 'another'"),
+    ):
+        saved.with_suffix(".json").write_text(json.dumps(description | change))
+        with pytest.raises(ConfigurationError, match=message) as caught:
+            PolicyController.load(saved)
+        assert "\n" not in str(caught.value)
+    saved.with_suffix(".json").write_text("{")
+    with pytest.raises(ConfigurationError, match="not a JSON file"):
+        PolicyController.load(saved)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        PolicyController.load(saved.parent / "absent")

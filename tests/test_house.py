@@ -1,0 +1,53 @@
+"""The house rules: imports run one way, and the environment draws no learning library."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FLOORS = (("hydro_env/plant/", 0), ("hydro_env/task/", 1), ("hydro_env/", 2), ("agents/", 3))
+HEAVY = {"torch", "stable_baselines3", "matplotlib", "pandas", "safetensors", "typer", "rich", "jinja2"}
+FORBIDDEN = {0: HEAVY | {"gymnasium", "pygame"}, 1: HEAVY | {"pygame"}, 2: HEAVY}
+
+
+def floor_of(path: str) -> int | None:
+    return next((number for prefix, number in FLOORS if path.startswith(prefix)), None)
+
+
+def imports_of(file: Path) -> list[str]:
+    names: list[str] = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.append(node.module)
+    return names
+
+
+@pytest.mark.parametrize(
+    "file", sorted(str(p.relative_to(ROOT)) for top in ("hydro_env", "agents") for p in (ROOT / top).rglob("*.py"))
+)
+def test_nothing_imports_upwards(file):
+    here = floor_of(file)
+    for name in imports_of(ROOT / file):
+        assert name.split(".")[0] not in FORBIDDEN.get(here, set()), f"{file} imports {name}"
+        there = floor_of(name.replace(".", "/") + "/")
+        assert there is None or there <= here, f"{file} imports {name}"
+
+
+def test_the_environment_loads_no_learning_library():
+    code = (
+        "import sys, gymnasium, hydro_env; env = gymnasium.make('ServoHydraulic-v0'); env.reset(seed=0);"
+        f"found = sorted(set(sys.modules) & {HEAVY | {'pygame'}!r}); assert not found, found"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_seeds_of_training_validation_and_test_are_disjoint():
+    from agents.splits import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
+
+    sets = [set(range(s.start, s.stop)) for s in (TRAINING_SEEDS, VALIDATION_SEEDS, TEST_SEEDS)]
+    assert sum(map(len, sets)) == len(set.union(*sets))

@@ -1,0 +1,248 @@
+"""The vector environment is N single environments, bit for bit, in each way of restarting."""
+
+import threading
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+
+from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
+
+CRASHING = {
+    "episode_duration": 0.25,
+    "plant": {"cylinder": {"stroke": 0.12}, "load": {"spring_stiffness": 0.0}},
+    "randomisation": {"load.mass": {"uniform": [40.0, 80.0]}, "supply.pressure": {"uniform": [60e5, 100e5]}},
+}
+"""Short strokes and no spring: some axes meet an end stop before the clock ends their episode."""
+
+
+def actions_of(count, steps, seed=0):
+    """Per axis a different mixture of noise and full commands held for a while."""
+    rng = np.random.default_rng(seed)
+    held = np.repeat(np.sign(rng.uniform(-1, 1, (steps // 50 + 1, count))), 50, axis=0)[:steps]
+    noise = rng.uniform(-1, 1, (steps, count))
+    return np.where(np.arange(count) % 3 == 0, noise, 0.2 * noise + held)[..., None].astype(np.float32)
+
+
+def assert_equal_infos(native, sync, path="info"):
+    """Same keys, same masks, same values; and the same kind of array."""
+    assert set(native) == set(sync), path
+    for key in native:
+        mine, other = native[key], sync[key]
+        if isinstance(other, dict):
+            assert_equal_infos(mine, other, f"{path}.{key}")
+        elif key == "final_obs":
+            for a, b in zip(mine, other, strict=True):
+                assert (a is None) == (b is None), path
+                if a is not None:
+                    np.testing.assert_array_equal(a, b)
+        else:
+            assert mine.shape == other.shape, f"{path}.{key}"
+            assert mine.dtype == other.dtype, f"{path}.{key}"
+            np.testing.assert_array_equal(mine, other, err_msg=f"{path}.{key}")
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("count", [3, 8, 17])
+def test_equal_to_single_environments_bit_for_bit(count, mode):
+    native = ServoHydraulicVectorEnv(count, autoreset_mode=mode, **CRASHING)
+    sync = SyncVectorEnv([lambda: ServoHydraulicEnv(**CRASHING)] * count, autoreset_mode=mode)
+    assert native.observation_space == sync.observation_space
+    assert native.action_space == sync.action_space
+    assert native.metadata["autoreset_mode"] == sync.metadata["autoreset_mode"] == mode
+    first, second = native.reset(seed=100), sync.reset(seed=100)
+    np.testing.assert_array_equal(first[0], second[0])
+    assert_equal_infos(first[1], second[1])
+    terminations = truncations = 0
+    for action in actions_of(count, 160):
+        mine, other = native.step(action), sync.step(action)
+        for a, b in zip(mine[:4], other[:4], strict=True):
+            assert a.dtype == b.dtype
+            np.testing.assert_array_equal(a, b)
+        assert_equal_infos(mine[4], other[4])
+        terminations += int(mine[2].sum())
+        truncations += int(mine[3].sum())
+        ended = mine[2] | mine[3]
+        if mode == AutoresetMode.DISABLED and ended.any():
+            mine, other = (env.reset(options={"reset_mask": ended.copy()}) for env in (native, sync))
+            np.testing.assert_array_equal(mine[0], other[0])
+            assert_equal_infos(mine[1], other[1])
+    assert terminations > 0
+    assert truncations > count  # more than one episode each
+
+
+def test_equal_to_single_environments_on_the_default_task():
+    native = ServoHydraulicVectorEnv(5, episode_duration=0.3)
+    sync = SyncVectorEnv([lambda: ServoHydraulicEnv(episode_duration=0.3)] * 5)
+    np.testing.assert_array_equal(native.reset(seed=7)[0], sync.reset(seed=7)[0])
+    for action in actions_of(5, 200):
+        for a, b in zip(native.step(action)[:4], sync.step(action)[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_an_axis_does_not_depend_on_how_many_there_are():
+    rows = []
+    for count in (1, 4, 9, 130):
+        envs = ServoHydraulicVectorEnv(count, **CRASHING)
+        observation = [envs.reset(seed=5)[0][0]]
+        for action in actions_of(1, 120):
+            observation.append(envs.step(np.repeat(action, count, axis=0))[0][0])
+        rows.append(observation)
+        envs.close()
+    for row in rows[1:]:
+        np.testing.assert_array_equal(row, rows[0])
+
+
+def test_next_step_mode_ignores_the_action_of_a_restarting_axis():
+    envs = ServoHydraulicVectorEnv(2, episode_duration=0.05)
+    envs.reset(seed=0)
+    for _ in range(10):
+        _, _, _, truncated, _ = envs.step(np.zeros((2, 1)))
+    assert truncated.all()
+    observation, reward, terminated, truncated, info = envs.step(np.ones((2, 1)))
+    assert (reward == 0.0).all()
+    assert not (terminated | truncated).any()
+    assert (info["velocity"] == 0.0).all()
+    single = ServoHydraulicEnv(episode_duration=0.05)
+    single.reset(seed=0)
+    np.testing.assert_array_equal(observation[0], single.reset()[0])
+
+
+def test_disabled_mode_asks_for_the_reset():
+    envs = ServoHydraulicVectorEnv(3, autoreset_mode="Disabled", episode_duration=0.05)
+    envs.reset(seed=0)
+    for _ in range(10):
+        envs.step(np.zeros((3, 1)))
+    with pytest.raises(ValueError, match="step: axis 0 has ended; with autoreset_mode Disabled reset it first"):
+        envs.step(np.zeros((3, 1)))
+    envs.reset(options={"reset_mask": np.array([True, True, False])})
+    with pytest.raises(ValueError, match="step: axis 2 has ended"):
+        envs.step(np.zeros((3, 1)))
+    envs.reset(options={"reset_mask": np.array([False, False, True])})
+    assert np.isfinite(envs.step(np.zeros((3, 1)))[0]).all()
+
+
+def test_returned_arrays_are_fresh():
+    envs = ServoHydraulicVectorEnv(4, **CRASHING, autoreset_mode="SameStep")
+    kept = [envs.reset(seed=0)]
+    copies = [(kept[0][0].copy(), {k: v.copy() for k, v in kept[0][1].items() if isinstance(v, np.ndarray)})]
+    for action in actions_of(4, 60):
+        observation, *_, info = envs.step(action)
+        kept.append((observation, info))
+        copies.append((observation.copy(), {k: v.copy() for k, v in info.items() if isinstance(v, np.ndarray)}))
+        assert not any(np.shares_memory(observation, row) for row, _ in kept[:-1])
+    for (observation, info), (before, info_before) in zip(kept, copies, strict=True):
+        np.testing.assert_array_equal(observation, before)
+        for key, value in info_before.items():
+            if key != "final_obs":
+                np.testing.assert_array_equal(info[key], value)
+    # What a caller writes into its arrays does not come back.
+    kept[-1][0][:] = 9.0
+    observation, *_ = envs.step(np.zeros((4, 1)))
+    assert np.abs(observation[:, 0]).max() < 9.0
+    observation[:] = 9.0
+    partly, _ = envs.reset(options={"reset_mask": np.array([True, False, False, False])})
+    assert np.abs(partly[:, 0]).max() < 9.0
+
+
+def test_seeds():
+    def first(seed, count=4):
+        envs = ServoHydraulicVectorEnv(count)
+        return envs.reset(seed=seed)[0], envs
+
+    rows, envs = first(10)
+    np.testing.assert_array_equal(rows, first(10)[0])
+    np.testing.assert_array_equal(rows, first([10, 11, 12, 13])[0])
+    np.testing.assert_array_equal(rows[1:], first(11, 3)[0])
+    assert len(np.unique(rows, axis=0)) == 4
+    assert (first(None)[0] != first(None)[0]).any()
+    # One seed per axis, None where the axis goes on.
+    again, _ = envs.reset(seed=[None, 11, None, 13])
+    np.testing.assert_array_equal(again[[1, 3]], rows[[1, 3]])
+    assert (again[[0, 2]] != rows[[0, 2]]).any(axis=1).all()
+    single = ServoHydraulicEnv()
+    single.reset(seed=10)
+    np.testing.assert_array_equal(again[0], single.reset()[0])
+
+
+def test_axes_without_a_seed_of_their_own_differ():
+    rows = [ServoHydraulicVectorEnv(4).reset(seed=[3, None, None, None])[0] for _ in range(2)]
+    assert len(np.unique(np.concatenate(rows)[:, 5])) == 7  # only the seeded axis repeats
+    np.testing.assert_array_equal(rows[0][0], rows[1][0])
+
+
+def test_make_vec():
+    envs = gym.make_vec("ServoHydraulic-v0", num_envs=3, control_period=0.004, episode_duration=0.4)
+    assert isinstance(envs.unwrapped, ServoHydraulicVectorEnv)
+    assert envs.num_envs == 3
+    assert envs.spec.id == "ServoHydraulic-v0"
+    observation, _ = envs.reset(seed=1)
+    assert envs.observation_space.contains(observation)
+    single = gym.make("ServoHydraulic-v0", control_period=0.004, episode_duration=0.4)
+    np.testing.assert_array_equal(observation[2], single.reset(seed=3)[0])
+    sync = gym.make_vec("ServoHydraulic-v0", 3, vectorization_mode="sync", control_period=0.004, episode_duration=0.4)
+    np.testing.assert_array_equal(observation, sync.reset(seed=1)[0])
+    limited = gym.make_vec("ServoHydraulic-v0", num_envs=2, max_episode_steps=5)
+    limited.reset(seed=0)
+    assert [limited.step(np.zeros((2, 1)))[3].all() for _ in range(5)] == [False] * 4 + [True]
+    recorded = gym.wrappers.vector.RecordEpisodeStatistics(gym.make_vec("ServoHydraulic-v0", 2, max_episode_steps=5))
+    recorded.reset(seed=0)
+    infos = [recorded.step(np.zeros((2, 1)))[-1] for _ in range(5)]
+    assert infos[-1]["episode"]["l"].tolist() == [5, 5]
+
+
+def make_short():
+    return ServoHydraulicEnv(episode_duration=0.1)
+
+
+def test_single_environments_in_processes_of_their_own():
+    processes = AsyncVectorEnv([make_short] * 2, context="spawn")
+    try:
+        native = ServoHydraulicVectorEnv(2, episode_duration=0.1)
+        np.testing.assert_array_equal(processes.reset(seed=4)[0], native.reset(seed=4)[0])
+        for action in actions_of(2, 45):
+            mine, other = native.step(action), processes.step(action)
+            for a, b in zip(mine[:4], other[:4], strict=True):
+                np.testing.assert_array_equal(a, b)
+            assert_equal_infos(mine[4], other[4])
+    finally:
+        processes.close()
+
+
+def test_vector_environments_side_by_side_and_in_a_thread():
+    def run(seed, into):
+        envs = ServoHydraulicVectorEnv(150, threads=2, episode_duration=0.2)  # with worker threads of its own
+        rows = [envs.reset(seed=seed)[0]]
+        rows += [envs.step(action)[0] for action in actions_of(150, 60)]
+        envs.close()
+        into[seed] = np.array(rows)
+
+    alone, together = {}, {}
+    for seed in (1, 2):
+        run(seed, alone)
+    threads = [threading.Thread(target=run, args=(seed, together)) for seed in (1, 2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for seed in (1, 2):
+        np.testing.assert_array_equal(together[seed], alone[seed])
+
+
+def test_close_may_be_called_twice():
+    envs = ServoHydraulicVectorEnv(130, threads=2)
+    envs.reset(seed=0)
+    envs.step(np.zeros((130, 1)))
+    envs.close()
+    envs.close()
+
+
+def test_without_info():
+    envs, full = ServoHydraulicVectorEnv(3, info=False), ServoHydraulicVectorEnv(3)
+    rows, info = envs.reset(seed=0)
+    assert info == {}
+    np.testing.assert_array_equal(rows, full.reset(seed=0)[0])
+    mine, other = (env.step(np.ones((3, 1))) for env in (envs, full))
+    assert mine[4] == {}
+    np.testing.assert_array_equal(mine[1], other[1])
