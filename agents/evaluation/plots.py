@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from agents.evaluation.canvas import (
     FAMILY_NAMES,
@@ -89,7 +89,15 @@ def _by_family(evaluation: Evaluation) -> Plot:
         axes = figure.subplots()
         for index, (name, part) in enumerate(parts.items()):
             rows = np.array([families.index(str(family)) for family in part["family"]])
-            bars(axes, rows + dodge(len(parts), index, 0.2), part, "mean", looks[name], name, "rows")
+            bars(
+                axes,
+                rows + dodge(len(parts), index, min(0.2, 0.7 / len(parts))),
+                part,
+                "mean",
+                looks[name],
+                name,
+                "rows",
+            )
         row_axis(axes, labels)
         _error_scale(axes, frame["high"].to_numpy(dtype=np.float64), "x")
         axes.set_xlabel("mean error, mm")
@@ -108,7 +116,10 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
     positive = values[values > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         axes.set(**{f"{which}scale": "log"})
-        (axes.yaxis if which == "y" else axes.xaxis).set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis = axes.yaxis if which == "y" else axes.xaxis
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     else:
         axes.set(**{f"{which}lim": (0.0, None)})
 
@@ -134,11 +145,14 @@ def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
         axes = figure.subplots()
         axes.axvline(1.0, color=INK, linewidth=1.0)
         for index, (name, part) in enumerate(parts.items()):
-            rows = np.array([values.index(str(value)) for value in part["value"]]) + dodge(len(names), index, 0.2)
+            rows = np.array([values.index(str(value)) for value in part["value"]]) + dodge(
+                len(names), index, min(0.2, 0.7 / len(names))
+            )
             bars(axes, rows, part, "ratio", looks[name], name, "rows")
-            text: dict[str, Any] = {"color": looks[name].colour, "va": "center", "fontsize": 8.5}
-            for row, value in zip(rows, part["ratio"], strict=True):
-                axes.text(1.01, row, f"{value:.2f}", transform=axes.get_yaxis_transform(), **text)
+            if len(names) == 1:
+                text: dict[str, Any] = {"color": looks[name].colour, "va": "center", "fontsize": 8.5}
+                for row, value in zip(rows, part["ratio"], strict=True):
+                    axes.text(1.01, row, f"{value:.2f}", transform=axes.get_yaxis_transform(), **text)
         row_axis(axes, labels)
         axes.axhline(0.5, color=PALE, linewidth=0.8)
         _ratio_scale(axes, frame[["ratio", "low", "high"]].to_numpy(dtype=np.float64))

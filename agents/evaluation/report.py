@@ -286,9 +286,9 @@ def _protocol(evaluation: Evaluation) -> list[str]:
     families = [family_name(str(name)) for name in cases["family"].unique()]
     runs = len(cases) // len(controllers_of(evaluation))
     sentences = [
-        f"Tracking: {runs} runs per controller: {plants_of(evaluation)} plants for each of {len(families)} kinds of "
-        f"reference ({listed(families)}), each at {len(levels)} leak sizes ({listed(levels)} l/min at 100 bar across "
-        "the piston).",
+        f"Tracking: {runs} runs per controller. For each kind of reference ({listed(families)}) there are "
+        f"{plants_of(evaluation)} plants, each run at every leak size ({listed(levels)} l/min at 100 bar across the "
+        "piston).",
         "Every controller meets the same plants, references and sensor noise, so that all comparisons are paired.",
         _seeds_sentence(evaluation),
         f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings); of shares: 95 %, "

@@ -48,7 +48,10 @@ class PPOSettings(Group):
     advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
     clip_range: float = Field(0.2, gt=0.0)
     entropy_weight: float = Field(0.0, ge=0.0)
-    initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0)
+    initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
+    final_log_standard_deviation: float = Field(
+        -3.0, ge=-10.0, le=2.0, description="reached linearly; left to the gradient it collapses too early"
+    )
     hidden_sizes: tuple[int, ...] = (64, 64)
     reward_scale: float = Field(0.2, gt=0.0)
     torch_threads: int = Field(2, ge=1)
@@ -126,6 +129,7 @@ class _Callback(BaseCallback):
         share = min(self.num_timesteps / settings.total_steps, 1.0)
         rate = settings.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
         self.model.lr_schedule = lambda _: rate
+        _set_exploration(self.model, settings, share)
         now = time.monotonic()
         if self._report is not None:
             episodes = list(self.model.ep_info_buffer or [])
@@ -199,6 +203,7 @@ def train_ppo(
         if checkpoint is not None:
             _save_checkpoint(current, checkpoint, settings, config)
 
+    _set_exploration(model, settings, min(done / settings.total_steps, 1.0))
     callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop)
     began = time.monotonic()
     try:
@@ -218,6 +223,14 @@ def train_ppo(
         "settings": settings.model_dump(mode="json"),
     }
     return PolicyController.from_model(model, features, record)
+
+
+def _set_exploration(model: Any, settings: PPOSettings, share: float) -> None:
+    """Set the exploration noise on its straight way from the first to the last value; it is not learned."""
+    first, last = settings.initial_log_standard_deviation, settings.final_log_standard_deviation
+    model.policy.log_std.requires_grad_(False)
+    with torch.no_grad():
+        model.policy.log_std.fill_(first + (last - first) * share)
 
 
 def _checked_checkpoint(stored: dict[str, Any], settings: PPOSettings, config: TaskConfig, path: Path) -> int:

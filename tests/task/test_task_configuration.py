@@ -206,7 +206,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
-def test_a_wrong_task_is_answered_with_one_line(changes, message, tmp_path):
+def test_a_wrong_task_is_answered_with_one_line(changes, message):
     for make in (ServoHydraulicEnv, lambda **given: ServoHydraulicVectorEnv(2, **given)):
         with pytest.raises(ConfigurationError, match=message) as caught:
             make(**changes)
