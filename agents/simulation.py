@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from agents.study import prepare_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
-from hydro_env.configuration import write_whole
+from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.task.configuration import LEAKAGE_LIMIT

@@ -32,7 +32,7 @@ from agents.learning.training import PPOSettings, Progress, train_ppo
 from agents.rollout import Cases, run_cases
 from agents.splits import TEST_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.configuration import Group, read_yaml, validate, write_whole, write_yaml
+from hydro_env.plant.configuration import Group, read_yaml, validate, write_whole, write_yaml
 
 POLICY_FILE = "policy"
 HEAD_FILE = "leakage_head"

@@ -34,7 +34,7 @@ from agents.study import (
     run_study,
 )
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.configuration import write_whole, write_yaml
+from hydro_env.plant.configuration import write_whole, write_yaml
 
 
 def check_layout(controller_layout: ObservationLayout, config: TaskConfig, what: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import gymnasium as _gymnasium
 
 from hydro_env.env import ServoHydraulicEnv
-from hydro_env.errors import ConfigurationError, HydroError, InvalidStateError
+from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
 from hydro_env.plant import (
     PlantParameters,
     Trajectory,

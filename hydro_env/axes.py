@@ -16,7 +16,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import (

@@ -66,8 +66,8 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
                 bars(axes, x, part, column, look, name)
             else:
                 axes.plot(x, part[column], color=look.colour, marker=look.marker, linestyle=look.line, label=name)
-        _error_scale(axes, frame["high" if column == "mean" else column].to_numpy(dtype=np.float64))
         axes.set_ylabel("error, mm")
+        _error_scale(axes, _ends(frame, column))
         add_legend(axes)
 
     rows = {
@@ -99,8 +99,8 @@ def _by_family(evaluation: Evaluation) -> Plot:
                 "rows",
             )
         row_axis(axes, labels)
-        _error_scale(axes, frame["high"].to_numpy(dtype=np.float64), "x")
         axes.set_xlabel("mean error, mm")
+        _error_scale(axes, _ends(frame, "mean"), "x")
         add_legend(axes)
 
     title = "Mean error by kind of reference"
@@ -109,6 +109,12 @@ def _by_family(evaluation: Evaluation) -> Plot:
     )
     note = "Mean over all leak sizes; bars: 95 % interval."
     return Plot(title, note, alt, draw("family", alt, paint, _height(len(families), len(parts))))
+
+
+def _ends(frame: pd.DataFrame, column: str) -> Array:
+    """What must be seen of a column: its values, and the intervals of means."""
+    columns = ["mean", "low", "high"] if column == "mean" else [column]
+    return frame[columns].to_numpy(dtype=np.float64).ravel()
 
 
 def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
@@ -120,6 +126,7 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_label_text(f"{axis.get_label_text()} (logarithmic)")
     else:
         axes.set(**{f"{which}lim": (0.0, None)})
 

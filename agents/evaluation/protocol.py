@@ -33,7 +33,7 @@ from agents.leakage.metrics import (
 from agents.rollout import Cases, Rollout, run_cases
 from agents.splits import TEST_SEEDS
 from hydro_env import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
-from hydro_env.configuration import Group
+from hydro_env.plant.configuration import Group
 
 DETECTION_SEEDS_OFFSET = 500_000
 FALSE_ALARM_RATE = 0.01

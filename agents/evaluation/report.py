@@ -38,7 +38,7 @@ from agents.evaluation.plots import example_plot, tracking_plots, training_plot
 from agents.evaluation.protocol import Evaluation
 from agents.evaluation.statistics import RESAMPLES, Interval
 from agents.splits import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_env.configuration import write_whole
+from hydro_env.plant.configuration import write_whole
 
 Array = NDArray[np.floating[Any]]
 
@@ -265,7 +265,7 @@ def _detection_summary(evaluation: Evaluation) -> Table:
         for key, (label, factor, decimals, unit) in SUMMARY.items()
         if key in summary
     ]
-    return Table("Detection in sum", ("Quantity", *map(str, summary["controller"])), rows)
+    return Table("Detection, summary", ("Quantity", *map(str, summary["controller"])), rows)
 
 
 def _definitions() -> Table:

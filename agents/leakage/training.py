@@ -22,7 +22,7 @@ from agents.rollout import Cases, run_cases
 from agents.splits import TRAINING_SEEDS, VALIDATION_SEEDS
 from agents.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.configuration import Group
+from hydro_env.plant.configuration import Group
 
 FALSE_ALARM_RATE = 0.01
 CHECKPOINT_KIND = "leakage head checkpoint"

@@ -14,7 +14,7 @@ from agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, FeatureState
 from agents.learning.vec_env import FEATURE_LIMIT
 from agents.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError
-from hydro_env.configuration import validate
+from hydro_env.plant.configuration import validate
 
 KIND = "policy"
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from hydro_env.configuration import Group, read_yaml, validate, write_yaml
-from hydro_env.errors import ConfigurationError
+from hydro_env.plant.configuration import Group, read_yaml, validate, write_yaml
+from hydro_env.plant.errors import ConfigurationError
 
 
 def _no_truth_value(value: object) -> object:

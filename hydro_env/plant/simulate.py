@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from hydro_env.errors import HydroError, InvalidStateError
+from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant import compiler, equations, kernel
 from hydro_env.plant.equations import (
     STATE_NAMES,

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.plant.errors import ConfigurationError
 
 
 class Group(BaseModel):

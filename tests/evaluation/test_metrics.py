@@ -1,0 +1,188 @@
+"""Control metrics against closed forms: step responses, standstills, integrals."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from agents.evaluation.metrics import (
+    METRICS,
+    SETTLING_BAND,
+    case_metrics,
+    overshoot,
+    rollout_metrics,
+    settling_time,
+    standstills,
+)
+from agents.rollout import Rollout
+
+PERIOD = 1e-4
+SIZE = 0.02  # m
+FREQUENCY = 40.0  # rad/s
+
+
+def second_order(time, damping):
+    """Unit step response of a second-order lag with ω_n = FREQUENCY."""
+    root = math.sqrt(1.0 - damping**2)
+    wave = np.cos(FREQUENCY * root * time) + damping / root * np.sin(FREQUENCY * root * time)
+    return 1.0 - np.exp(-damping * FREQUENCY * time) * wave
+
+
+def step_run(damping, size=SIZE, start=0.0, before=0.05, after=0.9):
+    """Reference and position of an axis that answers a step like a second-order lag."""
+    wait, count = round(before / PERIOD), round(after / PERIOD)
+    time = PERIOD * np.arange(count)
+    reference = np.concatenate([np.full(wait, start), np.full(count, start + size)])
+    position = np.concatenate([np.full(wait, start), start + size * second_order(time, damping)])
+    return reference, position
+
+
+def metrics_of(reference, position, period=PERIOD, is_step=True, command=None, spool=None, failed=False):
+    zeros = np.zeros(len(reference))
+    return case_metrics(
+        position,
+        reference,
+        zeros if command is None else command,
+        zeros if spool is None else spool,
+        period,
+        is_step,
+        failed,
+    )
+
+
+@pytest.mark.parametrize("damping", [0.2, 0.5, 0.7])
+@pytest.mark.parametrize("size", [SIZE, -SIZE, 0.001])
+def test_overshoot_of_a_second_order_lag(damping, size):
+    expected = 100.0 * math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
+    found = metrics_of(*step_run(damping, size, start=-0.03))
+    assert found["overshoot_percent"] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.3, 0.6])
+@pytest.mark.parametrize("size", [SIZE, -SIZE])
+def test_settling_time_of_a_second_order_lag(damping, size):
+    # |error| peaks at multiples of π/ω_d; it settles on the way from the last peak outside the band to the next zero.
+    damped = FREQUENCY * math.sqrt(1.0 - damping**2)
+    peaks = math.pi / damped * np.arange(20)
+    outside = peaks[SIZE * np.abs(1.0 - second_order(peaks, damping)) > SETTLING_BAND][-1]
+    expected = brentq(
+        lambda t: SIZE * abs(1.0 - second_order(np.array(t), damping)) - SETTLING_BAND,
+        outside,
+        outside + (math.pi - math.acos(damping)) / damped,
+    )
+    found = metrics_of(*step_run(damping, size))
+    assert found["settling_time_s"] == pytest.approx(expected, abs=1.5 * PERIOD)
+    assert found["unsettled_share"] == 0.0
+
+
+def test_settling_time_of_a_first_order_lag():
+    time = PERIOD * np.arange(5000)
+    error = SIZE * np.exp(-time / 0.03)
+    assert settling_time(error, PERIOD) == pytest.approx(0.03 * math.log(SIZE / SETTLING_BAND), abs=1.5 * PERIOD)
+    assert settling_time(-error, PERIOD) == settling_time(error, PERIOD)
+    assert settling_time(error, PERIOD, band=SIZE) == 0.0
+
+
+def test_never_settled_is_nan_and_counted():
+    reference, position = step_run(0.5, after=0.03)
+    position = np.concatenate([position, np.full(3000, SIZE + 1.01 * SETTLING_BAND)])
+    reference = np.concatenate([reference, np.full(3000, SIZE)])
+    found = metrics_of(reference, position)
+    assert math.isnan(found["settling_time_s"])
+    assert found["unsettled_share"] == 1.0
+    assert found["steady_state_error_mm"] == pytest.approx(1.01e3 * SETTLING_BAND)
+
+
+def test_leaving_the_band_again_counts():
+    error = np.zeros(100)
+    error[[0, 40]] = 1.0
+    assert settling_time(error, 0.005) == pytest.approx(41 * 0.005)
+
+
+def test_one_settled_and_one_unsettled_standstill():
+    reference = np.repeat([0.0, 0.01, 0.02], [10, 40, 40])
+    position = reference.copy()
+    position[10:15] = 0.0  # settles 25 ms after the first step
+    position[50:] = 0.0195
+    found = metrics_of(reference, position, period=0.005)
+    assert found["settling_time_s"] == pytest.approx(0.025)
+    assert found["unsettled_share"] == 0.5
+    assert found["steady_state_error_mm"] == pytest.approx(0.25)  # of 0 and 0.5 mm
+    assert found["overshoot_percent"] == 0.0
+
+
+def test_overshoot_needs_a_step():
+    assert math.isnan(overshoot(np.array([0.0, 1.0]), 0.5, 0.5))
+    assert overshoot(np.array([0.0, -1.3, -1.0]), 0.0, -1.0) == pytest.approx(30.0)
+    reference, position = step_run(0.3)
+    assert math.isnan(metrics_of(reference, position, is_step=False)["overshoot_percent"])
+
+
+def test_standstills():
+    assert standstills(np.zeros(100), 0.005) == []  # it has never moved
+    ramp = np.concatenate([np.zeros(5), np.linspace(0.001, 0.01, 10), np.full(30, 0.01)])
+    assert standstills(ramp, 0.005) == [(14, 45)]
+    assert standstills(np.arange(50.0), 0.005) == []
+    pulses = np.repeat([0.0, 1.0, 0.0, 1.0], [30, 20, 19, 25])
+    assert standstills(pulses, 0.005) == [(30, 50), (69, 94)]  # 20 samples are 0.1 s, 19 are not
+
+
+def test_without_a_standstill_there_is_nothing_to_settle_on():
+    found = metrics_of(np.arange(50.0), np.arange(50.0), period=0.005)
+    for name in ("settling_time_s", "unsettled_share", "steady_state_error_mm", "overshoot_percent"):
+        assert math.isnan(found[name])
+
+
+def test_errors_of_a_sine():
+    time = 0.001 * np.arange(1, 2001)
+    error = 0.003 * np.sin(2.0 * math.pi * 5.0 * time)
+    found = metrics_of(error, np.zeros(2000), period=0.001)
+    assert found["mean_error_mm"] == pytest.approx(3.0 * 2.0 / math.pi, rel=1e-3)
+    assert found["rms_error_mm"] == pytest.approx(3.0 / math.sqrt(2.0), rel=1e-6)
+    assert found["peak_error_mm"] == pytest.approx(3.0, rel=1e-6)
+
+
+def test_itae():
+    time = PERIOD * np.arange(1, 20_001)
+    found = metrics_of(np.full(20_000, 0.001), np.zeros(20_000))
+    assert found["itae_mm_s2"] == pytest.approx(1.0 * 2.0**2 / 2.0, rel=1e-3)
+    decay = metrics_of(-0.001 * np.exp(-time / 0.1), np.zeros(20_000))
+    assert decay["itae_mm_s2"] == pytest.approx(0.1**2, rel=1e-3)  # ∫ t exp(−t/τ) dt = τ²
+
+
+def test_command_spool_and_failure():
+    time = 0.001 * np.arange(1, 2001)
+    triangle = 1.0 - np.abs(1.0 - time)  # out and back in 2 s: one stroke per second
+    zeros = np.zeros(2000)
+    command = 0.4 * np.sin(2.0 * math.pi * time)
+    found = metrics_of(zeros, zeros, 0.001, command=command, spool=triangle, failed=True)
+    assert found["control_effort"] == pytest.approx(0.4 / math.sqrt(2.0), rel=1e-6)
+    assert found["valve_travel_per_s"] == pytest.approx(1.0, rel=2e-3)
+    assert found["failed"] == 1.0
+    assert set(found) == set(METRICS)
+
+
+def test_every_case_of_a_rollout():
+    reference = np.tile(np.repeat([0.0, 0.01], [10, 90]), (2, 1))
+    position = reference.copy()
+    position[:, 30:40] += 0.001
+    shape = reference.shape
+    rollout = Rollout(
+        time=0.005 * np.arange(1, 101),
+        position=position.astype(np.float32),
+        reference=reference.astype(np.float32),
+        command=np.zeros(shape, dtype=np.float32),
+        spool=np.zeros(shape, dtype=np.float32),
+        reward=np.zeros(shape, dtype=np.float32),
+        failed_at=np.array([-1, 99]),
+        signals=None,
+        leakage_flow_lpm=np.array([0.01, 4.0]),
+        leakage_class=np.array([0, 3]),
+    )
+    found = rollout_metrics(rollout, np.array(["step", "ramp"]), 0.005)
+    assert found["overshoot_percent"][0] == pytest.approx(10.0, rel=1e-4)
+    assert math.isnan(found["overshoot_percent"][1])
+    np.testing.assert_array_equal(found["failed"], [0.0, 1.0])
+    np.testing.assert_allclose(found["mean_error_mm"], 0.1, rtol=1e-4)
+    np.testing.assert_allclose(found["settling_time_s"], 30 * 0.005)
