@@ -8,7 +8,6 @@ from __future__ import annotations
 import gymnasium as _gymnasium
 
 from hydro_env.env import ServoHydraulicEnv
-from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
 from hydro_env.plant import (
     PlantParameters,
     Trajectory,
@@ -17,6 +16,7 @@ from hydro_env.plant import (
     resistance_from_flow,
     simulate,
 )
+from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
 from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
 from hydro_env.vector_env import ServoHydraulicVectorEnv
 from hydro_env.version import __version__

@@ -14,7 +14,7 @@ from hydro_env.axes import Axes, failure_name
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters, resistance_from_flow
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
-from hydro_env.task.kernel import Record
+from hydro_env.task.record import Record
 
 if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer
@@ -133,7 +133,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             ConfigurationError: an option is unknown or impossible.
         """
         super().reset(seed=seed)
-        self._axes.set_options(options, _FIRST)
+        self._axes.options.set(options, _FIRST)
         if seed is not None or not self._seeded:
             self._axes.seed(0, self.np_random)
             self._seeded = True

@@ -17,7 +17,7 @@ from hydro_env.env import REWARD_TERMS
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
-from hydro_env.task.kernel import Record
+from hydro_env.task.record import Record
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -113,7 +113,7 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         axes = self._chosen(options.pop("reset_mask", None))
         if not self._begun and len(axes) < self.num_envs:
             raise ConfigurationError("reset options: reset_mask: the first reset must begin every axis")
-        self._axes.set_options(options, axes)
+        self._axes.options.set(options, axes)
         self._seed(seed, axes)
         observation = self._observation.copy()
         self._begin(axes, observation)

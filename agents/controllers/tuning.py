@@ -50,7 +50,8 @@ def tune_pid(
 ) -> tuple[PIDGains, float]:
     """Optimise the gains by differential evolution on the mean absolute error, by which the evaluation judges.
 
-    The reward's small price on changes of the command is kept, so that the gains do not end in chatter. Every candidate drives the same training plants, references and noise; leak levels and families are spread evenly
+    The reward's small price on changes of the command is kept, so that the gains do not end in chatter.
+    Every candidate drives the same training plants, references and noise; leak levels and families are spread evenly
     over them.
 
     Args:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
         return []
     edges = [*moving.tolist(), len(reference)]
     shortest = math.ceil(STANDSTILL / period - 1e-9)
-    return [(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= shortest]
+    return [(a, b) for a, b in pairwise(edges) if b - a >= shortest]
 
 
 def settling_time(error: Array, period: float, band: float = SETTLING_BAND) -> float:

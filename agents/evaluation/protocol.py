@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -237,7 +238,7 @@ def _detection_rates(detection: pd.DataFrame, head: LeakageHead) -> pd.DataFrame
     for controller, frame in detection.groupby("controller", sort=False):
         groups = [("class", name, frame[frame["class"] == name]) for name in LEAKAGE_CLASSES]
         flow = frame["leakage_flow_lpm"]
-        for a, b in zip(BINS[:-1], BINS[1:], strict=True):
+        for a, b in pairwise(BINS):
             groups.append(("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]))
         groups.append(("range", "≥ 0.3", frame[flow >= 0.3]))
         for kind, label, part in groups:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,7 @@ class PolicyController:
             raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         features = PolicyFeatures(layout, validate(PIDGains, gains, str(path)) if gains is not None else None, scale)
         shapes: dict[str, tuple[int, ...]] = {}
-        for number, (inputs, outputs) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+        for number, (inputs, outputs) in enumerate(pairwise(sizes)):
             shapes[f"layer{number}.weight"] = (outputs, inputs)
             shapes[f"layer{number}.bias"] = (outputs,)
         if sizes[0] != features.size or sizes[-1] != 1:

@@ -54,7 +54,7 @@ class PPOSettings(Group):
     )
     hidden_sizes: tuple[int, ...] = (64, 64)
     reward_scale: float = Field(0.2, gt=0.0)
-    torch_threads: int = Field(2, ge=1)
+    torch_threads: int = Field(1, ge=1)
 
 
 @dataclass(frozen=True)

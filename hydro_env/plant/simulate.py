@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
-from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant import compiler, equations, kernel
 from hydro_env.plant.equations import (
     STATE_NAMES,
@@ -25,6 +24,7 @@ from hydro_env.plant.equations import (
     valid_limits,
 )
 from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant.parameters import PlantParameters, to_vector
 
 Array = NDArray[np.float64]

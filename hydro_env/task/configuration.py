@@ -196,6 +196,19 @@ class Sensors(Group):
     pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: Any) -> Any:
+        """A sensor of which only some fields are given keeps its default for the others."""
+        if not isinstance(values, Mapping):
+            return values
+        return {
+            name: {**cls.model_fields[name].default.model_dump(), **value}
+            if isinstance(value, Mapping) and name in cls.model_fields
+            else value
+            for name, value in values.items()
+        }
+
 
 class Reward(Group):
     """Weights of the named reward terms (all terms are costs, so that their sum is at most zero).
@@ -258,7 +271,8 @@ class TaskConfig(Group):
     def _consistent(self) -> TaskConfig:
         if self.command_latency > self.control_period:
             raise ValueError(
-                f"command_latency = {self.command_latency:g} s must not exceed control_period = {self.control_period:g} s"
+                f"command_latency = {self.command_latency:g} s must not exceed "
+                f"control_period = {self.control_period:g} s"
             )
         if self.episode_duration < self.control_period:
             raise ValueError("episode_duration must be at least one control_period")

@@ -1,19 +1,18 @@
 """Episodes of many axes in compiled code: how one begins, and what one control period does to it.
 
-Per axis there is a row of ``record`` (columns named below), a row of reference samples, a row of physical parameters,
-and a lane of the plant's arrays (see ``plant.kernel``). All draws come from counted random numbers, so that an
-axis' episode depends on its own root and episode number alone.
+Per axis there is a row of ``record`` (columns named by ``Record``), a row of reference samples, a row of physical
+parameters, and a lane of the plant's arrays (see ``plant.kernel``). All draws come from counted random numbers, so
+that an axis' episode depends on its own root and episode number alone.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from hydro_env.plant import compiler, kernel
-from hydro_env.plant.equations import Coefficients, Physical, State, coefficients, valid_limits
+from hydro_env.plant.equations import Coefficients, Physical, coefficients, valid_limits
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.kernel import IMPACT_SPEED, LANES, N_STATES, PEAK_PRESSURE
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, PARAMETER_PATHS
@@ -30,96 +29,24 @@ from hydro_env.task.random_numbers import (
     source_key,
     uniform,
 )
-from hydro_env.task.reference_signals import Limits, feasible, fill_reference
-
-
-class Settings(NamedTuple):
-    """The numbers of a task that compiled code needs."""
-
-    control_period: float
-    maximum_step: float
-    steps: float
-    healthy_share: float
-    healthy_low: float
-    healthy_high: float
-    faulty_low: float
-    faulty_high: float
-    orifice_law: float
-    schedule: float
-    leak_start_low: float
-    leak_start_high: float
-    initial_low: float
-    initial_high: float
-    sensors_enabled: float
-    pressure_decay: float  # exp(−T/τ) of the transducers
-    pressure_lag: float  # τ/T
-    velocity_blend: float  # T/(T + τ)
-    integral_time: float
-    integral_limit: float
-    tracking_weight: float
-    error_scale: float
-    error_limit: float
-    effort_weight: float
-    failure_weight: float
-    end_stop_speed: float
-    pressure_rating: float
-    disturbance: float
-    force_low: float
-    force_high: float
-    force_start_low: float
-    force_start_high: float
-    pulse_duration: float
-    force_frequency_low: float
-    force_frequency_high: float
-
-
-class Record(NamedTuple):
-    """Columns of ``record``: what an axis carries through its episode."""
-
-    step: float
-    command: float  # −1…1, last one given
-    reference_family: float
-    leak_flow: float  # l/min at 100 bar, now
-    leak_start_flow: float
-    leak_target_flow: float
-    leak_start_time: float  # s
-    force_amplitude: float  # N, of the disturbance
-    force_start_time: float  # s
-    force_frequency: float  # Hz
-    force_base: float  # N, of the plant itself
-    bias_position: float
-    bias_a: float
-    bias_b: float
-    bias_spool: float
-    measured_position: float  # m
-    measured_a: float  # Pa
-    measured_b: float  # Pa
-    measured_spool: float
-    velocity_estimate: float  # m/s
-    error_integral: float  # m s
-    true_a: float  # Pa, at the last sample
-    true_b: float
-    sensed_a: float  # Pa, behind the transducer's lag, before noise
-    sensed_b: float
-    position: float  # m, true
-    velocity: float  # m/s, true
-    reference: float  # m, now
-    cost_tracking: float
-    cost_effort: float
-    cost_failure: float
-    failure: float  # code, see FAILURES
-
-
-FAILURES = (
-    "none",
-    "end stop hit at speed",
-    "pressure above the rating",
-    *(f"{name} outside its valid range" for name in State._fields),
-    "initial position cannot be held",
-    "reference beyond the force of the supply",
+from hydro_env.task.record import (
+    CANNOT_BE_HELD,
+    CANNOT_BE_REACHED,
+    DRAW_HIGH,
+    DRAW_INDEX,
+    DRAW_LOG,
+    DRAW_LOW,
+    DRAW_OTHERWISE,
+    DRAW_PROBABILITY,
+    DRAW_TIMES,
+    FIRST_INVALID_STATE,
+    HIT_END_STOP,
+    NO_FAILURE,
+    OVERPRESSURE,
+    Record,
+    Settings,
 )
-NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
-CANNOT_BE_HELD, CANNOT_BE_REACHED = len(FAILURES) - 2, len(FAILURES) - 1
+from hydro_env.task.reference_signals import Limits, feasible, fill_reference
 
 _column = {name: index for index, name in enumerate(Record._fields)}
 C_STEP = _column["step"]
@@ -144,9 +71,6 @@ C_VELOCITY = _column["velocity"]
 C_REFERENCE = _column["reference"]
 C_COST = _column["cost_tracking"]
 C_FAILURE = _column["failure"]
-
-DRAW_INDEX, DRAW_LOG, DRAW_LOW, DRAW_HIGH, DRAW_TIMES, DRAW_OTHERWISE, DRAW_PROBABILITY = range(7)
-"""Columns of the table of randomised parameters."""
 
 _LEAKAGE_CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
 _LEAKAGE_ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
@@ -506,6 +430,7 @@ begin_episodes, step_axes = _build(
         "plant/kernel.py",
         "plant/equilibrium.py",
         "task/random_numbers.py",
+        "task/record.py",
         "task/reference_signals.py",
     )
 )

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import (
     closed_port_natural_frequency,
@@ -15,6 +14,7 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
 
 CLOSED_VALVE = {"underlap": 0.0}
@@ -151,7 +151,7 @@ def test_settling_time_falls_as_leakage_grows(flow_lpm, seconds):
 def _drift(values, sample_time, parameters):
     """The mean over one period of oscillation: what is not oscillation."""
     period = 2 * np.pi / closed_port_natural_frequency(parameters, -0.1)
-    width = max(int(round(period / sample_time)), 1)
+    width = max(round(period / sample_time), 1)
     return np.convolve(np.pad(values, width // 2, mode="edge"), np.ones(width) / width, mode="same")[
         width // 2 : width // 2 + len(values)
     ]

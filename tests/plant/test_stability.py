@@ -11,7 +11,7 @@ from hydro_env.plant.kernel import LANES, STEP_LIMIT
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.simulate import valid_ranges
 from hydro_env.task.configuration import task_config
-from hydro_env.task.kernel import FAILURES
+from hydro_env.task.record import FAILURES
 
 COUNT, STEPS, SAMPLES = 384, 400, 8
 RUNGE_KUTTA_LIMIT = 2.7

@@ -6,7 +6,6 @@ from scipy import stats
 
 from hydro_env import ServoHydraulicVectorEnv
 from hydro_env.plant.parameters import PARAMETER_PATHS
-from hydro_env.task.kernel import Record
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -20,6 +19,7 @@ from hydro_env.task.random_numbers import (
     source_key,
     uniform,
 )
+from hydro_env.task.record import Record
 
 COUNT = 20_000
 ROOT = np.uint64(0x0123456789ABCDEF)

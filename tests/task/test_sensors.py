@@ -5,8 +5,8 @@ import pytest
 from scipy import stats
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
-from hydro_env.axes import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
 from hydro_env.task.configuration import Sensors
+from hydro_env.task.packing import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
 
 PERIOD = 5e-3
 CHANNELS = ("position", "a", "b", "spool")

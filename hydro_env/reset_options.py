@@ -1,0 +1,265 @@
+"""The options of ``reset``: what a caller fixes in the next episode of some axes, checked before anything changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.plant.errors import ConfigurationError
+from hydro_env.plant.parameters import (
+    MODEL_CODES,
+    PARAMETER_PATHS,
+    PlantParameters,
+    flow_from_resistance,
+    from_vector,
+    to_vector,
+)
+from hydro_env.task.configuration import LEAKAGE_LIMIT, REFERENCE_FAMILIES, TaskConfig
+from hydro_env.task.packing import draw_table
+from hydro_env.task.record import DRAW_HIGH, DRAW_INDEX, DRAW_LOW, DRAW_OTHERWISE, DRAW_PROBABILITY, DRAW_TIMES
+
+USER_FAMILY = REFERENCE_FAMILIES.index("user")
+OPTION_NAMES = (
+    "leakage_resistance",
+    "leakage_flow_lpm",
+    "reference",
+    "parameters",
+    "initial_position",
+    "persist",
+    "reset_mask",
+)
+MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
+"""Parameters that must be larger than another one (rod, Coulomb force, precharge): impossible when drawn too low."""
+
+LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
+"""Parameters that the group ``leakage`` of the task sets."""
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class ResetOptions:
+    """What is fixed on each of N axes; NaN, or family −1, is drawn.
+
+    Args:
+        config: the task.
+        count: number of axes N.
+        samples: of a reference, preview included.
+
+    Raises:
+        ConfigurationError: the randomisation can draw impossible plants, or the task's own reference is impossible.
+    """
+
+    def __init__(self, config: TaskConfig, count: int, samples: int) -> None:
+        self.config = config
+        self.count = count
+        self._samples = samples
+        self._base = to_vector(config.plant)
+        self._draws = draw_table(config)
+        self.parameters = np.full((count, len(PARAMETER_PATHS)), np.nan)
+        self.leakage_flow_lpm = np.full(count, np.nan)
+        self.initial_position = np.full(count, np.nan)
+        self.family = np.full(count, -1, dtype=np.int64)
+        self.user_reference = np.zeros((1, samples))
+        self._persistent = np.zeros(count, dtype=np.bool_)
+        self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
+        if config.references.user:
+            row = np.asarray(config.references.user)
+            self.user_reference = self._checked_reference(row, "references.user")[None]
+
+    def used(self, axes: Indices) -> None:
+        """An episode has begun on these axes: what was not to persist is drawn again next time."""
+        passing = axes[~self._persistent[axes]]
+        self.parameters[passing] = np.nan
+        self.leakage_flow_lpm[passing] = np.nan
+        self.initial_position[passing] = np.nan
+        self.family[passing] = -1
+
+    def set(self, options: Mapping[str, Any] | None, axes: Indices) -> None:
+        """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``.
+
+        Raises:
+            ConfigurationError: unknown option, wrong shape, or an impossible value; nothing is changed then.
+        """
+        options = dict(options or {})
+        for name in options:
+            if name not in OPTION_NAMES:
+                raise ConfigurationError(f"reset options: unknown option '{name}'; known: {', '.join(OPTION_NAMES)}")
+        leak = self._leak_option(options, axes)
+        position = self._position_option(options, axes)
+        parameters = self._parameter_option(options.get("parameters"), axes)
+        families, user = self._reference_option(options.get("reference"), axes)
+        persist = options.get("persist", False)
+        if not isinstance(persist, bool | np.bool_):
+            raise ConfigurationError(f"reset options: persist = {persist!r}: must be true or false")
+        self.leakage_flow_lpm[axes] = leak
+        self.initial_position[axes] = position
+        self.parameters[axes] = parameters
+        self.family[axes] = families
+        self._persistent[axes] = bool(persist)
+        if user is not None:
+            if self.count > 1 and len(self.user_reference) == 1:
+                self.user_reference = np.repeat(self.user_reference, self.count, axis=0)
+            self.user_reference[axes] = user
+
+    def _per_axis(self, value: Any, name: str, axes: Indices) -> Floats:
+        """A number for all axes, or one for each."""
+        try:
+            array = np.asarray(value)
+            if array.dtype == np.bool_:
+                raise TypeError
+            array = array.astype(np.float64)
+        except (TypeError, ValueError):
+            raise ConfigurationError(f"reset options: {name} = {value!r}: must be a number") from None
+        if array.shape == (self.count,) and self.count > 1:
+            array = array[axes]
+        elif array.shape not in ((), (len(axes),)):
+            raise ConfigurationError(
+                f"reset options: {name} has shape {array.shape}: must be one number, or one per axis ({self.count},)"
+            )
+        return np.broadcast_to(array, (len(axes),)).copy()
+
+    def _leak_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
+        if "leakage_resistance" in options and "leakage_flow_lpm" in options:
+            raise ConfigurationError("reset options: leakage_resistance and leakage_flow_lpm say the same; give one")
+        if "leakage_resistance" in options:
+            resistance = self._per_axis(options["leakage_resistance"], "leakage_resistance", axes)
+            if not np.all(resistance > 0.0):
+                raise ConfigurationError(
+                    f"reset options: leakage_resistance = {resistance.min():g} Pa s/m³: must be positive"
+                )
+            flow = np.array([flow_from_resistance(r) for r in resistance])
+        elif "leakage_flow_lpm" in options:
+            flow = self._per_axis(options["leakage_flow_lpm"], "leakage_flow_lpm", axes)
+        else:
+            return np.full(len(axes), np.nan)
+        wrong = ~((flow >= 0.0) & (flow <= LEAKAGE_LIMIT))
+        if wrong.any():
+            raise ConfigurationError(
+                f"reset options: leakage of {flow[wrong][0]:g} l/min at 100 bar: must be within 0 to {LEAKAGE_LIMIT:g}"
+            )
+        lowest: Floats = np.maximum(flow, 1e-9)
+        return lowest
+
+    def _position_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
+        if "initial_position" not in options:
+            return np.full(len(axes), np.nan)
+        position = self._per_axis(options["initial_position"], "initial_position", axes)
+        half = 0.5 * self.config.plant.cylinder.stroke
+        wrong = ~(np.abs(position) <= half)
+        if wrong.any():
+            raise ConfigurationError(
+                f"reset options: initial_position = {position[wrong][0]:g} m: must be within the stroke, ±{half:g} m"
+            )
+        return position
+
+    def _parameter_option(self, changes: Any, axes: Indices) -> Floats:
+        override = np.full((len(axes), len(PARAMETER_PATHS)), np.nan)
+        if changes is None:
+            return override
+        if isinstance(changes, PlantParameters):
+            changes = changes.model_dump()
+            changes["leakage"] = {"external_resistance": changes["leakage"]["external_resistance"]}
+        if not isinstance(changes, Mapping):
+            raise ConfigurationError("reset options: parameters must be groups of fields, {'load': {'mass': 80.0}}")
+        checked: dict[tuple[Any, ...], None] = {}
+        for group, fields in changes.items():
+            if not isinstance(fields, Mapping):
+                raise ConfigurationError(f"reset options: parameters.{group} must be a mapping of fields")
+            for field, value in fields.items():
+                path = f"{group}.{field}"
+                if path not in PARAMETER_PATHS:
+                    raise ConfigurationError(f"reset options: parameters.{path} is no parameter of the plant")
+                if path in LEAKAGE_OF_THE_TASK:
+                    raise ConfigurationError(
+                        f"reset options: parameters.{path}: give leakage_flow_lpm or leakage_resistance instead"
+                    )
+                if path in MODEL_CODES:
+                    if not isinstance(value, str) or value not in MODEL_CODES[path]:
+                        raise ConfigurationError(
+                            f"reset options: parameters.{path} = {value!r}: must be one of "
+                            f"{', '.join(MODEL_CODES[path])}"
+                        )
+                    value = float(MODEL_CODES[path].index(value))
+                column = PARAMETER_PATHS.index(path)
+                override[:, column] = self._per_axis(value, f"parameters.{path}", axes)
+                if np.isnan(override[:, column]).any():
+                    raise ConfigurationError(f"reset options: parameters.{path} = nan: must be a number")
+        for row in override:
+            key = tuple(row[~np.isnan(row)])
+            if key not in checked:
+                checked[key] = None
+                self._check_parameters(row, "reset options")
+        return override
+
+    def _check_parameters(self, row: Floats, where: str) -> None:
+        """With these parameters fixed (not NaN), the plant must be possible for the least favourable draws."""
+        vector = np.where(np.isnan(row), self._base, row)
+        for draw in self._draws:
+            index, times = int(draw[DRAW_INDEX]), int(draw[DRAW_TIMES])
+            if not np.isnan(row[index]):
+                continue
+            factor = vector[times] if times >= 0 else 1.0
+            values = [factor * draw[DRAW_LOW], factor * draw[DRAW_HIGH]]
+            if draw[DRAW_PROBABILITY] > 0.0:
+                values.append(draw[DRAW_OTHERWISE])
+            vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
+        try:
+            from_vector(vector)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{where}: {error}") from None
+
+    def _reference_option(self, given: Any, axes: Indices) -> tuple[Indices, Floats | None]:
+        families = np.full(len(axes), -1, dtype=np.int64)
+        if given is None:
+            return families, None
+        names: Sequence[Any] | None = None
+        if isinstance(given, str):
+            names = [given] * len(axes)
+        elif isinstance(given, list | tuple) and given and all(isinstance(name, str) for name in given):
+            names = [given[axis] for axis in axes] if len(given) == self.count else list(given)
+        if names is not None:
+            if len(names) != len(axes):
+                raise ConfigurationError(f"reset options: reference has {len(names)} names for {len(axes)} axes")
+            for index, name in enumerate(names):
+                if name not in REFERENCE_FAMILIES[:USER_FAMILY]:
+                    known = ", ".join(REFERENCE_FAMILIES[:USER_FAMILY])
+                    raise ConfigurationError(
+                        f"reset options: reference = {name!r}: must be an array in m, or of {known}"
+                    )
+                families[index] = REFERENCE_FAMILIES.index(name)
+            return families, None
+        try:
+            array = np.asarray(given, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ConfigurationError("reset options: reference must be numbers in m, or the name of a family") from None
+        if array.ndim == 1:
+            rows = np.repeat(self._checked_reference(array, "reset options: reference")[None], len(axes), axis=0)
+        elif array.ndim == 2 and len(array) in (self.count, len(axes)):
+            chosen = array[axes] if len(array) == self.count else array
+            rows = np.array([self._checked_reference(row, "reset options: reference") for row in chosen])
+        else:
+            raise ConfigurationError(
+                f"reset options: reference has shape {array.shape}: must be (samples,) or ({self.count}, samples)"
+            )
+        families[:] = USER_FAMILY
+        return families, rows
+
+    def _checked_reference(self, values: Floats, where: str) -> Floats:
+        """One row of the length that an episode needs, held at its end."""
+        if values.ndim != 1 or len(values) == 0:
+            raise ConfigurationError(f"{where}: must be a row of positions in m")
+        half = 0.5 * self.config.plant.cylinder.stroke
+        wrong = ~(np.abs(values) < half)
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            raise ConfigurationError(
+                f"{where}[{first}] = {values[first]:g} m: must be a position within the stroke, ±{half:g} m (unit: m)"
+            )
+        row = np.empty(self._samples)
+        row[: len(values)] = values[: self._samples]
+        row[len(values) :] = values[-1]
+        return row

@@ -1,0 +1,327 @@
+"""The report: one self-contained, well-formed page whose sentences say what the tables say."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.evaluation.canvas import controllers_of, looks_of
+from agents.evaluation.findings import caution, failures, findings, interval_text, number, verdict
+from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
+from agents.evaluation.report import Example, StudyRecord, duration, render_report, write_report, write_tables
+from agents.evaluation.statistics import Interval
+from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.4)
+LAYOUT = ObservationLayout.of(CONFIG)
+SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120)
+ODD_NAME = 'PPO <b>&"quoted"'
+VOID = {"meta", "br"}
+NOTHING = pd.DataFrame()
+
+
+def record(examples=()):
+    steps = np.arange(0.0, 5000.0, 100.0)
+    curve = pd.DataFrame({"steps": steps, "seconds": steps / 100, "mean_reward": -np.exp(-steps / 1000)})
+    curve.loc[0, "mean_reward"] = np.nan
+    return StudyRecord(
+        title="Trial <one>",
+        configuration="task:\n  control_period: 0.005 # <&>\n",
+        command="hydro study --seed 3",
+        versions={"numpy": "9.9.9"},
+        machine="a box with 2 cores",
+        seed=3,
+        timings={"train PPO": 3725.0, "evaluate": 1.25},
+        training_curve=curve,
+        examples=list(examples),
+    )
+
+
+def example(names):
+    time = np.linspace(0.005, 0.4, 80)
+    traces = {name: 0.01 * (1.0 - np.exp(-time / 0.05)) for name in names}
+    return Example("the same with 4 l/min", time, np.full(80, 0.01), traces, dict.fromkeys(names, 0.1 * time))
+
+
+@pytest.fixture(scope="module")
+def evaluation():
+    controllers = {
+        "PID": PID(PIDGains(proportional=200.0), LAYOUT),
+        ODD_NAME: PID(PIDGains(proportional=60.0), LAYOUT),
+    }
+    head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    return evaluate(CONFIG, controllers, head, SETTINGS)
+
+
+@pytest.fixture(scope="module")
+def page(evaluation):
+    return render_report(evaluation, record([example(controllers_of(evaluation))]))
+
+
+@pytest.fixture(scope="module")
+def lonely():
+    """One controller, one level, one family, no head."""
+    settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",), "plants": 2})
+    return evaluate(CONFIG, {"PID": PID(PIDGains(), LAYOUT)}, None, settings)
+
+
+class Page(HTMLParser):
+    """Checks that tags are closed in order, and collects what stands in the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.words = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.attributes if name == tag]
+
+
+def test_the_page_stands_alone(page):
+    found = Page(page)
+    assert len(page) < 5_000_000
+    for tag, attributes in found.attributes:
+        assert tag not in ("script", "link", "img", "iframe", "object", "base", "form")
+        assert not attributes.keys() & {"src", "srcset", "action", "background", "onload"}
+        for name in ("href", "xlink:href"):
+            assert attributes.get(name, "#").startswith("#")
+    assert "@import" not in page
+    assert set(re.findall(r"url\((.)", page)) <= {"#"}
+    assert set(re.findall(r"https?://[^\"' ]*", page)) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+
+
+def test_ids_are_unique_and_references_find_them(page):
+    found = Page(page)
+    ids = [attributes["id"] for _, attributes in found.attributes if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    targets = re.findall(r'(?:href="#|url\(#)([^")]+)', page)
+    assert len(targets) > 100
+    assert set(targets) <= set(ids)
+
+
+def test_figures_and_tables_speak_to_everyone(page):
+    found = Page(page)
+    drawings = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
+    assert len(drawings) == 12  # 6 of tracking, 1 example, 4 of detection, 1 of training
+    assert len(found.all("figcaption")) == len(drawings)
+    for drawing in drawings:
+        root = ElementTree.fromstring(drawing)
+        assert root.get("role") == "img"
+        assert len(root.get("aria-label")) > 30
+        assert root.get("width") is None  # as wide as the page
+    assert len(found.all("caption")) == len(found.all("table")) > 10
+    assert "reference" in found.text
+
+
+def test_names_and_texts_are_escaped(page):
+    assert "<b>" not in page
+    assert "<one>" not in page
+    found = Page(page)
+    assert ODD_NAME in found.text
+    assert "control_period: 0.005 # <&>" in found.text
+    assert any(ODD_NAME in attributes.get("aria-label", "") for attributes in found.all("svg"))
+
+
+def test_the_page_tells_how_it_was_made(page):
+    text = Page(page).text
+    for wanted in ("hydro study --seed 3", "a box with 2 cores", "9.9.9", "1 h 2 min", "1.2 s", "2000000", "simulated"):
+        assert wanted in text
+    assert "so no plant met here took part in training" in text
+    assert "steps and sines" in text
+    assert "too small to decide anything by" in text  # three plants
+
+
+def test_seeds_outside_the_test_set_are_confessed(evaluation):
+    cases = evaluation.cases.assign(seed=evaluation.cases["seed"] - 2_000_000)
+    text = Page(render_report(replace(evaluation, cases=cases), record())).text
+    assert "they may have been trained on" in text
+    assert "so no plant met here" not in text
+
+
+def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
+    import matplotlib
+
+    matplotlib.rcParams["xtick.direction"] = "in"  # a user's own settings
+    try:
+        write_report(tmp_path / "deep" / "report.html", evaluation, record([example(controllers_of(evaluation))]))
+        assert matplotlib.rcParams["xtick.direction"] == "in"
+    finally:
+        matplotlib.rcdefaults()
+    assert (tmp_path / "deep" / "report.html").read_bytes() == page.encode()
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["report.html"]
+
+
+def test_a_report_that_cannot_be_written_says_so(evaluation, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot be written"):
+        write_report(tmp_path / "file" / "report.html", evaluation, record())
+
+
+def test_one_controller_without_a_head(lonely, tmp_path):
+    text = Page(render_report(lonely, replace(record(), training_curve=NOTHING, versions={}, timings={}))).text
+    assert "One leak size was tried: 0.3 l/min" in text.replace("\u00a0", " ")
+    assert "there are no intervals" in text
+    for absent in ("Noticing the leak", "Single runs", "Ratio of errors", "nan", "AUROC"):
+        assert absent not in text
+    names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
+    assert names == ["cases.csv", "levels.csv", "families.csv"]
+
+
+def test_tables_hold_all_numbers(evaluation, tmp_path):
+    paths = write_tables(tmp_path, evaluation)
+    assert [path.stem for path in paths] == list(Evaluation.__dataclass_fields__)
+    for path in paths:
+        expected = getattr(evaluation, path.stem).reset_index(drop=True)
+        stored = pd.read_csv(path, dtype={"value": str}, keep_default_na=True)
+        stored["value"] = stored["value"].fillna("") if "value" in stored else None
+        stored = stored if "value" in expected else stored.drop(columns="value")
+        pd.testing.assert_frame_equal(stored, expected, check_dtype=False)
+
+
+# Findings -----------------------------------------------------------------------------------------------------------
+
+
+def leads(evaluation):
+    return [item.lead.replace("\u00a0", " ") for item in findings(evaluation)]
+
+
+def texts(evaluation):
+    return [item.text.replace("\u00a0", " ") for item in findings(evaluation)]
+
+
+def with_errors(evaluation, factor):
+    """The same evaluation with an error of PID that grows by ``factor(family)`` from the small leak to the large."""
+    cases = evaluation.cases.copy()
+    large = cases["leakage_flow_lpm"] == 4.0
+    growth = np.where(large, cases["family"].map(factor), 1.0)
+    cases["mean_error_mm"] = (1.0 + cases["plant"]) * growth
+    levels = evaluation.levels.copy()
+    told = (levels["metric"] == "mean_error_mm") & (levels["controller"] == "PID")
+    levels.loc[told & (levels["leakage_flow_lpm"] == 0.01), ["mean", "low", "high"]] = (0.512, 0.4, 0.625)
+    return replace(evaluation, cases=cases, levels=levels)
+
+
+def test_what_a_leak_does(evaluation):
+    worse = with_errors(evaluation, {"step": 3.0, "sine": 2.0}.get)
+    assert leads(worse)[0] == (
+        "With a leak of 4 l/min, PID makes 2.50 times the error that it makes with a healthy seal (0.01 l/min)."
+    )
+    assert "0.512 mm (0.400 to 0.625) mean error with a healthy seal (0.01 l/min)" in texts(worse)[0]
+    assert "× 2.50 (2.50 to 2.50). More error in steps (× 3.00) and sines (× 2.00)." in texts(worse)[0]
+    mixed = with_errors(evaluation, {"step": 1.5, "sine": 0.4}.get)
+    assert leads(mixed)[0].startswith("With a leak of 4 l/min, PID makes 5 % less error than")
+    assert "More error in steps (× 1.50); less error in sines (× 0.40)." in texts(mixed)[0]
+    same = with_errors(evaluation, {"step": 1.0, "sine": 1.0}.get)
+    assert leads(same)[0] == "A leak of 4 l/min makes no clear difference to the mean error of PID."
+    assert "No clear difference in steps (× 1.00) and sines (× 1.00)." in texts(same)[0]
+
+
+def with_ratios(evaluation, whole, levels, families):
+    ratios = evaluation.ratios.copy()
+    ratios[["ratio", "low", "high"]] = [whole, *levels, *families]
+    ratios["share_of_cases_better"] = 0.75
+    return replace(evaluation, ratios=ratios)
+
+
+WIN, LOSS, OPEN = (0.8, 0.7, 0.9), (1.25, 1.1, 1.4), (0.9, 0.7, 1.1)
+
+
+def test_who_copes_better(evaluation):
+    won = with_ratios(evaluation, WIN, [WIN, WIN], [OPEN, LOSS])
+    assert leads(won)[1] == f"{ODD_NAME} positions better than PID: 20 % less error."
+    assert "is 0.80 (0.70 to 0.90) times that of PID" in texts(won)[1]
+    assert "the better one in 75 % of the runs" in texts(won)[1]
+    assert "It wins at every leak size." in texts(won)[1]
+    assert "By reference it loses on sines; shows no clear difference on steps." in texts(won)[1]
+    lost = with_ratios(evaluation, LOSS, [WIN, LOSS], [LOSS, LOSS])
+    assert leads(lost)[1] == f"{ODD_NAME} loses to PID: 25 % more error."
+    assert "By leak size it wins at 0.01 l/min; loses at 4 l/min." in texts(lost)[1]
+    assert "It loses on every kind of reference." in texts(lost)[1]
+    assert leads(with_ratios(evaluation, OPEN, [OPEN, OPEN], [OPEN, OPEN]))[1].startswith("No clear difference between")
+
+
+def test_verdicts():
+    assert verdict(Interval(0.9, 0.85, 0.99), 32) == "wins"
+    assert verdict(Interval(1.1, 1.01, 1.2), 32) == "loses"
+    assert verdict(Interval(0.9, 0.8, 1.0), 32) == "no clear difference"
+    assert verdict(Interval(0.5, 0.5, 0.5), 2) == "no clear difference"  # two plants say nothing
+    assert verdict(Interval(0.5, np.nan, np.nan), 32) == "no clear difference"
+
+
+def with_detection(evaluation, found, alarms):
+    """Detection tables with a share of found leaks from 0.3 l/min and of false alarms, 1000 episodes each."""
+    rates, summary = evaluation.detection_rates.copy(), evaluation.detection_summary.copy()
+    rates.loc[rates["value"] == "≥ 0.3", ["flagged_share", "low", "high"]] = (found, found - 0.02, found + 0.01)
+    rates.loc[rates["value"] == "0.1–0.2", ["flagged_share", "low", "high"]] = (0.25, 0.2, 0.3)
+    summary["false_alarm_rate"], summary["healthy_episodes"] = alarms, 1000
+    summary["auroc_above_0.1_lpm"] = 0.9876
+    summary["median_size_error_factor"], summary["p90_size_error_factor"] = [1.31, 1.42], [2.5, 3.0]
+    return replace(evaluation, detection_rates=rates, detection_summary=summary)
+
+
+def test_whether_leaks_are_noticed(evaluation):
+    good = with_detection(evaluation, 0.97, 0.012)
+    assert leads(good)[2] == "Leaks from 0.3 l/min can be flagged from one episode of ordinary motion."
+    assert (
+        "97.0 % (95.0 to 98.0) of the leaks from 0.3 l/min, 25.0 % (20.0 to 30.0) of those of 0.1–0.2" in texts(good)[2]
+    )
+    assert "1.2 % (0.7 to 2.1) of the healthy seals (false alarms); AUROC 0.988." in texts(good)[2]
+    assert "clearly more" not in texts(good)[2]
+    assert leads(good)[3] == "The size of a leak is estimated within a factor of 1.42 for half of the leaks."
+    assert f"2.50 under PID and 3.00 under {ODD_NAME}" in texts(good)[3]
+    assert leads(with_detection(evaluation, 0.6, 0.01))[2].endswith("can be flagged, but not reliably.")
+    assert leads(with_detection(evaluation, 0.97, 0.2))[2].endswith("can be flagged, but not reliably.")
+    bad = with_detection(evaluation, 0.05, 0.04)
+    assert leads(bad)[2].startswith("Leaks from 0.3 l/min cannot be told")
+    assert f"clearly more under PID and {ODD_NAME}" in texts(bad)[2]
+
+
+def test_failures_and_few_plants_are_said(evaluation):
+    assert failures(evaluation) == "No run failed (end stop or pressure limit)."
+    cases = evaluation.cases.copy()
+    cases.loc[[0, 1], "failed"] = 1.0
+    assert failures(replace(evaluation, cases=cases)).endswith(f"2 of 12 under PID and 0 of 12 under {ODD_NAME}.")
+    many = pd.concat([cases.assign(plant=cases["plant"] + 3 * i) for i in range(8)])
+    assert caution(replace(evaluation, cases=many)) == ""
+    assert "3 plants" in caution(evaluation)
+
+
+def test_numbers_as_a_person_writes_them():
+    assert [number(x) for x in (0.0, 1234.5, 12.345, 0.98765, 0.001234)] == ["0", "1234", "12.3", "0.988", "0.00123"]
+    assert number(float("nan")) == "–"
+    assert interval_text(Interval(0.5123, 0.4, 0.6254), "mm") == "0.512 mm (0.400 to 0.625)"
+    assert interval_text(Interval(0.5, np.nan, np.nan), "mm") == "0.500 mm"
+    assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
+
+
+def test_controllers_keep_their_look():
+    looks = looks_of(["PID", "PPO", "MPC"])
+    assert looks_of(["PID", "PPO"])["PPO"] == looks["PPO"]
+    assert len({look.colour for look in looks.values()}) == 3
+    assert len({look.marker for look in looks.values()}) == 3
