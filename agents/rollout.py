@@ -35,7 +35,7 @@ class Cases:
 class Rollout:
     """One episode of each case; N cases, T control periods; values at the T samples after the first.
 
-    A case that fails (``terminated``) keeps the values of its last sample.
+    A case that fails (``terminated``) keeps the values of its last sample, at no further reward.
     """
 
     time: NDArray[np.float64]  # (T,), s
@@ -103,19 +103,21 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
     failed_at = np.full(count, -1, dtype=np.int64)
     flow = axes.column("leak_flow").copy()
     for step in range(steps):
+        alive = failed_at < 0
         if signals is not None:
             signals[step] = observation[:, columns]
+            signals[step, ~alive] = signals[step - 1, ~alive]
         action, memory = controller.predict(observation, memory)
         observation, rewards, terminated, _, _ = env.step(action)
-        alive = failed_at < 0
         if keep_states:
             position[:, step] = axes.column("position")
             command[:, step] = action[:, 0]
             spool[:, step] = axes.state[:, 4].reshape(-1)[:count]
             reward[:, step] = rewards
             if not alive.all():  # a failed axis stands where it failed while its reference goes on
-                for array in (position, command, spool, reward):
+                for array in (position, command, spool):
                     array[~alive, step] = array[~alive, step - 1]
+                reward[~alive, step] = 0.0
         flow = np.where(alive, axes.column("leak_flow"), flow)
         failed_at[alive & terminated] = step
     env.close()

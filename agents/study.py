@@ -31,7 +31,7 @@ from agents.learning.policy import PolicyController
 from agents.learning.training import PPOSettings, Progress, train_ppo
 from agents.rollout import Cases, run_cases
 from agents.splits import TEST_SEEDS
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.plant.configuration import Group, read_yaml, validate, write_whole, write_yaml
 
 POLICY_FILE = "policy"
@@ -262,8 +262,9 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], nu
 
 def package_versions() -> dict[str, str]:
     """Versions of what the results rest on."""
-    names = ("hydro_env", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
-    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+    names = ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
+    own = {"python": platform.python_version(), "hydro_env": __version__}
+    return {**own, **{name: version(name) for name in names}}
 
 
 def machine_description() -> str:

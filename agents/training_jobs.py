@@ -192,6 +192,10 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
             entry = found.iloc[0]
             row.append(f"{entry['ratio']:.3f} [{entry['low']:.3f}, {entry['high']:.3f}]")
         table.add_row(*row)
+    for name in names[1:]:
+        entry = ratios[(ratios["controller"] == name) & (ratios["group"] == "equal_weight")].iloc[0]
+        ratio = f"{entry['ratio']:.3f} [{entry['low']:.3f}, {entry['high']:.3f}]"
+        table.add_row("all, references weighing the same", *[""] * len(names), ratio)
     display.console.print(table)
     if len(evaluation.detection_summary):
         table = Table(title="Leakage head, 2 s of observations (test plants)")

@@ -216,9 +216,12 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
         "loses": f"{name} loses to {base}: {_change(whole.value)}.",
     }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
     mine, theirs = (_worst_twentieth(evaluation.cases, who) for who in (name, base))
+    equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
     text = (
         f"Over all runs the mean error of {name} is {interval_text(whole, decimals=2)} times that of {base}; {name} is "
         f"the better one in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
+        f"Steps have by far the largest errors and outweigh the rest; with every kind of reference weighing the same "
+        f"(geometric mean of the ratios) it is {interval_text(equal, decimals=2)}. "
         f"{_breakdown(frame, 'level', plants)} {_breakdown(frame, 'family', plants)} "
         f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
     )

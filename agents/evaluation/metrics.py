@@ -25,10 +25,14 @@ METRICS: dict[str, tuple[str, str]] = {
     "mean_error_mm": ("mm", "mean of |reference − position|"),
     "rms_error_mm": ("mm", "root mean square of the error"),
     "peak_error_mm": ("mm", "largest error"),
-    "settling_time_s": ("s", "from the reference standing still until the error stays within ±0.2 mm"),
+    "settling_time_s": (
+        "s",
+        "from the reference standing still until the error stays within ±0.2 mm; the end of the standstill, from which "
+        "the next move is seen in the preview, does not count",
+    ),
     "unsettled_share": ("1", "standstills on which it never settled"),
     "overshoot_percent": ("%", "beyond the target, of the size of the step (family 'step')"),
-    "steady_state_error_mm": ("mm", "|mean error| over the last 50 ms of a standstill"),
+    "steady_state_error_mm": ("mm", "|mean error| over the last 50 ms of a standstill before the next move is seen"),
     "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
     "control_effort": ("1", "root mean square of the command, in parts of 10 V"),
     "valve_travel_per_s": ("1/s", "way of the spool in full strokes per second"),
@@ -66,7 +70,14 @@ def overshoot(position: Array, start: float, target: float) -> float:
 
 
 def case_metrics(
-    position: Array, reference: Array, command: Array, spool: Array, period: float, is_step: bool, failed: bool
+    position: Array,
+    reference: Array,
+    command: Array,
+    spool: Array,
+    period: float,
+    is_step: bool,
+    failed: bool,
+    preview: float = 0.0,
 ) -> dict[str, float]:
     """All METRICS of one episode.
 
@@ -78,6 +89,8 @@ def case_metrics(
         period: control period, s.
         is_step: whether the reference jumps, so that overshoot has a meaning.
         failed: whether the axis failed.
+        preview: s; how far ahead the controller sees the reference. So much of the end of each standstill is left
+            out, because the axis may rightly set off before the reference does.
     """
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
@@ -85,7 +98,10 @@ def case_metrics(
     steady: list[float] = []
     beyond: list[float] = []
     final = max(round(FINAL_SHARE / period), 1)
-    for first, last in standstills(reference, period):
+    seen = round(preview / period)
+    for first, last in ((first, last - seen) for first, last in standstills(reference, period)):
+        if last - first < final:
+            continue
         settling.append(settling_time(error[first:last], period))
         steady.append(abs(float(np.mean(error[last - final : last]))))
         if is_step:
@@ -106,8 +122,10 @@ def case_metrics(
     }
 
 
-def rollout_metrics(rollout: Rollout, families: NDArray[np.str_], period: float) -> dict[str, Array]:
-    """METRICS of every case, arrays (N,)."""
+def rollout_metrics(
+    rollout: Rollout, families: NDArray[np.str_], period: float, preview: float = 0.0
+) -> dict[str, Array]:
+    """METRICS of every case, arrays (N,); ``preview`` as in :func:`case_metrics`."""
     rows = [
         case_metrics(
             rollout.position[case],
@@ -117,6 +135,7 @@ def rollout_metrics(rollout: Rollout, families: NDArray[np.str_], period: float)
             period,
             str(families[case]) == "step",
             bool(rollout.failed_at[case] >= 0),
+            preview,
         )
         for case in range(len(families))
     ]

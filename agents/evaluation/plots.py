@@ -114,7 +114,8 @@ def _by_family(evaluation: Evaluation) -> Plot:
 def _ends(frame: pd.DataFrame, column: str) -> Array:
     """What must be seen of a column: its values, and the intervals of means."""
     columns = ["mean", "low", "high"] if column == "mean" else [column]
-    return frame[columns].to_numpy(dtype=np.float64).ravel()
+    values: Array = frame[columns].to_numpy(dtype=np.float64).ravel()
+    return values
 
 
 def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:

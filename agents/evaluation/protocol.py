@@ -18,6 +18,7 @@ from agents.controllers.base import Controller, ObservationLayout
 from agents.evaluation.metrics import METRICS, rollout_metrics
 from agents.evaluation.statistics import (
     conditional_value_at_risk,
+    geometric_ratio_interval,
     mean_interval,
     ratio_interval,
     share_interval,
@@ -37,6 +38,7 @@ from hydro_env import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
 from hydro_env.plant.configuration import Group
 
 DETECTION_SEEDS_OFFSET = 500_000
+SEEDS_PER_FAMILY = 10_000
 FALSE_ALARM_RATE = 0.01
 
 
@@ -47,7 +49,7 @@ class ProtocolSettings(Group):
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
     families: tuple[str, ...] = Field(REFERENCE_FAMILIES[:6], min_length=1)
-    plants: int = Field(32, ge=2, le=100_000, description="per level and family")
+    plants: int = Field(32, ge=3, le=10_000, description="per level and family")
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
 
@@ -76,7 +78,7 @@ def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
     # A family meets the same plants at every level; another family meets others.
     family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
-    seeds = TEST_SEEDS.start + table["plant"].to_numpy() + 10_000 * family_number.to_numpy()
+    seeds = TEST_SEEDS.start + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
     cases = Cases(seeds.astype(np.int64), table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
     return cases, table
 
@@ -106,7 +108,9 @@ def evaluate(
                 progress(f"tracking, {what}", done, len(cases))
 
         rollout = run_cases(config, controller, cases, progress=report)
-        metrics = rollout_metrics(rollout, cases.families, config.control_period)  # type: ignore[arg-type]
+        assert cases.families is not None
+        preview = max(config.references.preview_times, default=0.0)
+        metrics = rollout_metrics(rollout, cases.families, config.control_period, preview)
         frames.append(table.assign(controller=name, seed=cases.seeds, **metrics))
     all_cases = pd.concat(frames, ignore_index=True)
 
@@ -119,9 +123,9 @@ def evaluate(
         families=_summary(all_cases, "family"),
         ratios=_ratios(all_cases, list(controllers)),
         detection=detection,
-        detection_rates=_detection_rates(detection, head) if head is not None else pd.DataFrame(),
-        detection_summary=_detection_summary(detection, head) if head is not None else pd.DataFrame(),
-        curves=_curves(detection) if head is not None else pd.DataFrame(),
+        detection_rates=_detection_rates(detection) if head is not None else pd.DataFrame(),
+        detection_summary=_detection_summary(detection, head, config) if head is not None else pd.DataFrame(),
+        curves=_curves(detection, config) if head is not None else pd.DataFrame(),
     )
 
 
@@ -154,7 +158,11 @@ def _summary(cases: pd.DataFrame, by: str) -> pd.DataFrame:
 
 
 def _ratios(cases: pd.DataFrame, names: list[str]) -> pd.DataFrame:
-    """Mean error of each controller over that of the first, paired by plant."""
+    """Mean error of each controller over that of the first, paired by plant.
+
+    Over all cases, per level, per family, and over all with equal weight for each family (large steps otherwise
+    outweigh the rest).
+    """
     rows = []
     base = cases[cases["controller"] == names[0]]
     groups: list[tuple[str, str, object]] = [("all", "", None)]
@@ -181,6 +189,23 @@ def _ratios(cases: pd.DataFrame, names: list[str]) -> pd.DataFrame:
                     "share_of_cases_better": wins,
                 }
             )
+        by_family = [
+            [_per_plant(frame[frame["family"] == family], "mean_error_mm") for family in cases["family"].unique()]
+            for frame in (own, base)
+        ]
+        interval = geometric_ratio_interval(np.array(by_family[0]), np.array(by_family[1]))
+        rows.append(
+            {
+                "controller": name,
+                "against": names[0],
+                "group": "equal_weight",
+                "value": "geometric mean of the families' ratios",
+                "ratio": interval.value,
+                "low": interval.low,
+                "high": interval.high,
+                "share_of_cases_better": float("nan"),
+            }
+        )
     return pd.DataFrame(rows)
 
 
@@ -231,9 +256,8 @@ def _detection(
 BINS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 
 
-def _detection_rates(detection: pd.DataFrame, head: LeakageHead) -> pd.DataFrame:
+def _detection_rates(detection: pd.DataFrame) -> pd.DataFrame:
     """Share flagged: per class, per range of sizes, and for all leaks of at least 0.3 l/min."""
-    del head
     rows = []
     for controller, frame in detection.groupby("controller", sort=False):
         groups = [("class", name, frame[frame["class"] == name]) for name in LEAKAGE_CLASSES]
@@ -257,12 +281,17 @@ def _detection_rates(detection: pd.DataFrame, head: LeakageHead) -> pd.DataFrame
     return pd.DataFrame(rows)
 
 
-def _detection_summary(detection: pd.DataFrame, head: LeakageHead) -> pd.DataFrame:
+def _healthy_and_leaking(flow: NDArray[np.float64], config: TaskConfig) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which episodes count as healthy and which as leaking, by the classes of the task."""
+    return flow <= config.leakage.class_bounds[0], flow > config.leakage.faulty_range[0]
+
+
+def _detection_summary(detection: pd.DataFrame, head: LeakageHead, config: TaskConfig) -> pd.DataFrame:
     rows = []
     for controller, frame in detection.groupby("controller", sort=False):
         flow = frame["leakage_flow_lpm"].to_numpy()
         score = frame["probability"].to_numpy()
-        healthy, leaking = flow <= 0.03, flow > 0.1
+        healthy, leaking = _healthy_and_leaking(flow, config)
         kept = healthy | leaking
         seen = flow >= 0.3
         at_test_rate = threshold_at_false_alarm_rate(score[healthy], FALSE_ALARM_RATE)
@@ -285,12 +314,13 @@ def _detection_summary(detection: pd.DataFrame, head: LeakageHead) -> pd.DataFra
     return pd.DataFrame(rows)
 
 
-def _curves(detection: pd.DataFrame) -> pd.DataFrame:
+def _curves(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
     frames = []
     for controller, frame in detection.groupby("controller", sort=False):
         flow = frame["leakage_flow_lpm"].to_numpy()
-        kept = (flow <= 0.03) | (flow > 0.1)
-        score, positive = frame["probability"].to_numpy()[kept], flow[kept] > 0.1
+        healthy, leaking = _healthy_and_leaking(flow, config)
+        kept = healthy | leaking
+        score, positive = frame["probability"].to_numpy()[kept], leaking[kept]
         for name, curve in (
             ("roc", roc_curve(score, positive)),
             ("precision_recall", precision_recall_curve(score, positive)),

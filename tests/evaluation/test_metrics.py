@@ -112,6 +112,20 @@ def test_one_settled_and_one_unsettled_standstill():
     assert found["overshoot_percent"] == 0.0
 
 
+def test_setting_off_before_a_step_that_is_seen_is_no_fault():
+    reference = np.repeat([0.0, 0.01, 0.02], [10, 40, 40])
+    position = reference.copy()
+    position[44:50] = np.linspace(0.0105, 0.014, 6)  # towards the next target, 30 ms early
+    zeros = np.zeros(90)
+    blind = case_metrics(position, reference, zeros, zeros, 0.005, True, False)
+    seeing = case_metrics(position, reference, zeros, zeros, 0.005, True, False, preview=0.04)
+    assert (blind["unsettled_share"], seeing["unsettled_share"]) == (0.5, 0.0)
+    assert seeing["steady_state_error_mm"] == seeing["overshoot_percent"] == 0.0
+    assert blind["steady_state_error_mm"] > 0.5
+    assert blind["overshoot_percent"] == pytest.approx(20.0)
+    assert seeing["mean_error_mm"] == blind["mean_error_mm"]  # tracking errors count everywhere
+
+
 def test_overshoot_needs_a_step():
     assert math.isnan(overshoot(np.array([0.0, 1.0]), 0.5, 0.5))
     assert overshoot(np.array([0.0, -1.3, -1.0]), 0.0, -1.0) == pytest.approx(30.0)

@@ -244,7 +244,7 @@ def test_what_a_leak_does(evaluation):
 
 def with_ratios(evaluation, whole, levels, families):
     ratios = evaluation.ratios.copy()
-    ratios[["ratio", "low", "high"]] = [whole, *levels, *families]
+    ratios[["ratio", "low", "high"]] = [whole, *levels, *families, whole]  # the last: references weighing the same
     ratios["share_of_cases_better"] = 0.75
     return replace(evaluation, ratios=ratios)
 

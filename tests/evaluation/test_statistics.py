@@ -7,6 +7,7 @@ import pytest
 
 from agents.evaluation.statistics import (
     conditional_value_at_risk,
+    geometric_ratio_interval,
     mean_interval,
     ratio_interval,
     share_interval,
@@ -86,3 +87,13 @@ def test_share_interval_is_wilsons():
     assert share_interval(0, 50)[:2] == (0.0, 0.0)
     assert share_interval(0, 50).high == pytest.approx(z**2 / (50 + z**2), rel=1e-5)
     assert math.isnan(share_interval(0, 0).value)
+
+
+def test_geometric_ratio_weighs_every_group_the_same():
+    generator = np.random.default_rng(0)
+    theirs = generator.uniform(1.0, 2.0, (2, 40)) * np.array([[100.0], [1.0]])
+    found = geometric_ratio_interval(theirs * np.array([[0.5], [2.0]]), theirs)
+    assert found.value == pytest.approx(1.0)
+    assert found.low == pytest.approx(1.0)
+    noisy = geometric_ratio_interval(theirs * generator.uniform(0.7, 0.9, theirs.shape), theirs)
+    assert noisy.low < noisy.value < noisy.high < 0.9
