@@ -10,7 +10,7 @@ PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 .PHONY: study test slow-test lint types check clean
 
 study: $(VENV)/.installed-agents
-	$(BIN)/hydro study --output $(OUTPUT)
+	$(BIN)/hydro study --output $(OUTPUT) --resume
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest

@@ -39,6 +39,7 @@ HEAD_FILE = "leakage_head"
 CURVE_FILE = "training_curve.csv"
 CONFIG_FILE = "study.yaml"
 REPORT_FILE = "report.html"
+TIMINGS_FILE = "timings.yaml"
 
 
 class StudySettings(Group):
@@ -117,21 +118,22 @@ def run_study(
         if read_yaml(stored) != json.loads(json.dumps(described)):
             raise ConfigurationError(f"{stored}: is of other settings or another seed; --overwrite begins anew")
     else:
-        for name in (f"{POLICY_FILE}.json", f"{HEAD_FILE}.json", "checkpoint.json", "head_checkpoint.json", CURVE_FILE):
+        stale = (f"{POLICY_FILE}.json", f"{HEAD_FILE}.json", "checkpoint.json", "head_checkpoint.json")
+        for name in (*stale, CURVE_FILE, TIMINGS_FILE):
             (folder / name).unlink(missing_ok=True)
         write_yaml(stored, described)
 
-    timings: dict[str, float] = {}
-    policy, curve = _timed(timings, "train PPO", lambda: _policy(settings, folder, seed, display))
+    timings = _stored_timings(folder)
+    policy, curve = _timed(folder, timings, "train PPO", lambda: _policy(settings, folder, seed, display))
     pid = PID(settings.pid, ObservationLayout.of(settings.task))
     controllers: dict[str, Controller] = {"PID": pid, "PPO": policy}
-    head = _timed(timings, "train leakage head", lambda: _head(settings, folder, seed, display, controllers))
+    head = _timed(folder, timings, "train leakage head", lambda: _head(settings, folder, seed, display, controllers))
     evaluation = _timed(
         timings,
         "evaluate",
         lambda: evaluate(settings.task, controllers, head, settings.evaluation, display.update),
     )
-    examples = _timed(timings, "examples", lambda: example_traces(settings.task, controllers))
+    examples = _timed(folder, timings, "examples", lambda: example_traces(settings.task, controllers))
     write_tables(folder / "tables", evaluation)
     record = StudyRecord(
         title=settings.title,
@@ -149,11 +151,19 @@ def run_study(
     return StudyResult(report, evaluation, timings)
 
 
-def _timed(timings: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
+def _timed(folder: Path, timings: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
+    """Do a phase and note the seconds it took, here and in the folder."""
     began = time.monotonic()
     result = work()
-    timings[name] = time.monotonic() - began
+    # A phase that a resumed study skips keeps the time it took.
+    timings[name] = round(max(time.monotonic() - began, timings.get(name, 0.0)), 1)
+    write_yaml(folder / TIMINGS_FILE, timings)
     return result
+
+
+def _stored_timings(folder: Path) -> dict[str, float]:
+    file = folder / TIMINGS_FILE
+    return {name: float(value) for name, value in read_yaml(file).items()} if file.exists() else {}
 
 
 def _policy(

@@ -265,7 +265,9 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the worker threads."""
         del kwargs
-        self._axes.close()
+        axes = getattr(self, "_axes", None)  # absent where the constructor refused its arguments
+        if axes is not None:
+            axes.close()
 
 
 def _failure_names(codes: NDArray[np.float64]) -> NDArray[np.object_]:
