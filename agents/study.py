@@ -129,6 +129,7 @@ def run_study(
     controllers: dict[str, Controller] = {"PID": pid, "PPO": policy}
     head = _timed(folder, timings, "train leakage head", lambda: _head(settings, folder, seed, display, controllers))
     evaluation = _timed(
+        folder,
         timings,
         "evaluate",
         lambda: evaluate(settings.task, controllers, head, settings.evaluation, display.update),
