@@ -6,31 +6,23 @@ pygame is imported only when a renderer is made; ``rgb_array`` draws on plain su
 from __future__ import annotations
 
 import math
-import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
+
+from hydro_env.canvas import HEIGHT, INK, WIDTH, Canvas, Color
 
 if TYPE_CHECKING:
     import pygame
 
-Color: TypeAlias = tuple[int, int, int]
-Points: TypeAlias = Sequence[tuple[float, float]] | NDArray[np.floating]
-
-WIDTH, HEIGHT = 960, 540
-SUPERSAMPLING = 2
-FONTS = "dejavusans,liberationsans,notosans,arial,helvetica,segoeui"
 MINUS = "\N{MINUS SIGN}"
 BAR = 1e5  # Pa
 PRESSURE_SCALES = (50.0, 100.0, 150.0, 200.0, 250.0, 300.0, 400.0)  # bar
 
-PAPER, WHITE, INK, GREY = (250, 250, 248), (255, 255, 255), (38, 46, 56), (105, 114, 124)
+WHITE, GREY = (255, 255, 255), (105, 114, 124)
 FAINT, ROD, STEEL, PISTON = (218, 222, 226), (238, 240, 242), (203, 208, 214), (150, 158, 167)
 POSITION, REFERENCE, REFERENCE_COMING, LEAK = (24, 78, 140), (205, 92, 0), (236, 184, 140), (255, 214, 60)
 OIL = ((178, 208, 236), (222, 178, 196), (212, 74, 70))  # from tank blue to pressure red
@@ -122,90 +114,7 @@ class AxisRenderer:
         self._clock.tick(self._frames_per_second)
 
 
-class _Canvas:
-    """Shapes are drawn enlarged and scaled down, which smooths their edges; text is set afterwards at its true size."""
-
-    def __init__(self) -> None:
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # the greeting would end up in a program's output
-        try:
-            import pygame
-            import pygame.freetype
-        except ImportError as error:
-            raise DependencyNotInstalled('pygame is not installed, run `pip install "hydro_env[render]"`') from error
-        pygame.freetype.init()
-        with warnings.catch_warnings():  # without system fonts the bundled one is taken
-            warnings.simplefilter("ignore")
-            self._font = pygame.freetype.SysFont(FONTS, 13)
-        self._font.origin = True
-        self._shapes, self._scale_down = pygame.draw, pygame.transform.smoothscale
-        self._large = pygame.Surface((WIDTH * SUPERSAMPLING, HEIGHT * SUPERSAMPLING))
-        self._small = pygame.Surface((WIDTH, HEIGHT))
-        self._texts: list[tuple[str, float, float, Color, float]] = []
-
-    def clear(self) -> None:
-        self._large.fill(PAPER)
-        self._texts.clear()
-
-    def finish(self) -> pygame.Surface:
-        self._scale_down(self._large, (WIDTH, HEIGHT), self._small)
-        for text, left, baseline, color, size in self._texts:
-            self._font.render_to(self._small, (round(left), round(baseline)), text, color, size=size)
-        return self._small
-
-    def text(self, text: str, x: float, y: float, color: Color = INK, size: float = 12, align: float = 0) -> None:
-        """``y`` is the baseline; ``align`` is 0 left, 0.5 centred, 1 right; what follows ``_`` is a subscript."""
-        head, _, subscript = text.partition("_")
-        width = self._font.get_rect(head, size=size).width
-        self._texts.append((head, x - align * width, y, color, size))
-        if subscript:
-            self.text(subscript, x + width + 1, y + 3, color, size - 2)
-
-    def line(self, points: Points, color: Color = INK, width: float = 1) -> None:
-        if len(points) > 1:
-            self._shapes.lines(self._large, color, False, _enlarged(points), max(1, round(width * SUPERSAMPLING)))
-
-    def dashed(self, points: Points, color: Color, width: float, dash: float = 6, gap: float = 4) -> None:
-        corners = np.asarray(points, dtype=float)
-        along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))))
-        for start in np.arange(0.0, along[-1], dash + gap):
-            end = min(start + dash, along[-1])
-            stations = np.concatenate(([start], along[(along > start) & (along < end)], [end]))
-            pieces = [np.interp(stations, along, corners[:, axis]) for axis in (0, 1)]
-            self.line(np.stack(pieces, axis=1), color, width)
-
-    def polygon(self, points: Points, fill: Color, outline: Color | None = None) -> None:
-        self._shapes.polygon(self._large, fill, _enlarged(points))
-        if outline is not None:
-            self._shapes.polygon(self._large, outline, _enlarged(points), SUPERSAMPLING)
-
-    def box(self, x: float, y: float, x_end: float, y_end: float, fill: Color, outline: Color | None = INK) -> None:
-        left, top, right, bottom = (round(SUPERSAMPLING * edge) for edge in (x, y, x_end, y_end))
-        area = (left, top, max(0, right - left), max(0, bottom - top))
-        self._shapes.rect(self._large, fill, area)
-        if outline is not None:
-            self._shapes.rect(self._large, outline, area, SUPERSAMPLING)
-
-    def circle(self, x: float, y: float, radius: float, fill: Color) -> None:
-        for color, size in ((INK, radius), (fill, radius - 1)):
-            self._shapes.circle(self._large, color, (SUPERSAMPLING * x, SUPERSAMPLING * y), SUPERSAMPLING * size)
-
-    def arrow(self, x: float, y: float, x_end: float, y_end: float, width: float, fill: Color = INK) -> None:
-        length = math.hypot(x_end - x, y_end - y)
-        cosine, sine = (x_end - x) / length, (y_end - y) / length
-        shaft, wing = width / 2, width / 2 + 2.5
-        neck = length - min(0.7 * length, 2 * wing)
-        shape = [(0, shaft), (neck, shaft), (neck, wing), (length, 0), (neck, -wing), (neck, -shaft), (0, -shaft)]
-        self.polygon([(x + r * cosine - s * sine, y + r * sine + s * cosine) for r, s in shape], fill, INK)
-
-    def pipe(self, points: Points, fill: Color) -> None:
-        """Runs are straight along x or y; both ends reach 3 px further, to be covered by what they join."""
-        for color, half in ((INK, 3.0), (fill, 2.0)):
-            for (x, y), (x_end, y_end) in pairwise(points):
-                left, right, top, bottom = min(x, x_end), max(x, x_end), min(y, y_end), max(y, y_end)
-                self.box(left - half, top - half, right + half, bottom + half, color, None)
-
-
-class _Picture(_Canvas):
+class _Picture(Canvas):
     """The parts of the picture, drawn from back to front."""
 
     _view: View
@@ -463,7 +372,3 @@ def _nice_step(span: float, parts: int) -> float:
 def _ticks(low: float, high: float, parts: int) -> NDArray[np.floating]:
     step = _nice_step(high - low, parts)
     return step * np.arange(math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9) + 1)
-
-
-def _enlarged(points: Points) -> list[tuple[float, float]]:
-    return [(float(x) * SUPERSAMPLING, float(y) * SUPERSAMPLING) for x, y in points]

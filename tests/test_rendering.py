@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
 
-from hydro_env import rendering
+from hydro_env import canvas, rendering
 from hydro_env.rendering import AxisRenderer, View
 
 pygame = pytest.importorskip("pygame")
@@ -119,7 +119,7 @@ def test_oil_turns_from_blue_to_red_with_pressure():
 def test_spool_moves_the_valve_symbol_by_a_box_at_full_stroke():
     def left_edge(spool):
         row = draw(spool_position=spool)[VALVE_ROW, :460]
-        return np.nonzero((row != np.array(rendering.PAPER)).any(axis=-1))[0].min()
+        return np.nonzero((row != np.array(canvas.PAPER)).any(axis=-1))[0].min()
 
     assert left_edge(1.0) - left_edge(0.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
     assert left_edge(0.0) - left_edge(-1.0) == pytest.approx(rendering.VALVE_BOX, abs=1)
@@ -128,7 +128,7 @@ def test_spool_moves_the_valve_symbol_by_a_box_at_full_stroke():
 def test_spring_only_where_there_is_one():
     def marks(picture):
         between = picture[115:150, 750:920]
-        return (between != np.array(rendering.PAPER)).any(axis=-1).sum()
+        return (between != np.array(canvas.PAPER)).any(axis=-1).sum()
 
     assert marks(draw(has_spring=True)) > 100
     assert marks(draw(has_spring=False)) == 0
@@ -136,7 +136,7 @@ def test_spring_only_where_there_is_one():
 
 def test_external_force_points_against_extension_when_positive():
     free, pushed, pulled = (draw(external_force=force)[100:112, 720:800] for force in (0.0, 2000.0, -2000.0))
-    inks = [where(part, rendering.INK) for part in (pushed, pulled)]
+    inks = [where(part, canvas.INK) for part in (pushed, pulled)]
     assert not np.array_equal(free, pushed)
     tall = [np.bincount(columns, minlength=80).argmax() for _, columns in inks]  # the head is the tallest part
     assert tall[0] < tall[1]

@@ -8,8 +8,7 @@ and start–stop runs change their speed abruptly: that is their purpose.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hydro_env.plant.compiler import inline
 from hydro_env.task.random_numbers import between, log_between, uniform
@@ -221,17 +220,6 @@ def fill_start_stop(row, key, start, period, f, limits):
             running = not running
             left = between(key, draw, 0.1, 0.35) if running else between(key, draw, 0.1, 0.3)
             draw += 1
-
-
-FILLERS: tuple[Callable[..., Any], ...] = (
-    fill_step,
-    fill_point_to_point,
-    fill_ramp,
-    fill_sine,
-    fill_multi_sine,
-    fill_start_stop,
-)
-"""In the order of ``REFERENCE_FAMILIES``."""
 
 
 @inline

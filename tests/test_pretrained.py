@@ -1,0 +1,68 @@
+"""The shipped weights load with their normalisation and do what their card says, on validation plants."""
+
+import numpy as np
+import pytest
+
+from agents.controllers import PID, ObservationLayout
+from agents.evaluation.protocol import ProtocolSettings
+from agents.leakage.head import SIGNALS
+from agents.leakage.metrics import area_under_roc, detection_rate
+from agents.paths import config_folder
+from agents.rollout import Cases, run_cases
+from agents.splits import VALIDATION_SEEDS
+from agents.study import StudySettings
+from agents.training_jobs import load_head, load_policy
+
+STUDY = StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
+LAYOUT = ObservationLayout.of(STUDY.task)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return load_policy(None, STUDY.task)
+
+
+def test_policy_beats_the_tuned_pid_at_every_leak(policy):
+    protocol = ProtocolSettings()
+    rows = [
+        (leak, family, plant) for leak in protocol.leak_levels for family in protocol.families for plant in range(6)
+    ]
+    leak = np.array([row[0] for row in rows])
+    families = np.array([row[1] for row in rows])
+    cases = Cases(np.array([VALIDATION_SEEDS.start + 700_000 + row[2] for row in rows]), leak, families)
+    error = {}
+    for name, controller in (("PID", PID(STUDY.pid, LAYOUT)), ("PPO", policy)):
+        run = run_cases(STUDY.task, controller, cases)
+        assert (run.failed_at < 0).all()
+        error[name] = np.abs(run.position - run.reference).mean(axis=1)
+    assert error["PPO"].mean() < 0.92 * error["PID"].mean()
+    for level in protocol.leak_levels:
+        assert error["PPO"][leak == level].mean() < error["PID"][leak == level].mean(), level
+
+
+@pytest.mark.parametrize("controller", ["PID", "PPO"])
+def test_head_flags_leaks_under_either_controller(policy, controller):
+    head = load_head(None, STUDY.task)
+    count = 600
+    flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
+    seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000
+    acting = policy if controller == "PPO" else PID(STUDY.pid, LAYOUT)
+    columns = [LAYOUT.index(name) for name in SIGNALS]
+    run = run_cases(STUDY.task, acting, Cases(seeds, flow), columns, states=False)
+    assert run.signals is not None
+    found = head.estimate_signals(run.signals)
+    leaking = flow >= 0.3
+    assert area_under_roc(found.probability, leaking) > 0.99
+    assert detection_rate(found.probability[leaking], head.settings.threshold) > 0.95
+    assert detection_rate(found.probability[~leaking], head.settings.threshold) < 0.04
+    assert np.median(np.abs(np.log(found.flow_lpm / flow))[leaking]) < np.log(1.4)
+
+
+def test_weights_of_another_task_are_refused():
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+
+    other = task_config(STUDY.task, control_period=0.004)
+    for load in (load_policy, load_head):
+        with pytest.raises(ConfigurationError, match="trained on other observations"):
+            load(None, other)
