@@ -20,6 +20,8 @@ def main(plants: int = 20) -> None:
     steps = (0.5e-3, 0.25e-3, 0.125e-3)
     errors = {step: [] for step in steps}
     seconds = dict.fromkeys(("radau", *steps), 0.0)
+    for method in ("rk4", "radau"):  # compiles, so that compiling is not timed
+        simulate(env.axes.parameters(0), [0.0], 5e-3, method=method)
     for axis in range(plants):
         parameters = env.axes.parameters(axis)
         voltage = np.repeat(np.clip(generator.normal(0.0, 1.5, 10), -5, 5), 8)
