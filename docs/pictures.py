@@ -17,7 +17,7 @@ from agents.paths import config_folder
 from hydro_env import TaskConfig
 
 FOLDER = Path(__file__).parent / "images"
-COLOURS = {"PID": "#4c6a92", "PPO": "#c8641e"}
+COLOURS = {"PID": "#0072b2", "PPO": "#d55e00"}
 
 
 def results(tables: Path) -> None:
@@ -40,6 +40,8 @@ def results(tables: Path) -> None:
         )
     left.set(xscale="log", xlabel="leakage, l/min at 100 bar", ylabel="mean tracking error, mm")
     left.set_ylim(bottom=0)
+    left.set_xticks(list(leak), [f"{value:g}" for value in leak])
+    left.minorticks_off()
     left.set_title("Positioning", fontsize=11)
     right.set_xticks(range(len(flagged)), flagged["value"])
     right.set(xlabel="leakage, l/min at 100 bar", ylabel="flagged within 2 s, %", ylim=(0, 104))

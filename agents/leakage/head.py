@@ -109,13 +109,66 @@ class HeadSettings:
     training: dict[str, Any]
 
 
+@dataclass
+class HeadState:
+    """Memory of the head: a ring of observations (N, window, n), its next slot, and how many were seen (N,)."""
+
+    ring: NDArray[np.float32]
+    slot: int
+    seen: NDArray[np.int64]
+
+
 class LeakageHead:
-    """The trained network with everything that inference needs."""
+    """The trained network with everything that inference needs.
+
+    ``predict`` watches step by step, with the signature of a controller; ``estimate`` judges whole windows.
+    """
 
     def __init__(self, network: LeakageNetwork, settings: HeadSettings) -> None:
         self.network = network.eval()
         self.settings = settings
         self.columns = np.array([settings.layout.index(name) for name in SIGNALS])
+
+    def predict(
+        self,
+        observation: Floats,
+        state: HeadState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float64], HeadState]:
+        """Probability of a leak and its size in l/min at 100 bar, (2,) or (N, 2), and the memory for the next call.
+
+        NaN until a whole window of observations has been seen. Arguments as of a controller
+        (:class:`~agents.controllers.base.Controller`).
+        """
+        del deterministic
+        batch, single = as_batch(observation)
+        state = self.remember(batch, state, episode_start)
+        found = np.column_stack(self.estimate_remembered(state))
+        return (found[0] if single else found), state
+
+    def remember(
+        self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
+    ) -> HeadState:
+        """Take observations (N, n) into the memory without judging them."""
+        window = self.settings.window
+        if state is None:
+            ring = np.zeros((len(observation), window, observation.shape[1]), dtype=np.float32)
+            state = HeadState(ring, 0, np.zeros(len(observation), dtype=np.int64))
+        elif episode_start is not None:
+            state.seen[np.asarray(episode_start, dtype=np.bool_)] = 0
+        state.ring[:, state.slot] = observation
+        return HeadState(state.ring, (state.slot + 1) % window, state.seen + 1)
+
+    def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
+        """Probability and size of a leak from the remembered windows (N,); NaN where one is not whole yet."""
+        window = self.settings.window
+        full = state.seen >= window
+        probability, flow = np.full(len(full), np.nan), np.full(len(full), np.nan)
+        if full.any():
+            order = (state.slot + np.arange(window)) % window
+            probability[full], flow[full] = self.estimate(state.ring[full][:, order])
+        return LeakageEstimate(probability, flow)
 
     def estimate(self, history: Floats) -> LeakageEstimate:
         """Probability and size of a leak.
@@ -188,18 +241,17 @@ class LeakageHead:
 
 @dataclass
 class MonitorState:
-    """Memory: the controller's, and a ring of observations (N, window, n) with its next slot and fill (N,)."""
+    """Memory of a monitored controller: the controller's own, and the head's."""
 
     controller: Any
-    ring: NDArray[np.float32]
-    slot: int
-    seen: NDArray[np.int64]
+    head: HeadState
 
 
 class MonitoredController:
     """Any controller with the leakage head attached: acts as the controller does, and tells the leak on the side.
 
-    ``estimate(state)`` gives the head's answer for the last window of observations of each axis.
+    ``estimate(state)`` gives the head's answer for the last window of observations of each axis; only then does the
+    network run.
     """
 
     def __init__(self, controller: Controller, head: LeakageHead) -> None:
@@ -215,26 +267,11 @@ class MonitoredController:
     ) -> tuple[NDArray[np.float32], MonitorState]:
         """The controller's commands; the observations are remembered for the head."""
         batch, single = as_batch(observation)
-        inner = state.controller if state is not None else None
+        inner, watching = (state.controller, state.head) if state is not None else (None, None)
         action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
-        window = self.head.settings.window
-        if state is None:
-            ring = np.zeros((len(batch), window, batch.shape[1]), dtype=np.float32)
-            state = MonitorState(inner, ring, 0, np.zeros(len(batch), dtype=np.int64))
-        elif episode_start is not None:
-            state.seen[np.asarray(episode_start, dtype=np.bool_)] = 0
-        state.ring[:, state.slot] = batch
-        state = MonitorState(inner, state.ring, (state.slot + 1) % window, state.seen + 1)
-        return (action[0] if single else action), state
+        watching = self.head.remember(batch, watching, episode_start)
+        return (action[0] if single else action), MonitorState(inner, watching)
 
     def estimate(self, state: MonitorState) -> LeakageEstimate:
         """Probability and size of a leak on each axis (N,); NaN until a whole window has been seen."""
-        window = self.head.settings.window
-        order = (state.slot + np.arange(window)) % window
-        full = state.seen >= window
-        probability = np.full(len(full), np.nan)
-        flow = np.full(len(full), np.nan)
-        if full.any():
-            found = self.head.estimate(state.ring[full][:, order])
-            probability[full], flow[full] = found
-        return LeakageEstimate(probability, flow)
+        return self.head.estimate_remembered(state.head)

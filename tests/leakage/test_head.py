@@ -78,6 +78,19 @@ def test_monitor_acts_as_its_controller_and_waits_for_a_window(head):
     assert np.isnan(monitored.estimate(memory).probability).tolist() == [True, False, False]
 
 
+def test_predict_watches_with_the_signature_of_a_controller(head):
+    rows = np.random.default_rng(0).standard_normal((CONFIG.steps, 2, len(LAYOUT.names))).astype(np.float32)
+    state, alone = None, None
+    for step, row in enumerate(rows):
+        found, state = head.predict(row, state)
+        single, alone = head.predict(row[1], alone)
+        assert np.isnan(found).all() == (step < CONFIG.steps - 1)
+    assert found.shape == (2, 2)
+    assert single.shape == (2,)
+    np.testing.assert_allclose(single, found[1], rtol=1e-4)
+    np.testing.assert_allclose(found, np.column_stack(head.estimate(rows.transpose(1, 0, 2))), rtol=1e-4)
+
+
 def test_interrupted_training_resumes_to_the_same_head(head, tmp_path):
     def interrupt(phase, done, total, loss):
         if phase == "training" and done == 2:
