@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -103,12 +105,13 @@ def train(
     from agents import training_jobs
 
     settings = _study(config)
-    if what is Trainable.PPO:
-        file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
-    elif what is Trainable.HEAD:
-        file = training_jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
-    else:
-        file = training_jobs.tune_gains(settings, output, seed, overwrite)
+    with _stoppable():
+        if what is Trainable.PPO:
+            file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
+        elif what is Trainable.HEAD:
+            file = training_jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
+        else:
+            file = training_jobs.tune_gains(settings, output, seed, overwrite)
     typer.echo(f"written: {file}")
 
 
@@ -130,7 +133,8 @@ def evaluate(
     settings = _study(config)
     if plants is not None:
         settings = settings.model_copy(update={"evaluation": settings.evaluation.model_copy(update={"plants": plants})})
-    training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
+    with _stoppable():
+        training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
 
 
 @app.command()
@@ -148,7 +152,18 @@ def study(
     """
     from agents import training_jobs
 
-    training_jobs.study_to_folder(_study(config), output, seed, resume, overwrite, _command_line())
+    with _stoppable():
+        training_jobs.study_to_folder(_study(config), output, seed, resume, overwrite, _command_line())
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Ctrl-C ends the command with one line that says what becomes of the work."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print("\nhydro: stopped; what is done so far was kept, --resume goes on with it", file=sys.stderr)
+        raise typer.Exit(130) from None
 
 
 def _study(config: Path | None) -> Any:
@@ -169,8 +184,7 @@ def main() -> None:
     except HydroError as error:
         print(f"hydro: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:
-        print("\nhydro: stopped; what is done so far was kept, --resume goes on with it", file=sys.stderr)
+    except KeyboardInterrupt:  # before a command had begun
         sys.exit(130)
     except OSError as error:
         print(f"hydro: {ConfigurationError(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
