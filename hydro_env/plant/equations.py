@@ -87,8 +87,9 @@ class Coefficients(NamedTuple):
 @inline
 def coefficients(p):
     """:class:`Coefficients` of the physical parameters ``p`` (:class:`Physical`)."""
-    area_a = 0.25 * math.pi * p.cylinder_bore_diameter**2
-    area_b = area_a - 0.25 * math.pi * p.cylinder_rod_diameter**2
+    bore = 0.25 * math.pi * p.cylinder_bore_diameter**2
+    area_a = bore - 0.25 * math.pi * p.cylinder_rod_diameter_a**2
+    area_b = bore - 0.25 * math.pi * p.cylinder_rod_diameter**2
     has_friction = 0.0 if p.friction_model == 0.0 else 1.0
     has_stribeck = 1.0 if p.friction_model == 2.0 else 0.0
     supply_dynamics = p.supply_polytropic_index if p.supply_model == 1.0 else 0.0
@@ -320,7 +321,7 @@ def valid_limits(end_stop_position, slew_limit, volume_b0, area_a, area_b, suppl
     into an end stop by half of what the dead volume allows. Arguments as in :class:`Coefficients`.
     """
     dead_volume = volume_b0 - area_b * end_stop_position
-    reach = end_stop_position + 0.5 * dead_volume / area_a
+    reach = end_stop_position + 0.5 * dead_volume / max(area_a, area_b)
     slew = slew_limit * (1.0 + 1e-9)
     most_gas = accumulator_volume * 1.001 if supply_dynamics > 0.0 else 1e300
     floor = VAPOUR_PRESSURE * (1.0 + 1e-9)
