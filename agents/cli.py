@@ -85,6 +85,28 @@ def simulate(
         typer.echo(file)
 
 
+@app.command("check-rig")
+def check_rig(
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; without it none.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Print what an engineer works out by hand for a rig, and refuse a rig that cannot work.
+
+    Areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional gain of the
+    sampled position loop with a tight and a leaking seal, and how finely the rig must be integrated.
+    """
+    from agents.rig_check import check_to_console
+
+    for file in check_to_console(rig, output, overwrite):
+        typer.echo(file)
+
+
 @app.command()
 def train(
     what: Annotated[

@@ -17,6 +17,7 @@ from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibri
 from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
+from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 CSV_FILE = "trajectory.csv"
@@ -96,6 +97,7 @@ def simulate_to_folder(
         raise ConfigurationError(
             f"--duration = {duration:g} s with --sample-time = {sample_time:g} s: needs 1 to {MOST_SAMPLES:,} samples"
         )
+    refuse_unworkable(parameters, str(rig) if rig is not None else "rig")
     _, holding = equilibrium(parameters, position)
     if input_file is not None:
         inputs = read_voltage(input_file)

@@ -35,7 +35,7 @@ def assert_one_clear_line(result, *parts):
         assert part in lines[0]
 
 
-@pytest.mark.parametrize("command", ["simulate", "train", "evaluate", "study"])
+@pytest.mark.parametrize("command", ["simulate", "check-rig", "train", "evaluate", "study"])
 def test_help_teaches(command):
     assert command in hydro("--help").stdout
     result = hydro(command, "--help")

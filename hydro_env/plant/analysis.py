@@ -24,6 +24,61 @@ from hydro_env.plant.simulate import TYPICAL_SIZE, Trajectory, coefficient_array
 
 Array = NDArray[np.float64]
 
+AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_pressure")
+"""The states of the axis without its valve."""
+
+
+class ChamberVolumes(NamedTuple):
+    """Oil volumes of the two chambers with their dead volumes, m³."""
+
+    a: float
+    b: float
+
+
+def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> ChamberVolumes:
+    """Oil in both chambers at a position (m): V_a0 + A_a x and V_b0 − A_b x (8), (9)."""
+    c = Coefficients(*coefficient_array(parameters))
+    return ChamberVolumes(c.volume_a0 + c.area_a * position, c.volume_b0 - c.area_b * position)
+
+
+def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) -> float:
+    """Stiffness in N/m of both closed oil columns and the spring: β (A_a²/V_a + A_b²/V_b) + k (Merritt 1967).
+
+    β is that of oil without free air. Holds for short times: over long ones the seal and the valve let oil pass.
+    """
+    c = Coefficients(*coefficient_array(parameters))
+    volumes = chamber_volumes(parameters, position)
+    return float(
+        c.bulk_modulus * (c.area_a**2 / volumes.a + c.area_b**2 / volumes.b) + c.spring_stiffness,
+    )
+
+
+def softest_position(parameters: PlantParameters) -> float:
+    """Position in m where the natural frequency with closed ports is lowest (Jelali & Kroll 2003).
+
+    There A_a³/V_a² = A_b³/V_b²; the end of the stroke where that lies outside.
+    """
+    c = Coefficients(*coefficient_array(parameters))
+    ratio = (c.area_a / c.area_b) ** 1.5
+    position = (ratio * c.volume_b0 - c.volume_a0) / (c.area_a + ratio * c.area_b)
+    return float(min(max(position, -c.end_stop_position), c.end_stop_position))
+
+
+class ForceLimits(NamedTuple):
+    """Largest steady forces on the load at full pressure, N; positive where the supply pushes that way."""
+
+    extending: float
+    retracting: float
+
+
+def force_limits(parameters: PlantParameters) -> ForceLimits:
+    """P_s A_a − P_T A_b extending and P_s A_b − P_T A_a retracting, in N, less the external force."""
+    c = Coefficients(*coefficient_array(parameters))
+    return ForceLimits(
+        float(c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - c.external_force),
+        float(c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + c.external_force),
+    )
+
 
 def closed_port_natural_frequency(parameters: PlantParameters, position: float = 0.0) -> float:
     """Natural frequency in rad/s of the mass on the two closed oil columns and the spring (Merritt 1967).
@@ -31,10 +86,7 @@ def closed_port_natural_frequency(parameters: PlantParameters, position: float =
     ω = √((β (A_a²/V_a + A_b²/V_b) + k) / (M + m_d)); β is that of oil without free air. Does not depend on leakage.
     """
     c = Coefficients(*coefficient_array(parameters))
-    volume_a = c.volume_a0 + c.area_a * position
-    volume_b = c.volume_b0 - c.area_b * position
-    oil = c.bulk_modulus * (c.area_a**2 / volume_a + c.area_b**2 / volume_b)
-    return math.sqrt((oil + c.spring_stiffness) * c.inverse_mass)
+    return math.sqrt(closed_port_stiffness(parameters, position) * c.inverse_mass)
 
 
 class SpeedLimits(NamedTuple):
@@ -60,8 +112,7 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits
 def reachable_range(parameters: PlantParameters) -> tuple[float, float]:
     """Lowest and highest position in m that the supply can hold against spring and external force."""
     c = Coefficients(*coefficient_array(parameters))
-    out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - c.external_force
-    back = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + c.external_force
+    out, back = force_limits(parameters)
     stop = c.end_stop_position
     if c.spring_stiffness == 0.0:
         return (-stop if back > 0 else stop), (stop if out > 0 else -stop)
@@ -94,20 +145,20 @@ class Linearisation:
 
     @property
     def hydraulic_mode(self) -> Mode:
-        """The oscillation of the mass on the oil columns: the pair whose motion is most in velocity and pressures."""
-        values, vectors = np.linalg.eig(self.a)
-        scale = 1.0 / TYPICAL_SIZE
-        rows = [STATE_NAMES.index(name) for name in ("velocity", "pressure_a", "pressure_b")]
-        best, share = None, -1.0
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value.imag <= 1e-3 * np.abs(values).max():
-                continue
-            weights = np.abs(vector * scale) ** 2
-            part = float(weights[rows].sum() / weights.sum())
-            if part > share:
-                best, share = complex(value), part
-        if best is None:
+        """The oscillation of the mass on the oil columns: of position, velocity and pressures, the fastest pair.
+
+        The axis does not act back on the valve, so that these states have eigenvalues of their own. Dry friction at
+        standstill is part of the linearisation; the damping of a moving axis is that with ``friction.model: none``.
+
+        Raises:
+            ArithmeticError: no oscillation.
+        """
+        rows = [STATE_NAMES.index(name) for name in AXIS_STATES]
+        values = np.linalg.eigvals(self.a[np.ix_(rows, rows)])
+        pairs = [complex(value) for value in values if value.imag > 1e-3 * np.abs(values).max()]
+        if not pairs:
             raise ArithmeticError("the linearised axis has no oscillation: it is overdamped here")
+        best = max(pairs, key=abs)
         return Mode(abs(best), -best.real / abs(best), best)
 
 

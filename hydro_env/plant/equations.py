@@ -87,8 +87,9 @@ class Coefficients(NamedTuple):
 @inline
 def coefficients(p):
     """:class:`Coefficients` of the physical parameters ``p`` (:class:`Physical`)."""
-    area_a = 0.25 * math.pi * p.cylinder_bore_diameter**2
-    area_b = area_a - 0.25 * math.pi * p.cylinder_rod_diameter**2
+    bore = 0.25 * math.pi * p.cylinder_bore_diameter**2
+    area_a = bore - 0.25 * math.pi * p.cylinder_rod_diameter_a**2
+    area_b = bore - 0.25 * math.pi * p.cylinder_rod_diameter**2
     has_friction = 0.0 if p.friction_model == 0.0 else 1.0
     has_stribeck = 1.0 if p.friction_model == 2.0 else 0.0
     supply_dynamics = p.supply_polytropic_index if p.supply_model == 1.0 else 0.0
@@ -288,28 +289,41 @@ def hold_limits(s, c):
     )
 
 
-@inline
-def fastest_rate(s, c):
-    """Upper estimate of the fastest rate |λ| in 1/s near a state, from which the inner step follows.
+class Rates(NamedTuple):
+    """Upper estimates of the rates |λ| in 1/s of the parts of the axis."""
 
-    The largest of: an edge or a leak that relaxes a chamber (slope of S at zero drop, fully open, no air), friction
-    within its transition velocity, the oil column against the mass, the end stop, spool and coil.
-    """
+    chamber_a: float  # an edge or a leak relaxes chamber a
+    chamber_b: float  # and chamber b
+    friction: float  # friction within its transition velocity, and viscous damping
+    oil_column: float  # oil column and spring against the mass
+    end_stop: float
+    valve: float  # spool and coil
+
+
+@inline
+def rates(s, c):
+    """:class:`Rates` near a state: slope of S at zero drop, edges fully open, oil without air."""
     margin = 2e-3  # m; further than the piston goes within one control period
     volume_a = max(c.volume_a0 + c.area_a * (s.position - margin), 0.2 * (c.volume_a0 - c.area_a * c.end_stop_position))
     volume_b = max(c.volume_b0 - c.area_b * (s.position + margin), 0.2 * (c.volume_b0 - c.area_b * c.end_stop_position))
     slope = 1.0 / math.sqrt(math.sqrt(c.transition_squared))
     leak = c.leakage_conductance + c.leakage_orifice_gain * slope
-    relaxation_a = c.bulk_modulus / volume_a * (c.edge_gain * slope + leak)
-    relaxation_b = c.bulk_modulus / volume_b * (c.edge_gain * slope + leak + c.external_conductance)
-    friction = (
-        (c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity + c.viscous_damping
-    ) * c.inverse_mass
     oil_column = c.bulk_modulus * (c.area_a * c.area_a / volume_a + c.area_b * c.area_b / volume_b)
-    oscillation = math.sqrt((oil_column + c.spring_stiffness) * c.inverse_mass)
-    stop = c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass)
-    valve = max(math.sqrt(c.spool_stiffness) + c.spool_damping, c.coil_rate)
-    return max(max(max(relaxation_a, relaxation_b), max(friction, oscillation)), max(stop, valve))
+    return Rates(
+        c.bulk_modulus / volume_a * (c.edge_gain * slope + leak),
+        c.bulk_modulus / volume_b * (c.edge_gain * slope + leak + c.external_conductance),
+        ((c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity + c.viscous_damping) * c.inverse_mass,
+        math.sqrt((oil_column + c.spring_stiffness) * c.inverse_mass),
+        c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass),
+        max(math.sqrt(c.spool_stiffness) + c.spool_damping, c.coil_rate),
+    )
+
+
+@inline
+def fastest_rate(s, c):
+    """Upper estimate of the fastest rate |λ| in 1/s near a state, from which the inner step follows."""
+    r = rates(s, c)
+    return max(max(max(r.chamber_a, r.chamber_b), max(r.friction, r.oil_column)), max(r.end_stop, r.valve))
 
 
 @inline
@@ -320,7 +334,7 @@ def valid_limits(end_stop_position, slew_limit, volume_b0, area_a, area_b, suppl
     into an end stop by half of what the dead volume allows. Arguments as in :class:`Coefficients`.
     """
     dead_volume = volume_b0 - area_b * end_stop_position
-    reach = end_stop_position + 0.5 * dead_volume / area_a
+    reach = end_stop_position + 0.5 * dead_volume / max(area_a, area_b)
     slew = slew_limit * (1.0 + 1e-9)
     most_gas = accumulator_volume * 1.001 if supply_dynamics > 0.0 else 1e300
     floor = VAPOUR_PRESSURE * (1.0 + 1e-9)

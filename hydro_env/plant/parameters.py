@@ -42,10 +42,14 @@ def quantity(default: float, unit: str, origin: str, low: float, high: float, *,
 
 
 class Cylinder(Group):
-    """Asymmetric (single-rod) cylinder; chamber a is the bore side, chamber b the rod side."""
+    """Cylinder; chamber a is the bore side, chamber b the rod side.
+
+    A second rod through chamber a (``rod_diameter_a``) makes a double-rod cylinder, symmetric if both are equal.
+    """
 
     bore_diameter: Number = quantity(0.040, "m", "paper, Table 1", 0.005, 1.0)
     rod_diameter: Number = quantity(0.028, "m", "paper, Table 1", 0.0, 0.95)
+    rod_diameter_a: Number = quantity(0.0, "m", "paper, Table 1: no rod through chamber a", 0.0, 0.95)
     stroke: Number = quantity(0.400, "m", "paper, Table 1", 0.01, 10.0)
     dead_volume: Number = quantity(30e-6, "m³", "assumed; oil on each side at the stroke's end", 1e-7, 0.1)
     piston_mass: Number = quantity(3.0, "kg", "assumed; piston and rod", 0.0, 1e4)
@@ -54,11 +58,12 @@ class Cylinder(Group):
 
     @model_validator(mode="after")
     def _rod_fits_in_bore(self) -> Cylinder:
-        if self.rod_diameter >= self.bore_diameter:
-            raise ValueError(
-                f"rod_diameter = {self.rod_diameter:g} m does not fit: it must be smaller than "
-                f"bore_diameter = {self.bore_diameter:g} m"
-            )
+        for name in ("rod_diameter", "rod_diameter_a"):
+            if getattr(self, name) >= self.bore_diameter:
+                raise ValueError(
+                    f"{name} = {getattr(self, name):g} m does not fit: it must be smaller than "
+                    f"bore_diameter = {self.bore_diameter:g} m"
+                )
         return self
 
 

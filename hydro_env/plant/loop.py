@@ -1,0 +1,138 @@
+"""The sampled position loop around the linearised axis: how much proportional gain it bears, how stiff it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from hydro_env.plant.analysis import linearise
+from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.errors import HydroError
+from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.simulate import TYPICAL_SIZE, coefficient_array
+
+Array = NDArray[np.float64]
+
+CONTROL_PERIOD = 5e-3
+"""s; of the controller."""
+
+COMMAND_LATENCY = 1e-3
+"""s; from sampling to the new command."""
+
+FULL_COMMAND = 10.0
+"""V; command 1."""
+
+_NEUTRAL = 1e-7
+"""Excess over 1 of a spectral radius that is rounding."""
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """Linearised axis and valve, sampled; the loop is closed by command = −gain · (position − set point).
+
+    In each period the previous command acts for the latency and the new one for the rest, both held, so that
+    x[n+1] = Φ x[n] + Γ_old u[n−1] + Γ_new u[n] is exact for the linear plant. States are scaled by their typical size.
+    """
+
+    transition: Array  # Φ, (n, n)
+    input_old: Array  # Γ_old, (n,), per command
+    input_new: Array  # Γ_new, (n,), per command
+    a: Array  # of the continuous plant, (n, n), 1/s
+    b: Array  # (n,), per command
+    force: Array  # (n,), per newton of external force
+    position_size: float  # m
+
+    def closed(self, gain: float) -> Array:
+        """Transition matrix of one period with the loop closed, states and last command, (n + 1, n + 1)."""
+        n = len(self.input_new)
+        feedback = np.zeros(n + 1)
+        feedback[0] = -gain * self.position_size
+        matrix = np.zeros((n + 1, n + 1))
+        matrix[:n, :n] = self.transition
+        matrix[:n, n] = self.input_old
+        matrix[:n] += np.outer(self.input_new, feedback)
+        matrix[n] = feedback
+        return matrix
+
+    def spectral_radius(self, gain: float) -> float:
+        """Largest |z| of the closed loop; above 1 it grows from period to period."""
+        return float(np.abs(np.linalg.eigvals(self.closed(gain))).max())
+
+    def largest_stable_gain(self) -> float:
+        """Gain in command per metre (1 = 10 V) at which an eigenvalue of the closed loop leaves the unit circle.
+
+        0 if the axis is unstable without a loop, infinity if no gain up to 1e6 per metre makes it so.
+        """
+        gains = np.geomspace(1e-2, 1e6, 161)
+        radii = np.abs(np.linalg.eigvals(np.array([self.closed(gain) for gain in gains]))).max(axis=1)
+        unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)
+        if len(unstable) == 0:
+            return float("inf")
+        if unstable[0] == 0:
+            return 0.0
+        low, high = gains[unstable[0] - 1], gains[unstable[0]]
+        while high / low > 1.0 + 1e-9:
+            middle = float(np.sqrt(low * high))
+            low, high = (low, middle) if self.spectral_radius(middle) > 1.0 + _NEUTRAL else (middle, high)
+        return float(low)
+
+    def static_stiffness(self, gain: float) -> float:
+        """Constant external force per lasting position error, N/m, with the loop closed; inf if nothing gives way."""
+        matrix = self.a.copy()
+        matrix[:, 0] -= gain * self.position_size * self.b
+        answer, *_ = np.linalg.lstsq(matrix, -self.force, rcond=1e-15)
+        compliance = -answer[0] * self.position_size
+        return float(1.0 / compliance) if compliance > 1e-12 else float("inf")
+
+
+def sampled_loop(
+    parameters: PlantParameters,
+    position: float = 0.0,
+    control_period: float = CONTROL_PERIOD,
+    latency: float = COMMAND_LATENCY,
+) -> SampledLoop:
+    """Linearise at rest and sample exactly (zero-order hold with latency; Åström & Wittenmark 1997, section 2.3).
+
+    Dry friction is left out: it holds a resting axis still and damps a moving one little. The resting valve is the
+    worst case, since every opening adds damping.
+
+    Args:
+        parameters: the plant.
+        position: m, where it rests.
+        control_period: s.
+        latency: s, 0 to one period, from sampling to the new command.
+
+    Raises:
+        HydroError: the position cannot be held, or period and latency do not fit.
+    """
+    if not 0.0 < control_period < np.inf:
+        raise HydroError(f"control_period = {control_period} s: must be positive")
+    if not 0.0 <= latency <= control_period:
+        raise HydroError(f"latency = {latency} s: must be within 0 to control_period = {control_period} s")
+    moving = parameters.replace(friction={"model": "none"})
+    plant = linearise(moving, position=position)
+    # At rest the gas volume acts on nothing, and a constant supply pressure is no state: both would stand at z = 1.
+    dropped = {"gas_volume"} | ({"supply_pressure"} if parameters.supply.model == "constant" else set())
+    rows = [index for index, name in enumerate(STATE_NAMES) if name not in dropped]
+    size = TYPICAL_SIZE[rows]
+    a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
+    b = FULL_COMMAND * plant.b[rows] / size
+    force = np.zeros(len(rows))
+    velocity = STATE_NAMES.index("velocity")
+    force[velocity] = -Coefficients(*coefficient_array(parameters)).inverse_mass / size[velocity]
+    first, held_first = _hold(a, b, latency)
+    rest, held_rest = _hold(a, b, control_period - latency)
+    return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]))
+
+
+def _hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:
+    """exp(A t) and ∫₀ᵗ exp(A s) ds B from one matrix exponential (Van Loan 1978)."""
+    n = len(b)
+    block = np.zeros((n + 1, n + 1))
+    block[:n, :n] = a
+    block[:n, n] = b
+    exponential = expm(block * duration)
+    return exponential[:n, :n], exponential[:n, n]

@@ -1,0 +1,117 @@
+"""The sampled position loop: against the nonlinear plant, and against the continuous rule of thumb."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env.plant.analysis import linearise
+from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.errors import HydroError
+from hydro_env.plant.loop import sampled_loop
+
+
+def leaking(flow, **groups):
+    """The paper's rig without dry friction, at a leak in l/min at 100 bar."""
+    groups = {"friction": {"model": "none"}} | groups
+    return PlantParameters().replace(leakage={"internal_resistance": resistance_from_flow(flow)}, **groups)
+
+
+def closed_loop_errors(parameters, gain, periods, start=1e-6):
+    """Position errors (m) of the nonlinear plant under sampled proportional control from a small deviation."""
+    rest, holding = equilibrium(parameters, 0.0)
+    state, command, errors = rest | {"position": start}, 0.0, []
+    for _ in range(periods):
+        errors.append(state["position"])
+        new = -gain * state["position"]
+        voltages = np.clip(holding + 10.0 * np.array([command, new, new, new, new]), -10.0, 10.0)  # 1 of 5 ms late
+        run = simulate(parameters, voltages, 1e-3, state)
+        state = {name: float(run[name][-1]) for name in STATE_NAMES}
+        command = new
+    return np.abs(errors)
+
+
+@pytest.mark.parametrize("leak", [0.01, 1.0, 4.0])
+def test_below_the_largest_gain_the_plant_settles_and_above_it_swings_up(leak):
+    parameters = leaking(leak)
+    loop = sampled_loop(parameters)
+    largest = loop.largest_stable_gain()
+    assert loop.spectral_radius(0.999 * largest) < 1.0 < loop.spectral_radius(1.001 * largest)
+    for share in (0.95, 1.05):
+        errors = closed_loop_errors(parameters, share * largest, 200)
+        early, late = errors[40:80].max(), errors[-40:].max()
+        assert (late < 0.5 * early) if share < 1.0 else (late > 2.0 * early)
+
+
+def test_growth_is_the_spectral_radius():
+    parameters = leaking(1.0)
+    loop = sampled_loop(parameters)
+    gain = 1.05 * loop.largest_stable_gain()
+    errors = closed_loop_errors(parameters, gain, 200, start=1e-8)
+    growth = (errors[150:190].max() / errors[60:100].max()) ** (1 / 90)
+    assert growth == pytest.approx(loop.spectral_radius(gain), rel=3e-3)
+
+
+def test_a_fast_loop_follows_the_rule_of_thumb():
+    """Ideal valve, no sampling, a symmetric cylinder with a mass: the velocity gain may reach 2 ζ ω (Merritt 1967)."""
+    parameters = leaking(
+        1.0,
+        valve={"natural_frequency": 1e4, "coil_inductance": 1e-5, "slew_limit": 1e5, "amplifier_gain": 0.625},
+        cylinder={"rod_diameter_a": 0.028},
+        load={"spring_stiffness": 0.0},
+        supply={"model": "constant"},
+    )
+    plant = linearise(parameters)
+    mode = plant.hydraulic_mode
+    spool, pressures = STATE_NAMES.index("spool_position"), [2, 3]
+    states = [STATE_NAMES.index("velocity"), *pressures]
+    speed = np.linalg.solve(plant.a[np.ix_(states, states)], -plant.a[states, spool])[0]  # m/s of full stroke
+    largest = sampled_loop(parameters, control_period=20e-6, latency=0.0).largest_stable_gain()
+    assert largest * speed == pytest.approx(2.0 * mode.damping_ratio * mode.natural_frequency, rel=0.05)
+
+
+def test_latency_costs_gain_where_the_oil_is_stiff():
+    stiff = leaking(4.0, load={"mass": 1.0})
+    gains = [sampled_loop(stiff, 0.0, 5e-3, latency).largest_stable_gain() for latency in (0.0, 2e-3, 5e-3)]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_sampling_is_exact():
+    """Two halves of a period make a whole one; the latency only moves input from the new to the old command."""
+    half, whole = (sampled_loop(leaking(1.0), 0.0, period, 0.0) for period in (2.5e-3, 5e-3))
+    assert np.allclose(half.transition @ half.transition, whole.transition, atol=1e-9)
+    assert np.allclose(half.transition @ half.input_new + half.input_new, whole.input_new, atol=1e-9)
+    late = sampled_loop(leaking(1.0), 0.0, 5e-3, 1e-3)
+    assert np.allclose(late.input_old + late.input_new, whole.input_new, atol=1e-9)
+
+
+def test_static_stiffness_is_what_the_plant_shows():
+    parameters = leaking(1.0)
+    gain, force = 200.0, 20.0
+    pushed = parameters.replace(load={"external_force": force})
+    rest, holding = equilibrium(parameters, 0.0)
+    state, command = dict(rest), 0.0
+    for _ in range(200):
+        new = -gain * state["position"]
+        run = simulate(pushed, holding + 10.0 * np.array([command, new, new, new, new]), 1e-3, state)
+        state, command = {name: float(run[name][-1]) for name in STATE_NAMES}, new
+    assert -force / state["position"] == pytest.approx(sampled_loop(parameters).static_stiffness(gain), rel=0.02)
+
+
+def test_impossible_loops_are_refused():
+    with pytest.raises(HydroError, match=r"latency = 0\.006 s: must be within 0 to control_period"):
+        sampled_loop(PlantParameters(), latency=6e-3)
+    with pytest.raises(HydroError, match="control_period = 0"):
+        sampled_loop(PlantParameters(), control_period=0.0)
+    with pytest.raises(HydroError, match="cannot be held"):
+        sampled_loop(PlantParameters(), position=0.15)
+    assert math.isfinite(sampled_loop(PlantParameters()).largest_stable_gain())
+
+
+def test_timing_is_that_of_the_task():
+    from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD
+    from hydro_env.task.configuration import TaskConfig
+
+    task = TaskConfig()
+    assert (task.control_period, task.command_latency) == (CONTROL_PERIOD, COMMAND_LATENCY)

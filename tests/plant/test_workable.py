@@ -1,0 +1,148 @@
+"""A rig that cannot work is refused with the figure and its limit; the shipped ones work."""
+
+from pathlib import Path
+
+import pytest
+from scipy.optimize import minimize_scalar
+
+from hydro_env.plant import PlantParameters, equilibrium, simulate
+from hydro_env.plant.analysis import (
+    chamber_volumes,
+    closed_port_natural_frequency,
+    closed_port_stiffness,
+    fastest_rate_bound,
+    force_limits,
+    reachable_range,
+    softest_position,
+    speed_limits,
+)
+from hydro_env.plant.errors import ConfigurationError
+from hydro_env.plant.kernel import STEP_LIMIT
+from hydro_env.plant.simulate import valid_ranges
+from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
+
+RIGS = sorted((Path(__file__).parents[2] / "configs" / "rigs").glob("*.yaml"))
+SYMMETRIC = {"rod_diameter": 0.028, "rod_diameter_a": 0.028}
+
+
+@pytest.mark.parametrize("path", RIGS, ids=lambda path: path.stem)
+def test_shipped_rigs_work(path):
+    rig = PlantParameters.from_yaml(path)
+    refuse_unworkable(rig)
+    _, holding = equilibrium(rig)
+    run = simulate(rig, [holding] * 50, 5e-3)
+    assert abs(run.position[-1]) < 1e-4
+    assert path.read_text(encoding="utf-8").startswith("# ")
+
+
+def test_the_papers_rig_is_the_default():
+    [path] = [path for path in RIGS if path.stem == "kovari_2015"]
+    assert PlantParameters.from_yaml(path) == PlantParameters()
+
+
+def test_a_symmetric_cylinder_is_symmetric():
+    rig = PlantParameters().replace(cylinder=SYMMETRIC, load={"spring_stiffness": 0.0})
+    out, back = speed_limits(rig)
+    assert out == pytest.approx(back)
+    assert force_limits(rig).extending == pytest.approx(force_limits(rig).retracting)
+    assert force_limits(rig).extending == pytest.approx(69e5 * 6.409e-4, rel=1e-4)
+    assert softest_position(rig) == pytest.approx(0.0, abs=1e-12)
+    assert closed_port_natural_frequency(rig, 0.05) == pytest.approx(closed_port_natural_frequency(rig, -0.05))
+    state, _ = equilibrium(rig)
+    assert state["pressure_a"] == pytest.approx(state["pressure_b"])
+    there, back_again = (simulate(rig, [voltage] * 40, 5e-3) for voltage in (5.0, -5.0))
+    assert there.position[-1] == pytest.approx(-back_again.position[-1], rel=1e-6)
+    assert there.position[-1] > 0.01
+
+
+def test_the_rod_may_sit_on_either_side():
+    """Rod through a instead of b: the same cylinder seen from the other end."""
+    turned = PlantParameters().replace(cylinder={"rod_diameter": 0.0, "rod_diameter_a": 0.028})
+    assert speed_limits(turned) == pytest.approx(tuple(reversed(speed_limits(PlantParameters()))))
+    assert softest_position(turned) == pytest.approx(-softest_position(PlantParameters()))
+    low, high = valid_ranges(turned)
+    assert high[0] == pytest.approx(valid_ranges(PlantParameters())[1][0])
+    for position in (low[0], high[0]):
+        assert min(chamber_volumes(turned, position)) > 0.0
+
+
+def test_the_softest_position_is_the_minimum():
+    rig = PlantParameters()
+    found = minimize_scalar(
+        lambda x: closed_port_natural_frequency(rig, x), bounds=(-0.2, 0.2), method="bounded", options={"xatol": 1e-9}
+    )
+    assert softest_position(rig) == pytest.approx(found.x, abs=1e-6)
+
+
+def test_stiffness_of_equal_columns():
+    """A = 20.44 cm², V = 106.3 cm³ a side, β = 0.981 GPa: 2 β A²/V = 77.1 kN/mm, and 277.7 rad/s with 1000 kg."""
+    bore = (4 * 20.44e-4 / 3.141592653589793 + 0.02**2) ** 0.5
+    rig = PlantParameters().replace(
+        cylinder={
+            "bore_diameter": bore,
+            "rod_diameter": 0.02,
+            "rod_diameter_a": 0.02,
+            "stroke": 0.09,
+            "dead_volume": 106.3e-6 - 20.44e-4 * 0.045,
+            "piston_mass": 0.0,
+        },
+        fluid={"bulk_modulus": 0.981e9},
+        load={"mass": 1000.0, "spring_stiffness": 0.0},
+    )
+    assert closed_port_stiffness(rig) == pytest.approx(77.1e6, rel=1e-3)
+    assert closed_port_natural_frequency(rig) == pytest.approx(277.7, abs=0.1)
+
+
+def test_reach_ends_where_the_force_does():
+    rig = PlantParameters()
+    out, back = force_limits(rig)
+    assert out == pytest.approx(8732, rel=1e-3)
+    assert back == pytest.approx(4361, rel=1e-3)
+    assert reachable_range(rig) == pytest.approx((-back / 89e3, out / 89e3))
+
+
+def test_the_inner_step_is_that_of_the_integrator():
+    rig = PlantParameters()
+    found = inner_step(rig, 0.05)
+    state, _ = equilibrium(rig, 0.05)
+    assert found.rate == fastest_rate_bound(rig, list(state.values()))
+    assert found.step * found.rate <= STEP_LIMIT
+    shortest = shortest_inner_step(rig)
+    assert shortest.cause == "chamber_a"
+    assert shortest.steps == 30
+
+
+IMPOSSIBLE = {
+    "spring": (
+        {"load": {"spring_stiffness": 1e8}},
+        r"load\.spring_stiffness = 1e\+08 N/m: 70 bar give 8732 N out, .* move it 1 mm; the limit is 8\.732e\+06 N/m",
+    ),
+    "external force": (
+        {"load": {"external_force": 9000.0}},
+        r"load\.external_force = 9000 N: 70 bar give 8732 N out; it must stay within -4361 to 8732 N",
+    ),
+    "external force inwards": ({"load": {"external_force": -5000.0}}, r"external_force = -5000 N: .* 4361 N in"),
+    "back pressure": (
+        {"supply": {"tank_pressure": 40e5}},
+        r"supply\.tank_pressure = 40 bar: 70 bar give 0 N in against it on these areas",
+    ),
+    "chamber": (
+        {"cylinder": {"dead_volume": 1e-7}, "valve": {"transition_pressure": 1.0}},
+        r"cylinder\.dead_volume.* asks for .* inner steps in 5 ms; the limit is 4,000 \(1\.92e\+06 1/s\)",
+    ),
+    "friction": ({"friction": {"transition_velocity": 1e-6}}, r"friction\.transition_velocity .* 2\.86e\+06 1/s"),
+    "end stop": ({"cylinder": {"end_stop_damping": 1e7}, "load": {"mass": 0.1}}, r"cylinder\.end_stop_damping"),
+    "valve": ({"valve": {"coil_inductance": 1e-6, "coil_resistance": 5.0, "amplifier_gain": 1.25}}, r"coil_inductance"),
+}
+
+
+@pytest.mark.parametrize(("groups", "message"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
+def test_an_impossible_rig_is_refused(groups, message):
+    with pytest.raises(ConfigurationError, match=f"^rig: .*{message}") as caught:
+        refuse_unworkable(PlantParameters().replace(**groups))
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_second_rod_must_fit():
+    with pytest.raises(ConfigurationError, match=r"rod_diameter_a = 0\.04 m does not fit.* bore_diameter = 0\.04 m"):
+        PlantParameters().replace(cylinder={"rod_diameter_a": 0.04})

@@ -1,0 +1,94 @@
+"""``hydro check-rig``: the figures are the known ones, the files hold them, wrong rigs get one line."""
+
+import csv
+import math
+
+import pytest
+from test_cli import ROOT, assert_one_clear_line, hydro
+
+from agents.rig_check import check_csv, check_markdown, check_rig
+from hydro_env import PlantParameters
+
+ROWS = check_rig(PlantParameters())
+
+
+def figure(quantity, at=""):
+    [value] = [row.value for row in ROWS if row.quantity == quantity and row.at == at]
+    return value
+
+
+@pytest.mark.parametrize(
+    ("quantity", "at", "value", "tolerance"),
+    [
+        ("area a (bore side)", "", 12.566, 1e-3),
+        ("area b (rod side)", "", 6.409, 1e-3),
+        ("area ratio a/b", "", 1.961, 1e-3),
+        ("gain K of one edge", "fully open", 10 / math.sqrt(35), 1e-9),
+        ("rated flow", "70 bar over both edges", 10.0, 1e-9),
+        ("no-load flow", "69 bar over both edges", 10 * math.sqrt(69 / 70), 1e-9),
+        ("no-load speed out", "±10 V", 175.6, 1e-3),
+        ("speed out", "2/3 of force limit", 175.6 / math.sqrt(3), 1e-3),
+        ("no-load speed in", "±10 V", 124.1, 1e-3),
+        ("force limit out", "70 bar", 8.732, 1e-3),
+        ("reach in", "spring 89 N/mm", -49.0, 1e-3),
+        ("oil in chamber a", "mid-stroke", 30 + 12.566 * 20, 1e-3),
+        ("damping ratio, linearised", "mid-stroke, 0.01 l/min", 0.0087, 1e-2),
+    ],
+)
+def test_known_figures(quantity, at, value, tolerance):
+    assert figure(quantity, at) == pytest.approx(value, rel=tolerance)
+
+
+def test_leakage_damps_adds_margin_and_softens():
+    def over_leaks(quantity, at):
+        return [figure(quantity, at.format(leak)) for leak in ("0.01", "0.3", "1", "4")]
+
+    for quantity in ("damping ratio, linearised", "largest stable gain (5 ms, 1 ms late)"):
+        values = over_leaks(quantity, "mid-stroke, {} l/min")
+        assert values == sorted(values)
+    stiffness = over_leaks("static stiffness", "half of it, mid-stroke, {} l/min")
+    assert stiffness == sorted(stiffness, reverse=True)
+
+
+def test_every_number_has_a_unit_and_its_place():
+    assert all(row.unit for row in ROWS if not isinstance(row.value, str))
+    assert len({row[:3] for row in ROWS}) == len(ROWS)
+    table = list(csv.DictReader(check_csv(ROWS).splitlines()))
+    assert [row["quantity"] for row in table] == [row.quantity for row in ROWS]
+    text = check_markdown(ROWS, "title")
+    assert all(line.replace("\\|", "").count("|") == 6 for line in text.splitlines() if line.startswith("|"))
+
+
+def test_the_command_prints_and_writes(tmp_path):
+    for rig in sorted((ROOT / "configs" / "rigs").glob("*.yaml")):
+        result = hydro("check-rig", "--rig", rig, "--output", tmp_path / rig.stem)
+        assert result.returncode == 0, result.stderr
+        assert rig.name in result.stdout
+        assert "largest stable gain" in result.stdout
+        assert (tmp_path / rig.stem / "check.csv").stat().st_size > 1000
+        assert (tmp_path / rig.stem / "check.md").read_text(encoding="utf-8").startswith(f"# {rig.name}")
+    again = hydro("check-rig", "--output", tmp_path / "kovari_2015")
+    assert_one_clear_line(again, "holds results already")
+
+
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (
+            "load: {spring_stiffness: 1e8}",
+            ["rig.yaml: load.spring_stiffness = 1e+08 N/m", "the limit is 8.732e+06 N/m"],
+        ),
+        ("friction: {transition_velocity: 1e-6}", ["friction.transition_velocity", "the limit is 4,000"]),
+        ("cylinder: {rod_diameter_a: 0.05}", ["rod_diameter_a = 0.05 m does not fit"]),
+        ("supply: {tank_pressure: 80e5}", ["must be above tank_pressure"]),
+        ("supply: {precharge_pressure: 75e5}", ["precharge_pressure", "must be below pressure"]),
+    ],
+)
+def test_rigs_that_cannot_work(tmp_path, content, parts):
+    (tmp_path / "rig.yaml").write_text(content.replace("1e8", "1.0e+8").replace("1e-6", "1.0e-6"))
+    commands = ("check-rig", "simulate") if "limit" in parts[-1] else ("check-rig",)
+    for command in commands:
+        result = hydro(command, "--rig", tmp_path / "rig.yaml", "--output", tmp_path / "run")
+        assert_one_clear_line(result, *parts)
+        assert result.stdout == ""
+    assert not (tmp_path / "run").exists()
