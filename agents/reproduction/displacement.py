@@ -9,14 +9,20 @@ from numpy.typing import NDArray
 
 from agents.reproduction.drawing import LEAK_COLOURS, ReproducedFigure, legend, panel_title
 from agents.reproduction.rig import SAMPLE_TIME, recorded, simplified, with_leak
-from hydro_env import PlantParameters, simulate
+from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.task.configuration import Sensors
 
 LEAKS = (0.01, 0.3, 1.0, 2.0, 4.0)
 """l/min at 100 bar."""
 
-COMMANDS = ((0.1, 0.0), (0.25, 4.0), (0.45, 0.0), (0.25, 4.0), (0.45, 0.0), (0.5, -4.0), (0.5, 0.0))
-"""s and V: two moves out, one move back, a stop after each."""
+COMMANDS = ((0.25, 4.0), (0.45, 0.0), (0.25, 4.0), (0.45, 0.0), (0.5, -4.0), (0.5, 0.0))
+"""s and V, after the start is held: two moves out, one move back, a stop after each."""
+
+HELD = 0.1
+"""s; so long the start is held first."""
+
+ENLARGED = (0.01, 1.0, 4.0)
+"""Leaks of which the stop is drawn enlarged."""
 
 FIRST_STOP = 0.35
 """s; the first command to stop."""
@@ -25,9 +31,10 @@ START = 0.005
 SEED = 12
 
 
-def start_stop_voltage() -> NDArray[np.float64]:
-    """The commands, one per sample, V."""
-    return np.concatenate([np.full(round(duration / SAMPLE_TIME), volts) for duration, volts in COMMANDS])
+def start_stop_voltage(holding: float) -> NDArray[np.float64]:
+    """The commands, one per sample, V; first the one that holds the start."""
+    commands = ((HELD, holding), *COMMANDS)
+    return np.concatenate([np.full(round(duration / SAMPLE_TIME), volts) for duration, volts in commands])
 
 
 def displacement_table(base: PlantParameters) -> pd.DataFrame:
@@ -35,12 +42,12 @@ def displacement_table(base: PlantParameters) -> pd.DataFrame:
 
     ``friction``: whether the seals rub. Every run sees the same noise and bias, as one transducer would give.
     """
-    voltage, sensor, parts = start_stop_voltage(), Sensors().position, []
+    sensor, parts = Sensors().position, []
     for friction in (True, False):
         for leak in LEAKS:
-            run = simulate(
-                with_leak(simplified(base, friction, True), leak, "throttle"), voltage, SAMPLE_TIME, {"position": START}
-            )
+            plant = with_leak(simplified(base, friction, True), leak, "throttle")
+            _, holding = equilibrium(plant, START)
+            run = simulate(plant, start_stop_voltage(holding), SAMPLE_TIME, {"position": START})
             signal = recorded(run.position, sensor, np.random.default_rng(SEED))
             parts.append(
                 pd.DataFrame(
@@ -64,7 +71,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
         time, true, seen = (part[name].to_numpy() for name in ("time_s", "true_position_mm", "recorded_position_mm"))
         moved = np.interp(FIRST_STOP + 0.03, time, true) - true[0]
         late = (time > FIRST_STOP + 0.40) & (time < FIRST_STOP + 0.44)
-        early = (time > FIRST_STOP + 0.01) & (time < FIRST_STOP + 0.06)
+        early = (time > FIRST_STOP + 0.04) & (time < FIRST_STOP + 0.09)
         straight = np.polyval(np.polyfit(time[early], true[early], 2), time[early])
         rows.append(
             {
@@ -73,7 +80,7 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
                 "move_mm": moved,
                 "drift_mm": float(true[late].mean() - np.interp(FIRST_STOP + 0.03, time, true)),
                 "swing_mm": float(np.ptp(true[early] - straight)),
-                "noise_mm": float(np.std((seen - true)[time < 0.1])),
+                "noise_mm": float(np.std((seen - true)[time < HELD])),
             }
         )
     return pd.DataFrame(rows)
@@ -89,11 +96,13 @@ def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
             time, seen = part["time_s"].to_numpy(), part["recorded_position_mm"].to_numpy()
             if friction:
                 whole.plot(time, seen, color=colour, linewidth=1.2, label=f"{leak:g} l/min")
+            if leak not in ENLARGED:
+                continue
             window = (time >= FIRST_STOP - 0.01) & (time <= FIRST_STOP + 0.15)
             at_stop = seen[(time > FIRST_STOP + 0.02) & (time < FIRST_STOP + 0.05)].mean()
             axes.plot(1e3 * (time[window] - FIRST_STOP), seen[window] - at_stop, color=colour, linewidth=1.0)
     command = table[(table["leak_lpm"] == LEAKS[0]) & table["friction"]]
-    moving = command["command_v"].to_numpy() != 0.0
+    moving = np.abs(command["command_v"].to_numpy()) > 3.0
     low, high = whole.get_ylim()
     whole.fill_between(command["time_s"], low, high, where=moving.tolist(), color="#000000", alpha=0.05, linewidth=0)
     whole.set(
@@ -101,7 +110,7 @@ def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
     )
     panel_title(whole, "Start–stop moves (grey: valve commanded open, +4 V twice, then −4 V)")
     legend(whole, title="leak at 100 bar", loc="upper left")
-    for axes, words in zip(panels, ("as assumed for the rig, with friction", "without friction"), strict=True):
+    for axes, words in zip(panels, ("with friction", "no friction"), strict=True):
         axes.set(xlabel="time after the first stop command, ms", xlim=(-10, 150), ylim=(-0.55, 0.35))
         panel_title(axes, f"After the first stop, {words}")
     panels[0].set_ylabel("recorded position, mm\n(from the place of the stop)")
@@ -131,14 +140,17 @@ def displacement_figure(base: PlantParameters) -> ReproducedFigure:
         found=[
             f"More leakage makes the same command move less: {tight['move_mm']:.1f} mm at {tight['leak_lpm']:g} l/min, "
             f"{worst['move_mm']:.1f} mm at {worst['leak_lpm']:g} l/min.",
-            f"After the first stop the axis creeps on by {tight['drift_mm']:+.2f} mm in 0.4 s with the tight seal and by "
+            f"After the first stop the axis creeps on by {tight['drift_mm']:+.2f} mm in 0.4 s with the tight seal and "
+            f"by "
             f"{worst['drift_mm']:+.2f} mm at {worst['leak_lpm']:g} l/min.",
-            f"Without friction the oscillation after the stop is {swing:.2f} mm from peak to peak with the tight seal and "
+            f"Without friction the oscillation 0.04 to 0.09 s after the stop is {swing:.2f} mm from peak to peak with "
+            f"the tight seal and "
             f"{float(without.iloc[-1]['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min; the recorded noise has a "
             f"standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper says.",
         ],
         differs=[
-            f"With the friction assumed for the rig the swing after the stop is {float(tight['swing_mm']):.2f} mm with "
+            f"With the friction assumed for the rig the swing at the same time is {float(tight['swing_mm']):.2f} mm "
+            f"with "
             f"the tight seal and {float(worst['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min: friction, not "
             "leakage, stops it, and what the leak changes in this figure is the length of the move and the creep."
         ],

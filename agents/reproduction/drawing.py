@@ -40,6 +40,7 @@ class ReproducedFigure:
     found: list[str]  # what comes out; numbers from the table
     differs: list[str] = field(default_factory=list)  # where the paper's conclusion does not come out
     equations: str = ""
+    summary: pd.DataFrame | None = None  # a short table for the page
 
 
 def render(figure: ReproducedFigure) -> tuple[bytes, str]:
