@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -88,7 +90,8 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 
 def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
     """The whole move, and what follows the first stop, enlarged, with and without friction."""
-    top, bottom = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
+    parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
+    top, bottom = parts
     whole, panels = top.subplots(), bottom.subplots(1, 2, sharey=True)
     for colour, leak in zip(LEAK_COLOURS, LEAKS, strict=True):
         for friction, axes in ((True, panels[0]), (False, panels[1])):
