@@ -6,11 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agents.console import ProgressDisplay
+from agents.reproduction.bode import bode_figure
 from agents.reproduction.displacement import displacement_figure
 from agents.reproduction.drawing import ReproducedFigure, render
+from agents.reproduction.energy import energy_figure
 from agents.reproduction.equation_table import equation_table
 from agents.reproduction.force_rate import force_rate_figure
+from agents.reproduction.holding import holding_figure
+from agents.reproduction.maps import map_figure
 from agents.reproduction.page import PageFigure, render_page
+from agents.reproduction.sensitivity import sensitivity_figure
 from agents.reproduction.settling_figure import settling_figure
 from hydro_env import ConfigurationError, PlantParameters
 from hydro_env.plant.configuration import write_whole
@@ -21,7 +26,7 @@ EQUATIONS_FILE = "equations.csv"
 Maker = Callable[[PlantParameters], ReproducedFigure]
 
 PAPER_FIGURES: tuple[Maker, ...] = (displacement_figure, settling_figure, force_rate_figure)
-FURTHER_FIGURES: tuple[Maker, ...] = ()
+FURTHER_FIGURES: tuple[Maker, ...] = (map_figure, bode_figure, holding_figure, energy_figure, sensitivity_figure)
 
 
 def reproduce_to_folder(folder: Path, overwrite: bool, command: str = "hydro reproduce") -> Path:

@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
+from agents.reproduction.oscillation import SETTLED
 from agents.reproduction.rig import (
     ACCELEROMETER_BANDWIDTH,
     ACCELEROMETER_NOISE,
@@ -171,6 +172,14 @@ def _differences(table: pd.DataFrame) -> list[str]:
             f"paper's "
             "trend all but vanishes. That the paper saw a clear trend suggests that its rig rubbed less than assumed "
             "here (it gives no friction)."
+        )
+        omega = _cell(table, "laminar", low, False, True, "natural_frequency_rad_s")
+        sentences.append(
+            f"That result hangs on how friction is modelled: a swing of {SETTLED:g} m/s² is only "
+            f"{1e6 * SETTLED / omega**2:.1f} µm and {1e3 * SETTLED / omega:.2f} mm/s, where real seals give like a "
+            f"spring "
+            "rather than rub, while the model used here brakes fully above about "
+            f"{1e3 * PlantParameters().friction.transition_velocity:g} mm/s and like a strong damper below."
         )
     lapped = _cell(table, "laminar", low, False, False)
     sentences.append(
