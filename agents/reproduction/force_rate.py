@@ -150,8 +150,7 @@ def force_rate_figure(base: PlantParameters) -> ReproducedFigure:
         "4 V from +5 mm for 0.15 s, then 0 V. Coloured areas pile up from zero, positive upwards, negative downwards; "
         "the black line is their sum.",
         found=[
-            f"The four terms add up to dF/dt of the two chambers (23): largest difference "
-            f"{100 * error:.1g} % of the largest value.",
+            f"The four terms add up to dF/dt of the two chambers (23) to within {error:.0e} of its largest value.",
             f"Share of internal leakage in the sizes of all four terms: while moving {listed['move']}; in the 0.15 s "
             f"after "
             f"the stop {listed['stop']}. The mean size of the pressure difference is "

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -45,21 +45,28 @@ def map_table(base: PlantParameters) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+LEVELS = {
+    "natural_frequency_hz": (65.0, 70.0, 80.0, 90.0, 100.0, 120.0),
+    "damping_ratio": (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2),
+}
+
+
 def paint_maps(figure: Figure, table: pd.DataFrame) -> None:
     """Two maps with labelled contours."""
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, column, title, colours, levels in (
-        (panels[0], "natural_frequency_hz", "Natural frequency, Hz", "Blues", None),
-        (panels[1], "damping_ratio", "Damping ratio", "Oranges", (0.01, 0.015, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2)),
+    for axes, (column, levels), title, colours in zip(
+        panels, LEVELS.items(), ("Natural frequency, Hz", "Damping ratio"), ("Blues", "Oranges"), strict=True
     ):
         grid = table.pivot(index="leak_lpm", columns="position_mm", values=column)
-        values = np.log(grid.to_numpy()) if levels else grid.to_numpy()
+        values = grid.to_numpy()
         axes.grid(visible=False)
-        axes.pcolormesh(grid.columns, grid.index, values, cmap=colours, shading="gouraud", alpha=0.8, rasterized=True)
-        options: dict[str, Any] = {"levels": levels} if levels else {"levels": 8}
-        lines = axes.contour(grid.columns, grid.index, grid.to_numpy(), colors="#222222", linewidths=0.8, **options)
+        shades = matplotlib.colormaps[colours](np.linspace(0.0, 0.6, len(levels) + 1))
+        axes.contourf(grid.columns, grid.index, values, levels=levels, colors=shades, extend="both")
+        lines = axes.contour(grid.columns, grid.index, values, levels=levels, colors="#222222", linewidths=0.8)
         axes.clabel(lines, fontsize=8, fmt="%g")
         axes.set(yscale="log", xlabel="position, mm (0 = mid-stroke, + = extending)")
+        axes.set_yticks([0.01, 0.1, 1, 4], ["0.01", "0.1", "1", "4"])
+        axes.minorticks_off()
         panel_title(axes, title)
     panels[0].set_ylabel("leak, l/min at 100 bar")
 

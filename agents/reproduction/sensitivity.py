@@ -144,7 +144,9 @@ def sensitivity_figure(base: PlantParameters) -> ReproducedFigure:
         f"{100 * FRICTION_SHARE:g} % of what is assumed (else friction alone would decide); one parameter at a time by "
         f"±{100 * CHANGE:.0f} %. All {len(ranked)} assumed parameters are in the CSV file.",
         found=[
-            f"Most weighty: {first}. {still} of {len(ranked)} change the settling time by less than 1 %.",
+            f"Most weighty: {first}. {still} of {len(ranked)} change the settling time by less than 1 %. Gains and "
+            f"resistance of the valve's drive count because "
+            "they set the speed from which the axis is stopped.",
             f"Between {SCAN_LEAKS[0]:g} and 1 l/min the settling time falls by a factor of {ratio.iloc[0]:.1f} without "
             f"friction and {ratio.iloc[-1]:.2f} with the assumed one; at least a factor of 2 is left up to "
             f"{100 * bears:g} % of it, a Coulomb force of {bears * coulomb:.1f} N.",
