@@ -152,9 +152,10 @@ def displacement_figure(base: PlantParameters) -> ReproducedFigure:
             f"standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper says.",
         ],
         differs=[
-            f"With the friction assumed for the rig the swing at the same time is {float(tight['swing_mm']):.2f} mm "
-            f"with "
-            f"the tight seal and {float(worst['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min: friction, not "
-            "leakage, stops it, and what the leak changes in this figure is the length of the move and the creep."
+            f"With the friction assumed for the rig no swing is left 0.04 s after the stop, whatever the leak "
+            f"({float(tight['swing_mm']):.3f} mm with the tight seal, {float(worst['swing_mm']):.3f} mm at "
+            f"{worst['leak_lpm']:g} l/min): friction, not leakage, stops it. What the leak changes is the length of "
+            f"the move "
+            "and the creep."
         ],
     )

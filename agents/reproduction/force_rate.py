@@ -150,22 +150,21 @@ def force_rate_figure(base: PlantParameters) -> ReproducedFigure:
         "4 V from +5 mm for 0.15 s, then 0 V. Coloured areas pile up from zero, positive upwards, negative downwards; "
         "the black line is their sum.",
         found=[
+            "Valve flow and motion are large and all but cancel; leakage is small beside each, yet it always acts "
+            "against "
+            "the pressure difference, and so takes energy out of every swing.",
             f"The four terms add up to dF/dt of the two chambers (23) to within {error:.0e} of its largest value.",
             f"Share of internal leakage in the sizes of all four terms: while moving {listed['move']}; in the 0.15 s "
             f"after "
             f"the stop {listed['stop']}. The mean size of the pressure difference is "
             f"{at['move'].loc[DRAWN, 'mean_size_of_difference_bar']:.1f} bar while moving and "
             f"{stop['mean_size_of_difference_bar']:.1f} bar after the stop (at {DRAWN:g} l/min).",
-            "Valve flow and motion are large and all but cancel; leakage is small beside each, yet it always acts "
-            "against "
-            "the pressure difference, and so takes energy out of every swing.",
         ],
         differs=[
             f"The pressure difference is not small just because nothing moves: at rest at +5 mm it is "
             f"{rest['pressure_difference_bar']:.1f} bar on this one-sided rod, and the leakage term is "
             f"{1e-3 * rest['internal_leakage_n_s']:+.1f} kN/s. The sign is that of P_b − P_a: leakage raises the force "
-            f"as "
-            "often as it lowers it.",
+            f"as well as lowers it.",
             f"A small pressure difference does not make the leak unimportant: after the stop it is "
             f"{stop['mean_difference_bar']:+.1f} bar in the mean, and yet this leak is what ends the oscillation (Fig. "
             f"13). "

@@ -16,7 +16,7 @@ from hydro_env.plant.equations import STATE_NAMES
 LEAKS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
 TARGET = 0.04  # m
 PERIOD = 0.005  # s
-DURATION = 4.0  # s
+DURATION = 10.0  # s
 JUDGED = 0.5  # s at the end
 
 
@@ -109,7 +109,7 @@ def holding_figure(base: PlantParameters) -> ReproducedFigure:
         found=[
             f"P leaves {error['P'].iloc[0]:.2f} mm with the tight seal and {error['P'].iloc[-1]:.2f} mm at "
             f"{LEAKS[-1]:g} l/min; "
-            f"with an integral part at most {worst_integral:.2f} mm is left.",
+            f"with an integral part at most {worst_integral:.3f} mm is left.",
             f"The integral part does not hide the leak, it moves it into the command: PI holds with "
             f"{command['PI'].iloc[0]:.2f} V when tight and {command['PI'].iloc[-1]:.2f} V at {LEAKS[-1]:g} l/min.",
         ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -28,11 +29,17 @@ class PageFigure:
         return Markup(inline_svg(self.svg, self.figure.key, alt))
 
 
+def true_minus(text: str) -> str:
+    """Hyphens before numbers as minus signs."""
+    return re.sub(r"(?<![\w.\-])-(?=\d)", "−", text)
+
+
 def render_page(figures: list[PageFigure], equations: pd.DataFrame, command: str) -> str:
     """The page as HTML."""
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["minus"] = true_minus
     source = files("agents.reproduction").joinpath("page.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         figures=figures, equations=equations, command=command, version=__version__

@@ -142,7 +142,8 @@ def sensitivity_figure(base: PlantParameters) -> ReproducedFigure:
         "This is how much each unknown matters.",
         how=f"Quick stop as for Fig. 13, laminar leak of {LEAK:g} l/min, valve with null leakage, friction at "
         f"{100 * FRICTION_SHARE:g} % of what is assumed (else friction alone would decide); one parameter at a time by "
-        f"±{100 * CHANGE:.0f} %. All {len(ranked)} assumed parameters are in the CSV file.",
+        f"±{100 * CHANGE:.0f} %. All {len(ranked)} assumed parameters that are neither zero nor infinite are in the "
+        f"CSV file.",
         found=[
             f"Most weighty: {first}. {still} of {len(ranked)} change the settling time by less than 1 %. Gains and "
             f"resistance of the valve's drive count because "

@@ -24,6 +24,9 @@ from agents.reproduction.settling import LEAKS, settling_table
 from hydro_env import PlantParameters, resistance_from_flow
 
 SHORT_LAWS = {"laminar": "laminar leak", "throttle": "throttle in parallel"}
+SMALL = 0.3
+"""l/min at 100 bar; a leak that is not severe yet."""
+
 TIME_TICKS = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 
 
@@ -86,7 +89,9 @@ def settling_figure(base: PlantParameters) -> ReproducedFigure:
             f"(median) and at most {100 * error.max():.1f} % for the {words}, zero-lapped valve, no friction."
         )
     found[-1] += (
-        " The flow of a throttle is no straight line: its slope falls as the swing grows, so that one ζ cannot fit."
+        " The flow of a throttle is no straight line: its slope changes with the pressure difference, so that one ζ "
+        "cannot "
+        "fit the whole decay."
     )
     found.append(_signal_sentence(table))
     return ReproducedFigure(
@@ -141,11 +146,12 @@ def _cell(table: pd.DataFrame, law: str, leak: float, friction: bool, underlap: 
 
 def _trend(table: pd.DataFrame, law: str) -> str:
     times = [_cell(table, law, leak, False, False) for leak in LEAKS]
-    words = "falls at every step" if all(np.diff(times) < 0) else "falls, not at every step"
+    falls = bool(np.all(np.diff(times) < 0))
+    words = "falls at every step" if falls else "does not fall at every step, it goes"
     return (
         f"{SHORT_LAWS[law].capitalize()}, no friction: settling time {words} from {times[0]:.2f} s at {LEAKS[0]:g} "
         f"l/min "
-        f"to {times[-1]:.3f} s at {LEAKS[-1]:g} l/min, as the paper says."
+        f"to {times[-1]:.3f} s at {LEAKS[-1]:g} l/min{', as the paper says' if falls else ''}."
     )
 
 
@@ -164,7 +170,6 @@ def _differences(table: pd.DataFrame) -> list[str]:
     sentences = []
     low, high = LEAKS[0], 1.0
     rubbing = [_cell(table, "throttle", leak, True, True) for leak in (low, high)]
-    free = [_cell(table, "throttle", leak, False, True) for leak in (low, high)]
     if rubbing[0] < 2.0 * rubbing[1]:
         sentences.append(
             f"With the friction assumed for the rig the axis settles in {rubbing[0]:.3f} s with the tight seal and in "
@@ -181,13 +186,13 @@ def _differences(table: pd.DataFrame) -> list[str]:
             "rather than rub, while the model used here brakes fully above about "
             f"{1e3 * PlantParameters().friction.transition_velocity:g} mm/s and like a strong damper below."
         )
-    lapped = _cell(table, "laminar", low, False, False)
+    lapped, null = (
+        [_cell(table, "laminar", leak, False, underlap) for leak in (low, SMALL)] for underlap in (False, True)
+    )
     sentences.append(
         f"The valve's own null leakage damps as well: without friction it shortens settling with the tight seal from "
-        f"{lapped:.2f} s to {_cell(table, 'laminar', low, False, True):.2f} s, so that small leaks change less "
-        f"(by a factor {free[0] / free[1]:.1f} instead of "
-        f"{_cell(table, 'throttle', low, False, False) / _cell(table, 'throttle', high, False, False):.1f} "
-        f"between {low:g} and {high:g} l/min of throttle)."
+        f"{lapped[0]:.2f} s to {null[0]:.2f} s, so that a leak of {SMALL:g} l/min divides the settling time by "
+        f"{null[0] / null[1]:.1f} instead of {lapped[0] / lapped[1]:.1f}."
     )
     last, before = (_cell(table, "throttle", leak, True, True) for leak in (LEAKS[-1], LEAKS[-3]))
     if last > before and not math.isnan(last):
