@@ -82,10 +82,8 @@ def bode_figure(base: PlantParameters) -> ReproducedFigure:
         found=[
             f"At {FREQUENCIES[0]:g} Hz one volt is worth {slow[first]['gain_mm_per_v']:.0f} mm with the tight seal and "
             f"{slow[last]['gain_mm_per_v']:.1f} mm at {last:g} l/min: against the spring the leaking axis is no "
-            f"integrator any "
-            "more, a constant command holds a constant place.",
+            f"integrator any more, a constant command holds a constant place.",
             f"The resonance stands at {peaks.loc[first, 'frequency_hz']:.0f} Hz; its peak over the gain at 20 Hz falls "
-            f"from "
-            f"{ratio[first]:.2f} to {ratio[last]:.2f}: more damping, as the paper says.",
+            f"from {ratio[first]:.2f} to {ratio[last]:.2f}: more damping, as the paper says.",
         ],
     )

@@ -136,26 +136,24 @@ def displacement_figure(base: PlantParameters) -> ReproducedFigure:
         equations="(1)–(3), (8)–(14), (17)",
         paper="Fig. 12 shows recorded displacements at start–stop; the text reads from it that more leakage slows the "
         "axis and damps it.",
-        how="Valve commands without feedback, a throttle between the chambers as on the rig. The position goes through "
-        f"the transducer as the environment models it: noise {1e3 * Sensors().position.noise:.3f} mm, a constant error "
-        f"of at most {1e3 * Sensors().position.bias:.3f} mm, 16-bit steps of "
+        how=f"Valve commands without feedback, a throttle between the chambers as on the rig. The position goes "
+        f"through the transducer as the environment models it: noise {1e3 * Sensors().position.noise:.3f} mm, a "
+        f"constant error of at most {1e3 * Sensors().position.bias:.3f} mm, 16-bit steps of "
         f"{1e3 * Sensors().position.resolution:.3f} mm.",
         found=[
             f"More leakage makes the same command move less: {tight['move_mm']:.1f} mm at {tight['leak_lpm']:g} l/min, "
             f"{worst['move_mm']:.1f} mm at {worst['leak_lpm']:g} l/min.",
             f"After the first stop the axis creeps on by {tight['drift_mm']:+.2f} mm in 0.4 s with the tight seal and "
-            f"by "
-            f"{worst['drift_mm']:+.2f} mm at {worst['leak_lpm']:g} l/min.",
+            f"by {worst['drift_mm']:+.2f} mm at {worst['leak_lpm']:g} l/min.",
             f"Without friction the oscillation 0.04 to 0.09 s after the stop is {swing:.2f} mm from peak to peak with "
-            f"the tight seal and "
-            f"{float(without.iloc[-1]['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min; the recorded noise has a "
-            f"standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper says.",
+            f"the tight seal and {float(without.iloc[-1]['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min; the "
+            f"recorded noise has a standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper "
+            f"says.",
         ],
         differs=[
             f"With the friction assumed for the rig no swing is left 0.04 s after the stop, whatever the leak "
             f"({float(tight['swing_mm']):.3f} mm with the tight seal, {float(worst['swing_mm']):.3f} mm at "
             f"{worst['leak_lpm']:g} l/min): friction, not leakage, stops it. What the leak changes is the length of "
-            f"the move "
-            "and the creep."
+            f"the move and the creep."
         ],
     )

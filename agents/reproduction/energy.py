@@ -92,6 +92,6 @@ def energy_figure(base: PlantParameters) -> ReproducedFigure:
             f"{last['holding_40_mm_w']:.1f} W at {LEAKS[-1]:g} l/min through a throttle; holding 0 mm "
             f"{first['holding_0_mm_w']:.1f} W and {last['holding_0_mm_w']:.1f} W.",
             f"One start–stop cycle draws {first['cycle_j']:.0f} J and {last['cycle_j']:.0f} J: moving hides the leak, "
-            "holding shows it.",
+            f"holding shows it.",
         ],
     )

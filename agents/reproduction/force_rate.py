@@ -142,21 +142,17 @@ def force_rate_figure(base: PlantParameters) -> ReproducedFigure:
         height=6.8,
         equations="(19), (20), (23), (24)",
         paper="Equation (24) splits the rate of the force into valve flow, piston motion, internal and external "
-        "leakage. "
-        "Leakage is called negligible while the pressure difference is low, and later slows the build-up of the force, "
-        "which damps.",
+        "leakage. Leakage is called negligible while the pressure difference is low, and later slows the build-up of "
+        "the force, which damps.",
         how=f"Laminar leak (picture: {DRAWN:g} l/min at 100 bar), {EXTERNAL_LEAK:g} l/min past the rod seal, no "
-        f"friction; "
-        "4 V from +5 mm for 0.15 s, then 0 V. Coloured areas pile up from zero, positive upwards, negative downwards; "
-        "the black line is their sum.",
+        f"friction; 4 V from +5 mm for 0.15 s, then 0 V. Coloured areas pile up from zero, positive upwards, negative "
+        f"downwards; the black line is their sum.",
         found=[
             "Valve flow and motion are large and all but cancel; leakage is small beside each, yet it always acts "
-            "against "
-            "the pressure difference, and so takes energy out of every swing.",
+            "against the pressure difference, and so takes energy out of every swing.",
             f"The four terms add up to dF/dt of the two chambers (23) to within {error:.0e} of its largest value.",
             f"Share of internal leakage in the sizes of all four terms: while moving {listed['move']}; in the 0.15 s "
-            f"after "
-            f"the stop {listed['stop']}. The mean size of the pressure difference is "
+            f"after the stop {listed['stop']}. The mean size of the pressure difference is "
             f"{at['move'].loc[DRAWN, 'mean_size_of_difference_bar']:.1f} bar while moving and "
             f"{stop['mean_size_of_difference_bar']:.1f} bar after the stop (at {DRAWN:g} l/min).",
         ],
@@ -167,7 +163,6 @@ def force_rate_figure(base: PlantParameters) -> ReproducedFigure:
             f"as well as lowers it.",
             f"A small pressure difference does not make the leak unimportant: after the stop it is "
             f"{stop['mean_difference_bar']:+.1f} bar in the mean, and yet this leak is what ends the oscillation (Fig. "
-            f"13). "
-            "What damps is how steeply the leak answers to the difference, not the difference.",
+            f"13). What damps is how steeply the leak answers to the difference, not the difference.",
         ],
     )

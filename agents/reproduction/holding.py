@@ -102,14 +102,11 @@ def holding_figure(base: PlantParameters) -> ReproducedFigure:
         paper="The paper shows moves and stops. A leak also shows while nothing moves: the valve must replace what "
         "leaks.",
         how=f"The rig as assumed, with friction; gains {gains.proportional:g} V/m, {CONTROLLERS['PI'].integral:g} V/(m "
-        f"s), "
-        f"{CONTROLLERS['PID'].derivative:g} V s/m; position without noise, command every 5 ms without latency; mean "
-        f"over the "
-        f"last {JUDGED:g} s of {DURATION:g} s, from balance.",
+        f"s), {CONTROLLERS['PID'].derivative:g} V s/m; position without noise, command every 5 ms without latency; "
+        f"mean over the last {JUDGED:g} s of {DURATION:g} s, from balance.",
         found=[
             f"P leaves {error['P'].iloc[0]:.2f} mm with the tight seal and {error['P'].iloc[-1]:.2f} mm at "
-            f"{LEAKS[-1]:g} l/min; "
-            f"with an integral part at most {worst_integral:.3f} mm is left.",
+            f"{LEAKS[-1]:g} l/min; with an integral part at most {worst_integral:.3f} mm is left.",
             f"The integral part does not hide the leak, it moves it into the command: PI holds with "
             f"{command['PI'].iloc[0]:.2f} V when tight and {command['PI'].iloc[-1]:.2f} V at {LEAKS[-1]:g} l/min.",
         ],

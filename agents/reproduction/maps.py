@@ -86,17 +86,14 @@ def map_figure(base: PlantParameters) -> ReproducedFigure:
         height=3.6,
         paper="The paper damps one stop at one place. How much a leak changes depends on where the piston stands.",
         how="Eigenvalues of the linearised axis at rest; laminar leak, valve with null leakage, no friction, and no "
-        "spring, "
-        "so that the whole stroke can be held.",
+        "spring, so that the whole stroke can be held.",
         found=[
             f"With a tight seal the natural frequency is lowest, {tight['natural_frequency_hz'].min():.0f} Hz, at "
             f"{slowest:.0f} mm, and rises to {tight['natural_frequency_hz'].max():.0f} Hz near the ends.",
             f"At mid-stroke the damping ratio grows from {tight.loc[middle, 'damping_ratio']:.3f} at {LEAKS[0]:g} "
-            f"l/min to "
-            f"{worst.loc[middle, 'damping_ratio']:.3f} at {LEAKS[-1]:g} l/min.",
+            f"l/min to {worst.loc[middle, 'damping_ratio']:.3f} at {LEAKS[-1]:g} l/min.",
             f"At {LEAKS[-1]:g} l/min it lies between {worst['damping_ratio'].min():.3f} and "
             f"{worst['damping_ratio'].max():.3f} depending on the place: a settling time tells a leak only when the "
-            f"place is "
-            "known.",
+            f"place is known.",
         ],
     )

@@ -138,16 +138,14 @@ def sensitivity_figure(base: PlantParameters) -> ReproducedFigure:
         paint=paint_sensitivity,
         height=4.6,
         paper="The paper gives no supply pressure, friction or air content, so that its settling times cannot be "
-        "recomputed. "
-        "This is how much each unknown matters.",
+        "recomputed. This is how much each unknown matters.",
         how=f"Quick stop as for Fig. 13, laminar leak of {LEAK:g} l/min, valve with null leakage, friction at "
         f"{100 * FRICTION_SHARE:g} % of what is assumed (else friction alone would decide); one parameter at a time by "
         f"±{100 * CHANGE:.0f} %. All {len(ranked)} assumed parameters that are neither zero nor infinite are in the "
         f"CSV file.",
         found=[
             f"Most weighty: {first}. {still} of {len(ranked)} change the settling time by less than 1 %. Gains and "
-            f"resistance of the valve's drive count because "
-            "they set the speed from which the axis is stopped.",
+            f"resistance of the valve's drive count because they set the speed from which the axis is stopped.",
             f"Between {SCAN_LEAKS[0]:g} and 1 l/min the settling time falls by a factor of {ratio.iloc[0]:.1f} without "
             f"friction and {ratio.iloc[-1]:.2f} with the assumed one; at least a factor of 2 is left up to "
             f"{100 * bears:g} % of it, a Coulomb force of {bears * coulomb:.1f} N.",

@@ -85,13 +85,12 @@ def settling_figure(base: PlantParameters) -> ReproducedFigure:
         error = (part["theory_s"] / part["clean_s"] - 1.0).abs()
         found.append(
             f"Linear theory, T = t₁ + ln(a₁/0.1)/(ζω), differs from the noise-free result by "
-            f"{100 * error.median():.1f} % "
-            f"(median) and at most {100 * error.max():.1f} % for the {words}, zero-lapped valve, no friction."
+            f"{100 * error.median():.1f} % (median) and at most {100 * error.max():.1f} % for the {words}, zero-lapped "
+            f"valve, no friction."
         )
     found[-1] += (
         " The flow of a throttle is no straight line: its slope changes with the pressure difference, so that one ζ "
-        "cannot "
-        "fit the whole decay."
+        "cannot fit the whole decay."
     )
     found.append(_signal_sentence(table))
     return ReproducedFigure(
@@ -102,16 +101,15 @@ def settling_figure(base: PlantParameters) -> ReproducedFigure:
         height=6.4,
         equations="(10), (12)–(14), (17)",
         paper="After a quick stop the time until the acceleration stays within 0.1 m/s² was read from the "
-        "accelerometer "
-        "at several throttle settings: it falls as the leak grows, which the paper takes as higher damping.",
-        how="Extend at 4 V from +5 mm, close the valve after 0.15 s. The drift (mean over one period of oscillation) "
-        "is "
-        "taken off before the last crossing of 0.1 m/s² is sought. The accelerometer's own noise is "
+        "accelerometer at several throttle settings: it falls as the leak grows, which the paper takes as higher "
+        "damping.",
+        how=f"Extend at 4 V from +5 mm, close the valve after 0.15 s. The drift (mean over one period of oscillation) "
+        f"is taken off before the last crossing of 0.1 m/s² is sought. The accelerometer's own noise is "
         f"{1e6 * ACCELEROMETER_NOISE / GRAVITY:.0f} µg/√Hz over {ACCELEROMETER_BANDWIDTH:.0f} Hz, so "
         f"{accelerometer_noise():.3f} m/s²: it reaches the threshold by itself. Its record is therefore filtered to a "
-        "band of ±30 % about the oscillation and judged by the size of what is left; points are the median of five "
-        "noise records, bars the range. Linear theory starts from the first swing a₁ at t₁ and takes ζ and ω from the "
-        "plant linearised at the state after the stop.",
+        f"band of ±30 % about the oscillation and judged by the size of what is left; points are the median of five "
+        f"noise records, bars the range. Linear theory starts from the first swing a₁ at t₁ and takes ζ and ω from the "
+        f"plant linearised at the state after the stop.",
         found=found,
         differs=_differences(table),
         summary=settling_summary(table),
@@ -150,8 +148,7 @@ def _trend(table: pd.DataFrame, law: str) -> str:
     words = "falls at every step" if falls else "does not fall at every step, it goes"
     return (
         f"{SHORT_LAWS[law].capitalize()}, no friction: settling time {words} from {times[0]:.2f} s at {LEAKS[0]:g} "
-        f"l/min "
-        f"to {times[-1]:.3f} s at {LEAKS[-1]:g} l/min{', as the paper says' if falls else ''}."
+        f"l/min to {times[-1]:.3f} s at {LEAKS[-1]:g} l/min{', as the paper says' if falls else ''}."
     )
 
 
@@ -159,10 +156,9 @@ def _signal_sentence(table: pd.DataFrame) -> str:
     part = table[~table["friction"]]
     error = (part["signal_s"] / part["clean_s"] - 1.0).abs()
     return (
-        "Without friction the accelerometer's record gives the noise-free settling time within "
+        f"Without friction the accelerometer's record gives the noise-free settling time within "
         f"{100 * error.median():.0f} % (median). What settles faster than about {table['signal_s'].min():.2f} s it "
-        f"cannot "
-        "tell: so long the filter itself rings."
+        f"cannot tell: so long the filter itself rings."
     )
 
 
@@ -174,16 +170,14 @@ def _differences(table: pd.DataFrame) -> list[str]:
         sentences.append(
             f"With the friction assumed for the rig the axis settles in {rubbing[0]:.3f} s with the tight seal and in "
             f"{rubbing[1]:.3f} s at {high:g} l/min: friction ends the oscillation within a few periods, and the "
-            f"paper's "
-            "trend all but vanishes. That the paper saw a clear trend suggests that its rig rubbed less than assumed "
-            "here (it gives no friction)."
+            f"paper's trend all but vanishes. That the paper saw a clear trend suggests that its rig rubbed less than "
+            f"assumed here (it gives no friction)."
         )
         omega = _cell(table, "laminar", low, False, True, "natural_frequency_rad_s")
         sentences.append(
             f"That result hangs on how friction is modelled: a swing of {SETTLED:g} m/s² is only "
             f"{1e6 * SETTLED / omega**2:.1f} µm and {1e3 * SETTLED / omega:.2f} mm/s, where real seals give like a "
-            f"spring "
-            "rather than rub, while the model used here brakes fully above about "
+            f"spring rather than rub, while the model used here brakes fully above about "
             f"{1e3 * PlantParameters().friction.transition_velocity:g} mm/s and like a strong damper below."
         )
     lapped, null = (
