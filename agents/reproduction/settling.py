@@ -1,0 +1,124 @@
+"""Fig. 13: settling time after a quick stop against leakage resistance."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from agents.reproduction.oscillation import SETTLED, band_envelope, last_above, swing_envelope
+from agents.reproduction.rig import LAWS, SAMPLE_TIME, Law, quick_stop, recorded_acceleration, simplified, with_leak
+from hydro_env import PlantParameters, Trajectory, resistance_from_flow
+from hydro_env.plant.analysis import Mode, linearise
+from hydro_env.plant.equations import STATE_NAMES
+
+Array = NDArray[np.float64]
+
+LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
+"""l/min at 100 bar, healthy to severe."""
+
+NOISE_SEEDS = range(5)
+EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
+RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
+
+
+class Settling(NamedTuple):
+    """Settling of one quick stop, seconds from the command to stop."""
+
+    clean: float  # of the noise-free acceleration
+    naive: float  # last |a| above the level, drift and all
+    theory: float  # linear theory; NaN with friction
+    frequency: float  # rad/s of the linearised axis; NaN where it does not oscillate
+    damping: float
+    start: float  # m/s², largest swing after the stop
+
+
+def oscillation_mode(run: Trajectory) -> Mode | None:
+    """The mode of the axis without friction, linearised at the mean state of the first 0.1 s after the stop.
+
+    Friction is left out: at rest its smooth sign is so steep that the linear axis would not oscillate at all.
+    """
+    window = (run.time >= RING_DOWN[0]) & (run.time <= RING_DOWN[1])
+    state = run.states[window].mean(axis=0)
+    for name in ("velocity", "spool_position", "spool_velocity", "coil_current"):
+        state[STATE_NAMES.index(name)] = 0.0
+    try:
+        return linearise(run.parameters.replace(friction={"model": "none"}), state, 0.0).hydraulic_mode
+    except ArithmeticError:
+        return None
+
+
+def settling_of(run: Trajectory, reference_frequency: float) -> Settling:
+    """Settling times of one quick stop; the drift is the mean over one period of ``reference_frequency`` (rad/s)."""
+    after = run.time >= 0.0
+    time, acceleration = run.time[after], run.acceleration[after]
+    swing = swing_envelope(time, acceleration, reference_frequency)
+    first = int(np.argmax(swing[: round(0.05 / SAMPLE_TIME)]))
+    mode = oscillation_mode(run)
+    theory = math.nan
+    if mode is not None and run.parameters.friction.model == "none":
+        decay = mode.damping_ratio * mode.natural_frequency
+        theory = float(time[first]) + math.log(max(float(swing[first]) / SETTLED, 1.0)) / decay
+    return Settling(
+        last_above(time, swing),
+        last_above(time, np.abs(acceleration)),
+        theory,
+        mode.natural_frequency if mode else math.nan,
+        mode.damping_ratio if mode else math.nan,
+        float(swing[first]),
+    )
+
+
+def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int) -> float:
+    """Settling time in s that the accelerometer's record gives, by the envelope in a band about the oscillation."""
+    signal = recorded_acceleration(run.acceleration, SAMPLE_TIME, np.random.default_rng(seed))
+    outline = band_envelope(signal, SAMPLE_TIME, reference_frequency)
+    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - EDGE)
+    return last_above(run.time[usable], outline[usable])
+
+
+def healthy_frequency(base: PlantParameters) -> float:
+    """Oscillation frequency in rad/s with a tight seal: where all detectors look."""
+    mode = oscillation_mode(quick_stop(with_leak(simplified(base, False, False), LEAKS[0], "laminar")))
+    if mode is None:
+        raise ArithmeticError("the axis does not oscillate even with a tight seal")
+    return mode.natural_frequency
+
+
+def settling_table(base: PlantParameters, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
+    """One row per friction, null leakage, law and leak: settling times in s by every method."""
+    frequency = healthy_frequency(base)
+    rows = []
+    for friction in (False, True):
+        for underlap in (False, True):
+            plain = simplified(base, friction, underlap)
+            for law in LAWS:
+                rows += [_row(plain, law, leak, frequency, friction, underlap) for leak in leaks]
+    return pd.DataFrame(rows)
+
+
+def _row(
+    plain: PlantParameters, law: Law, leak: float, frequency: float, friction: bool, underlap: bool
+) -> dict[str, float | str | bool]:
+    run = quick_stop(with_leak(plain, leak, law))
+    settling = settling_of(run, frequency)
+    seen = [settling_from_signal(run, frequency, seed) for seed in NOISE_SEEDS]
+    return {
+        "friction": friction,
+        "valve_null_leakage": underlap,
+        "law": law,
+        "leak_lpm": leak,
+        "resistance_pa_s_m3": resistance_from_flow(leak),
+        "clean_s": settling.clean,
+        "signal_s": float(np.median(seen)),
+        "signal_low_s": min(seen),
+        "signal_high_s": max(seen),
+        "theory_s": settling.theory,
+        "naive_s": settling.naive,
+        "natural_frequency_rad_s": settling.frequency,
+        "damping_ratio": settling.damping,
+        "first_swing_m_s2": settling.start,
+    }

@@ -1,0 +1,47 @@
+"""The terms of dF/dt, and the table of equations."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.reproduction.equation_table import EQUATIONS, equation_table, resolve
+from agents.reproduction.force_rate import TERMS, force_rate_table, shares
+from hydro_env import PlantParameters
+
+
+@pytest.fixture(scope="module")
+def table():
+    return force_rate_table(PlantParameters())
+
+
+def test_the_terms_add_up_to_the_rate_of_the_force(table):
+    total = table[list(TERMS)].sum(axis=1)
+    assert total.to_numpy() == pytest.approx(table["sum_n_s"].to_numpy(), abs=1e-6)
+    largest = table["from_chambers_n_s"].abs().max()
+    assert np.abs(total - table["from_chambers_n_s"]).max() < 1e-6 * largest
+
+
+def test_every_term_is_there_and_leakage_acts_against_the_difference(table):
+    assert (table[list(TERMS)].abs().max() > 0.0).all()
+    against = np.sign(table["internal_leakage_n_s"]) == -np.sign(table["pressure_difference_bar"])
+    assert against.all()
+    assert (table["external_leakage_n_s"] >= 0.0).all()
+
+
+def test_the_share_of_leakage_grows_with_the_leak(table):
+    told = shares(table)
+    for window in ("move", "stop"):
+        part = told[told["window"] == window].sort_values("leak_lpm")
+        assert np.all(np.diff(part["leakage_share"]) > 0.0)
+        assert part["leakage_share"].between(0.0, 1.0).all()
+
+
+def test_every_equation_has_a_function_that_exists():
+    assert [equation.number for equation in EQUATIONS] == list(range(1, 25))
+    for equation in EQUATIONS:
+        assert equation.functions
+        for name in equation.functions:
+            assert callable(resolve(name)), name
+    table = equation_table()
+    assert isinstance(table, pd.DataFrame)
+    assert len(table) == 24
