@@ -162,7 +162,7 @@ def force_rate_figure(base: PlantParameters) -> ReproducedFigure:
             f"{1e-3 * rest['internal_leakage_n_s']:+.1f} kN/s. The sign is that of P_b − P_a: leakage raises the force "
             f"as well as lowers it.",
             f"A small pressure difference does not make the leak unimportant: after the stop it is "
-            f"{stop['mean_difference_bar']:+.1f} bar in the mean, and yet this leak is what ends the oscillation (Fig. "
+            f"{stop['mean_difference_bar']:+.1f} bar in the mean, and yet this leak shortens the oscillation (Fig. "
             f"13). What damps is how steeply the leak answers to the difference, not the difference.",
         ],
     )
