@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from hydro_env import ConfigurationError, HydroError
+from hydro_env.plant.configuration import validate
 
 app = typer.Typer(
     name="hydro",
@@ -22,13 +23,18 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, notice the leak.
 
-Begin with `hydro study` (the whole job, about ten minutes on two cores), or with
+Begin with `hydro study` (the whole job, about six minutes on two cores), or with
 `hydro simulate --leakage 1` (one run, a second). Leaks are given as practice does: l/min at 100 bar across the piston.
 Healthy is up to 0.03, severe is 1 to 4.""",
 )
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
-Seed = Annotated[int, typer.Option("--seed", "-s", min=0, help="Seed of everything that is drawn.")]
+Seed = Annotated[
+    int | None,
+    typer.Option(
+        "--seed", "-s", min=0, max=2**32 - 1, help="Seed of everything that is drawn, instead of the study's."
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
 Config = Annotated[
@@ -131,7 +137,7 @@ def train(
         typer.Option(help="For the head: weights of the policy that makes half of the data; default the shipped one."),
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -139,6 +145,7 @@ def train(
     from agents import training_jobs
 
     settings = _study(config)
+    seed = settings.seed if seed is None else seed
     with _stoppable():
         if what is Trainable.PPO:
             file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
@@ -155,7 +162,9 @@ def evaluate(
     config: Config = None,
     policy: Annotated[Path | None, typer.Option(help="Weights of a policy; default the shipped one.")] = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
-    plants: Annotated[int | None, typer.Option(min=2, help="Plants per leak level and reference family.")] = None,
+    plants: Annotated[
+        int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Judge PID, policy and leakage head on test plants: the same plants, references and noise for each.
@@ -166,7 +175,8 @@ def evaluate(
 
     settings = _study(config)
     if plants is not None:
-        settings = settings.model_copy(update={"evaluation": settings.evaluation.model_copy(update={"plants": plants})})
+        changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
+        settings = validate(type(settings), changed, "--plants")
     with _stoppable():
         training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
 
@@ -175,7 +185,7 @@ def evaluate(
 def study(
     output: Output = Path("results/study"),
     config: Config = None,
-    seed: Seed = 0,
+    seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -186,8 +196,10 @@ def study(
     """
     from agents import training_jobs
 
+    settings = _study(config)
+    seed = settings.seed if seed is None else seed
     with _stoppable():
-        training_jobs.study_to_folder(_study(config), output, seed, resume, overwrite, _command_line())
+        training_jobs.study_to_folder(settings, output, seed, resume, overwrite, _command_line())
 
 
 @contextmanager

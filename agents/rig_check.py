@@ -311,7 +311,7 @@ def check_to_console(
         return []
     from agents.study import prepare_folder  # loads the learning library, which a table does not need
 
-    prepare_folder(folder, resume=False, overwrite=overwrite, marker=CSV_FILE)
+    prepare_folder(folder, False, overwrite, CSV_FILE)
     files = [folder / CSV_FILE, folder / TABLE_FILE]
     write_whole(files[0], check_csv(rows).encode())
     write_whole(files[1], check_markdown(rows, title).encode())

@@ -59,8 +59,15 @@ def read_voltage(path: Path) -> NDArray[np.float64]:
         raise ConfigurationError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'no text'}") from None
     values = []
     for number, row in enumerate(rows):
+        if any(";" in cell for cell in row):
+            raise ConfigurationError(f"{path}: line {number + 1}: separate columns by commas, decimals by points")
         try:
-            values.append(float(row[-1]))
+            value = float(row[-1])
+            if not abs(value) <= 10.0:
+                raise ConfigurationError(f"{path}: line {number + 1}: {value:g} V: must be within -10 to 10")
+            values.append(value)
+        except ConfigurationError:
+            raise
         except ValueError:
             if number > 0:
                 raise ConfigurationError(f"{path}: line {number + 1}: {row[-1]!r} is not a number") from None
@@ -104,7 +111,9 @@ def simulate_to_folder(
     else:
         inputs = input_voltage(signal, voltage, max(round(duration / sample_time), 1), sample_time, holding)
     run = simulate(parameters, inputs, sample_time, {"position": position})
-    prepare_folder(folder, resume=False, overwrite=overwrite, marker=CSV_FILE)
+    if rig is not None and rig.resolve() == (folder / RIG_FILE).resolve():
+        raise ConfigurationError(f"{rig}: would be replaced by the results; take another --output")
+    prepare_folder(folder, False, overwrite, CSV_FILE, PICTURE_FILE, RIG_FILE)
     files = [folder / CSV_FILE, folder / PICTURE_FILE, folder / RIG_FILE]
     write_whole(files[0], trajectory_csv(run).encode())
     write_whole(files[1], trajectory_picture(run))

@@ -40,11 +40,15 @@ CURVE_FILE = "training_curve.csv"
 CONFIG_FILE = "study.yaml"
 REPORT_FILE = "report.html"
 TIMINGS_FILE = "timings.yaml"
+STUDY_FILES = (CONFIG_FILE, f"{POLICY_FILE}.json", f"{HEAD_FILE}.json", "checkpoint.json", REPORT_FILE)
+TRAINED_BY = ("seed", "task", "pid", "base_pid", "ppo", "leakage_head")
+"""What trained weights depend on; the rest of a study may change when it is resumed."""
 
 
 class StudySettings(Group):
     """A study: the task, the opponents, what is trained and how it is judged. ``configs/studies`` holds some."""
 
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="of everything that is drawn; --seed overrides it")
     title: str = "A servo axis that leaks: PID, PPO and the leakage head"
     task: TaskConfig = Field(default_factory=TaskConfig)
     pid: PIDGains = Field(default_factory=PIDGains, description="the opponent, tuned on the mean error")
@@ -60,15 +64,23 @@ class StudySettings(Group):
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
-        return validate(cls, with_included_files(read_yaml(path), Path(path).parent), str(path))
+        values = read_yaml(path)
+        for key, value in values.items():
+            if isinstance(value, str) and value.endswith((".yaml", ".yml")) and key in GROUPS:
+                file = Path(path).parent / value
+                values[key] = validate(GROUPS[key], read_yaml(file), str(file))
+        return validate(cls, values, str(path))
 
 
-def with_included_files(values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Replace groups that are given as the path of a YAML file by the content of the file."""
-    return {
-        key: read_yaml(folder / value) if isinstance(value, str) and value.endswith((".yaml", ".yml")) else value
-        for key, value in values.items()
-    }
+GROUPS: dict[str, type[Group]] = {
+    "task": TaskConfig,
+    "pid": PIDGains,
+    "base_pid": PIDGains,
+    "ppo": PPOSettings,
+    "leakage_head": HeadTrainingSettings,
+    "evaluation": ProtocolSettings,
+}
+"""Groups of a study that may be the path of a file of their own."""
 
 
 @dataclass(frozen=True)
@@ -80,17 +92,29 @@ class StudyResult:
     timings: dict[str, float]
 
 
-def prepare_folder(folder: Path, resume: bool, overwrite: bool, marker: str) -> None:
+def prepare_folder(folder: Path, resume: bool, overwrite: bool, *written: str, can_resume: bool = False) -> None:
     """Check that results may go into a folder, and that it can be written.
+
+    Args:
+        folder: for the results.
+        resume: the user wants to go on with what is there.
+        overwrite: the user wants to replace what is there.
+        written: names of the files that the job writes.
+        can_resume: whether the job knows how to go on.
 
     Raises:
         ConfigurationError: it holds results and neither resume nor overwrite is asked for, or cannot be written.
     """
-    if (folder / marker).exists() and not (resume or overwrite):
+    if resume and overwrite:
+        raise ConfigurationError("--resume and --overwrite exclude each other")
+    found = next((name for name in written if (folder / name).exists()), None)
+    if found is not None and not (resume or overwrite):
+        ways = "--resume goes on with them, " if can_resume else ""
         raise ConfigurationError(
-            f"{folder}: holds results already; --resume goes on with them, --overwrite begins anew, "
-            "--output takes another folder"
+            f"{folder}: holds results already ({found}); {ways}--overwrite replaces them, --output takes another folder"
         )
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f"{folder}: is a file, a folder is needed")
     probe = folder / ".write-test"
     write_whole(probe, b"")
     probe.unlink()
@@ -111,12 +135,17 @@ def run_study(
         ConfigurationError: the folder cannot be used, or its results are of other settings.
         KeyboardInterrupt: Ctrl-C; what was done so far stays and can be resumed.
     """
-    prepare_folder(folder, resume, overwrite, CONFIG_FILE)
-    described = {"seed": seed, **settings.model_dump(mode="json")}
+    prepare_folder(folder, resume, overwrite, *STUDY_FILES, can_resume=True)
+    described = {**settings.model_dump(mode="json"), "seed": seed}
     stored = folder / CONFIG_FILE
     if resume and stored.exists():
-        if read_yaml(stored) != json.loads(json.dumps(described)):
-            raise ConfigurationError(f"{stored}: is of other settings or another seed; --overwrite begins anew")
+        before, now = read_yaml(stored), json.loads(json.dumps(described))
+        changed = next((key for key in TRAINED_BY if before.get(key) != now.get(key)), None)
+        if changed is not None:
+            raise ConfigurationError(
+                f"{stored}: is of another seed or other settings ('{changed}' differs); --overwrite begins anew"
+            )
+        write_yaml(stored, described)
     else:
         stale = (f"{POLICY_FILE}.json", f"{HEAD_FILE}.json", "checkpoint.json", "head_checkpoint.json")
         for name in (*stale, CURVE_FILE, TIMINGS_FILE):
@@ -153,13 +182,13 @@ def run_study(
 
 
 def _timed(folder: Path, timings: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
-    """Do a phase and note the seconds it took, here and in the folder."""
+    """Do a phase and add the seconds it took to those of sessions before, here and in the folder."""
     began = time.monotonic()
-    result = work()
-    # A phase that a resumed study skips keeps the time it took.
-    timings[name] = round(max(time.monotonic() - began, timings.get(name, 0.0)), 1)
-    write_yaml(folder / TIMINGS_FILE, timings)
-    return result
+    try:
+        return work()
+    finally:
+        timings[name] = round(timings.get(name, 0.0) + time.monotonic() - began, 1)
+        write_yaml(folder / TIMINGS_FILE, timings)
 
 
 def _stored_timings(folder: Path) -> dict[str, float]:
@@ -173,34 +202,51 @@ def _policy(
     curve_file = folder / CURVE_FILE
     if (folder / f"{POLICY_FILE}.json").exists():
         display.say("PPO: already trained")
-        curve = pd.read_csv(curve_file) if curve_file.exists() else pd.DataFrame()
+        curve = pd.read_csv(curve_file) if curve_file.exists() and curve_file.stat().st_size > 1 else pd.DataFrame()
         return PolicyController.load(folder / POLICY_FILE), curve
-    rows: list[dict[str, float]] = []
     gains = settings.base_pid or settings.pid
     go_on = (folder / "checkpoint.json").exists()
-    policy = train_ppo(
-        settings.task,
-        settings.ppo,
-        gains,
-        seed,
-        folder,
-        resume=go_on,
-        progress=ppo_progress(display, rows),
-    )
+    rows = stored_curve(curve_file) if go_on else []
+    try:
+        policy = train_ppo(
+            settings.task,
+            settings.ppo,
+            gains,
+            seed,
+            folder,
+            resume=go_on,
+            progress=ppo_progress(display, rows),
+        )
+    finally:
+        write_curve(curve_file, rows)
     curve = pd.DataFrame(rows)
-    write_whole(curve_file, curve.to_csv(index=False).encode())
     policy.save(folder / POLICY_FILE)
     return policy, curve
 
 
+def stored_curve(file: Path) -> list[dict[str, float]]:
+    """The training curve of the sessions before, to which a resumed training adds."""
+    if not file.exists() or file.stat().st_size <= 1:
+        return []
+    return [{str(key): float(value) for key, value in row.items()} for row in pd.read_csv(file).to_dict("records")]
+
+
+def write_curve(file: Path, rows: list[dict[str, float]]) -> None:
+    """Write the training curve; an empty one leaves the file alone."""
+    if rows:
+        write_whole(file, pd.DataFrame(rows).to_csv(index=False).encode())
+
+
 def ppo_progress(display: ProgressDisplay, rows: list[dict[str, float]]) -> Callable[[Progress], None]:
     """A callback that shows a PPO training and notes its curve."""
-    last = [0.0, 0]
+    before = rows[-1]["seconds"] if rows else 0.0
+    last = [0.0, rows[-1]["steps"] if rows else 0.0]
 
     def report(progress: Progress) -> None:
         passed, steps = progress.seconds - last[0], progress.steps - last[1]
         last[:] = progress.seconds, progress.steps
-        rows.append({"steps": progress.steps, "seconds": progress.seconds, "mean_reward": progress.mean_reward})
+        seconds = before + progress.seconds
+        rows.append({"steps": progress.steps, "seconds": seconds, "mean_reward": progress.mean_reward})
         rate = f"{steps / passed:,.0f} steps/s" if passed > 0 else ""
         reward = "" if math.isnan(progress.mean_reward) else f", mean reward {progress.mean_reward:.4f}"
         display.update("train PPO", min(progress.steps, progress.total_steps), progress.total_steps, rate + reward)

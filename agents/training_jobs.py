@@ -32,9 +32,13 @@ from agents.study import (
     ppo_progress,
     prepare_folder,
     run_study,
+    stored_curve,
+    write_curve,
 )
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.plant.configuration import write_whole, write_yaml
+from hydro_env.plant.configuration import write_yaml
+
+EVALUATION_FILE = "evaluation.yaml"
 
 
 def check_layout(controller_layout: ObservationLayout, config: TaskConfig, what: str) -> None:
@@ -67,24 +71,41 @@ def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
     return head
 
 
+def _can_go_on(folder: Path, checkpoint: str, resume: bool) -> bool:
+    """Whether to go on from a checkpoint.
+
+    Raises:
+        ConfigurationError: that was asked for, and there is none.
+    """
+    if resume and not (folder / checkpoint).exists():
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no {checkpoint}; leave --resume out")
+    return resume
+
+
 def train_policy(
     settings: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
 ) -> Path:
     """Train PPO; weights, checkpoint and training curve go into the folder."""
-    prepare_folder(folder, resume, overwrite, "checkpoint.json")
+    resume = _can_go_on(folder, "checkpoint.json", resume)
+    written = ("checkpoint.json", f"{POLICY_FILE}.json", CONFIG_FILE)
+    prepare_folder(folder, resume, overwrite, *written, can_resume=True)
+    if (folder / CONFIG_FILE).exists():
+        raise ConfigurationError(f"{folder}: holds a study, whose policy this would replace; take another --output")
     ppo = settings.ppo if steps is None else settings.ppo.model_copy(update={"total_steps": steps})
-    rows: list[dict[str, float]] = []
+    rows = stored_curve(folder / CURVE_FILE) if resume else []
     with ProgressDisplay() as display:
-        policy = train_ppo(
-            settings.task,
-            ppo,
-            settings.base_pid or settings.pid,
-            seed,
-            folder,
-            resume=resume,
-            progress=ppo_progress(display, rows),
-        )
-    write_whole(folder / CURVE_FILE, pd.DataFrame(rows).to_csv(index=False).encode())
+        try:
+            policy = train_ppo(
+                settings.task,
+                ppo,
+                settings.base_pid or settings.pid,
+                seed,
+                folder,
+                resume=resume,
+                progress=ppo_progress(display, rows),
+            )
+        finally:
+            write_curve(folder / CURVE_FILE, rows)
     return policy.save(folder / POLICY_FILE)
 
 
@@ -92,7 +113,11 @@ def train_leakage_head(
     settings: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, policy: Path | None
 ) -> Path:
     """Train the leakage head on data of the PID and of a policy."""
-    prepare_folder(folder, resume, overwrite, "head_checkpoint.json")
+    resume = _can_go_on(folder, "head_checkpoint.json", resume)
+    written = ("head_checkpoint.json", f"{HEAD_FILE}.json", CONFIG_FILE)
+    prepare_folder(folder, resume, overwrite, *written, can_resume=True)
+    if (folder / CONFIG_FILE).exists():
+        raise ConfigurationError(f"{folder}: holds a study, whose head this would replace; take another --output")
     pid = PID(settings.pid, ObservationLayout.of(settings.task))
     controllers: list[Controller] = [pid, load_policy(policy, settings.task)]
     with ProgressDisplay() as display:
@@ -133,14 +158,16 @@ def evaluate_to_folder(
         "PPO": load_policy(policy, settings.task),
     }
     leakage_head = load_head(head, settings.task)
-    prepare_folder(folder, False, overwrite, REPORT_FILE)
+    prepare_folder(folder, False, overwrite, REPORT_FILE, EVALUATION_FILE, CONFIG_FILE)
+    if (folder / CONFIG_FILE).exists():
+        raise ConfigurationError(f"{folder}: holds a study, whose report this would replace; take another --output")
     with ProgressDisplay() as display:
         evaluation = evaluate(settings.task, controllers, leakage_head, settings.evaluation, display.update)
     write_tables(folder / "tables", evaluation)
-    write_yaml(folder / CONFIG_FILE, settings.model_dump(mode="json"))
+    write_yaml(folder / EVALUATION_FILE, settings.model_dump(mode="json"))
     record = StudyRecord(
         title=settings.title,
-        configuration=(folder / CONFIG_FILE).read_text(encoding="utf-8"),
+        configuration=(folder / EVALUATION_FILE).read_text(encoding="utf-8"),
         command=command,
         versions=package_versions(),
         machine=machine_description(),

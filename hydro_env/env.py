@@ -177,9 +177,15 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._info(),
         )
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle holds: everything but the window or canvas, which a copy makes for itself."""
+        return {**self.__dict__, "_renderer": None}
+
     @property
     def parameters(self) -> PlantParameters:
         """The physical parameters of the present episode, leakage included (for the judge)."""
+        if not self._begun:
+            raise ConfigurationError("parameters: call reset first")
         return self._axes.parameters(0)
 
     def _info(self) -> dict[str, Any]:
@@ -209,6 +215,8 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self.render_mode is None:
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
+        if not self._begun:
+            raise ConfigurationError("render: call reset first")
         if self._renderer is None:
             from hydro_env.rendering import AxisRenderer
 

@@ -92,6 +92,11 @@ def test_other_mistakes(tmp_path):
     (tmp_path / "foreign.json").write_text("{}")
     study = tmp_path / "study.yaml"
     study.write_text("pdi: {proportional: 1}\n")
+    levels, included, semicolons = tmp_path / "levels.yaml", tmp_path / "included.yaml", tmp_path / "input.csv"
+    levels.write_text("evaluation: {leak_levels: [0.1, -1]}\n")
+    included.write_text("ppo: ppo.yaml\n")
+    (tmp_path / "ppo.yaml").write_text("total_steps: -1\n")
+    semicolons.write_text("t,v\n0,001;1,5\n")
     for arguments, parts in (
         (["simulate", "--leakage", "-1", "-o", tmp_path / "a"], ["--leakage = -1", "0 to 20"]),
         (["simulate", "--voltage", "50", "-o", tmp_path / "a"], ["--voltage = 50", "-10 to 10"]),
@@ -103,7 +108,10 @@ def test_other_mistakes(tmp_path):
         (["evaluate", "--policy", tmp_path / "foreign", "-o", tmp_path / "a"], ["foreign.json", "not the"]),
         (["evaluate", "--head", tmp_path / "absent", "-o", tmp_path / "a"], ["absent.json: cannot be read"]),
         (["study", "--config", study, "-o", tmp_path / "a"], ["study.yaml", "pdi", "unknown key"]),
-        (["train", "ppo", "--resume", "-o", tmp_path / "empty"], ["checkpoint.json: cannot be read"]),
+        (["study", "--config", levels, "-o", tmp_path / "a"], ["levels.yaml", "leak_levels: -1 l/min"]),
+        (["study", "--config", included, "-o", tmp_path / "a"], ["ppo.yaml", "total_steps = -1"]),
+        (["simulate", "--input-file", semicolons, "-o", tmp_path / "a"], ["line 2", "separate columns by commas"]),
+        (["train", "ppo", "--resume", "-o", tmp_path / "empty"], ["nothing to resume", "checkpoint.json"]),
     ):
         assert_one_clear_line(hydro(*arguments), *parts)
     assert not (tmp_path / "a").exists()
@@ -152,5 +160,21 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
         assert (folder / "tables" / name).stat().st_size > 100
     cases = list(csv.DictReader((folder / "tables" / "cases.csv").open()))
     assert len(cases) == 2 * 2 * 2 * 3
+    curve = list(csv.DictReader((folder / "training_curve.csv").open()))
+    assert int(float(curve[0]["steps"])) == 64 * 32
+    assert [float(row["seconds"]) for row in curve] == sorted(float(row["seconds"]) for row in curve)
+    into_study = hydro("train", "ppo", "--config", study, "--output", folder, "--overwrite")
+    assert_one_clear_line(into_study, "holds a study")
+    # What a study leaves can be used again, and what does not concern training may change.
+    TINY["title"] = "Another title"
+    study.write_text(yaml.safe_dump(TINY))
+    again = hydro("study", "--config", study, "--output", folder, "--resume")
+    assert again.returncode == 0, again.stderr
+    assert "already trained" in again.stdout
+    judged = hydro(
+        *("evaluate", "--config", folder / "study.yaml", "--policy", folder / "policy"),
+        *("--head", folder / "leakage_head", "--output", tmp_path / "judged"),
+    )
+    assert judged.returncode == 0, judged.stderr
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
-    assert_one_clear_line(other, "is of other settings or another seed")
+    assert_one_clear_line(other, "is of another seed or other settings")

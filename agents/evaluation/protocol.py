@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from agents.controllers.base import Controller, ObservationLayout
 from agents.evaluation.metrics import METRICS, rollout_metrics
@@ -36,6 +36,7 @@ from agents.rollout import Cases, Rollout, run_cases
 from agents.splits import TEST_SEEDS
 from hydro_env import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
 from hydro_env.plant.configuration import Group
+from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 DETECTION_SEEDS_OFFSET = 500_000
 SEEDS_PER_FAMILY = 10_000
@@ -51,6 +52,19 @@ class ProtocolSettings(Group):
     families: tuple[str, ...] = Field(REFERENCE_FAMILIES[:6], min_length=1)
     plants: int = Field(32, ge=3, le=10_000, description="per level and family")
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
+
+    @model_validator(mode="after")
+    def _possible(self) -> ProtocolSettings:
+        for level in self.leak_levels:
+            if not 0.0 < level <= LEAKAGE_LIMIT:
+                raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
+        for family in self.families:
+            if family not in REFERENCE_FAMILIES[:6]:
+                raise ValueError(f"families: unknown '{family}'; known: {', '.join(REFERENCE_FAMILIES[:6])}")
+        for name in ("leak_levels", "families"):
+            if len(set(getattr(self, name))) != len(getattr(self, name)):
+                raise ValueError(f"{name}: holds something twice")
+        return self
 
 
 @dataclass(frozen=True)

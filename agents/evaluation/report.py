@@ -210,7 +210,8 @@ def _ratio_tables(evaluation: Evaluation) -> list[Table]:
             interval, value = row_interval(row, "ratio"), str(row["value"])
             label = {"": "all runs"}.get(value, family_name(value))
             label = f"leak of {float(value):g} l/min" if row["group"] == "level" else label
-            better = f"{100.0 * float(row['share_of_cases_better']):.0f} %"
+            share = float(row["share_of_cases_better"])
+            better = "–" if np.isnan(share) else f"{100.0 * share:.0f} %"
             rows.append((label, interval_text(interval, decimals=3), verdict(interval, plants), better))
         header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
         tables.append(Table(f"Mean error of {name} over mean error of {frame['against'].iloc[0]}", header, rows))

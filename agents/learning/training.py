@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
-from pydantic import Field
+from pydantic import Field, model_validator
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -52,9 +52,18 @@ class PPOSettings(Group):
     final_log_standard_deviation: float = Field(
         -3.0, ge=-10.0, le=2.0, description="reached linearly; left to the gradient it collapses too early"
     )
-    hidden_sizes: tuple[int, ...] = (64, 64)
+    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1)
     reward_scale: float = Field(0.2, gt=0.0)
-    torch_threads: int = Field(1, ge=1)
+    torch_threads: int = Field(1, ge=1, le=256)
+
+    @model_validator(mode="after")
+    def _batches(self) -> PPOSettings:
+        if self.axes * self.steps_per_rollout % self.minibatches:
+            raise ValueError(
+                f"minibatches = {self.minibatches} must divide axes × steps_per_rollout = "
+                f"{self.axes * self.steps_per_rollout}"
+            )
+        return self
 
 
 @dataclass(frozen=True)
@@ -181,7 +190,7 @@ def train_ppo(
         if checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
         tensors, stored = load_weights(checkpoint, CHECKPOINT_KIND)
-        done = _checked_checkpoint(stored, settings, config, checkpoint)
+        done = _checked_checkpoint(stored, settings, config, seed, checkpoint)
     # A resumed training meets new episodes, not those of its beginning again.
     practised = task_config(config, **settings.practice)
     env = AxisVecEnv(
@@ -201,7 +210,7 @@ def train_ppo(
 
     def save_checkpoint(current: PPO) -> None:
         if checkpoint is not None:
-            _save_checkpoint(current, checkpoint, settings, config)
+            _save_checkpoint(current, checkpoint, settings, config, seed)
 
     _set_exploration(model, settings, min(done / settings.total_steps, 1.0))
     callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop)
@@ -233,7 +242,11 @@ def _set_exploration(model: Any, settings: PPOSettings, share: float) -> None:
         model.policy.log_std.fill_(first + (last - first) * share)
 
 
-def _checked_checkpoint(stored: dict[str, Any], settings: PPOSettings, config: TaskConfig, path: Path) -> int:
+def _checked_checkpoint(
+    stored: dict[str, Any], settings: PPOSettings, config: TaskConfig, seed: int, path: Path
+) -> int:
+    if stored.get("seed") != seed:
+        raise ConfigurationError(f"{path}.json: was made with seed {stored.get('seed')}, not {seed}; cannot resume")
     same = {"settings": settings.model_dump(mode="json"), "task": config.model_dump(mode="json")}
     for what, now in same.items():
         before = dict(stored.get(what) or {})
@@ -245,11 +258,12 @@ def _checked_checkpoint(stored: dict[str, Any], settings: PPOSettings, config: T
     return int(stored["steps"])
 
 
-def _save_checkpoint(model: PPO, path: Path, settings: PPOSettings, config: TaskConfig) -> None:
+def _save_checkpoint(model: PPO, path: Path, settings: PPOSettings, config: TaskConfig, seed: int) -> None:
     tensors = {f"policy.{name}": value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
     tensors |= optimiser_tensors(model.policy.optimizer)
     stored = {
         "steps": int(model.num_timesteps),
+        "seed": seed,
         "settings": settings.model_dump(mode="json"),
         "task": config.model_dump(mode="json"),
     }
