@@ -13,6 +13,7 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from agents.paths import prepare_folder
 from hydro_env import HydroError, PlantParameters, resistance_from_flow
 from hydro_env.plant.analysis import (
     chamber_volumes,
@@ -309,8 +310,6 @@ def check_to_console(
     (console or Console()).print(_table(rows, title))
     if folder is None:
         return []
-    from agents.study import prepare_folder  # loads the learning library, which a table does not need
-
     prepare_folder(folder, False, overwrite, CSV_FILE)
     files = [folder / CSV_FILE, folder / TABLE_FILE]
     write_whole(files[0], check_csv(rows).encode())

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from agents.study import prepare_folder
+from agents.paths import prepare_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.parameters import LITRE_PER_MINUTE

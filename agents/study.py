@@ -29,6 +29,7 @@ from agents.leakage.head import LeakageHead
 from agents.leakage.training import HeadTrainingSettings, train_head
 from agents.learning.policy import PolicyController
 from agents.learning.training import PPOSettings, Progress, train_ppo
+from agents.paths import prepare_folder
 from agents.rollout import Cases, run_cases
 from agents.splits import TEST_SEEDS
 from hydro_env import ConfigurationError, TaskConfig, __version__
@@ -90,34 +91,6 @@ class StudyResult:
     report: Path
     evaluation: Evaluation
     timings: dict[str, float]
-
-
-def prepare_folder(folder: Path, resume: bool, overwrite: bool, *written: str, can_resume: bool = False) -> None:
-    """Check that results may go into a folder, and that it can be written.
-
-    Args:
-        folder: for the results.
-        resume: the user wants to go on with what is there.
-        overwrite: the user wants to replace what is there.
-        written: names of the files that the job writes.
-        can_resume: whether the job knows how to go on.
-
-    Raises:
-        ConfigurationError: it holds results and neither resume nor overwrite is asked for, or cannot be written.
-    """
-    if resume and overwrite:
-        raise ConfigurationError("--resume and --overwrite exclude each other")
-    found = next((name for name in written if (folder / name).exists()), None)
-    if found is not None and not (resume or overwrite):
-        ways = "--resume goes on with them, " if can_resume else ""
-        raise ConfigurationError(
-            f"{folder}: holds results already ({found}); {ways}--overwrite replaces them, --output takes another folder"
-        )
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f"{folder}: is a file, a folder is needed")
-    probe = folder / ".write-test"
-    write_whole(probe, b"")
-    probe.unlink()
 
 
 def run_study(

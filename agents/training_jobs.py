@@ -10,14 +10,13 @@ from rich.table import Table
 from agents.console import ProgressDisplay
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID, PIDGains
-from agents.controllers.tuning import tune_pid
 from agents.evaluation.protocol import Evaluation, evaluate
 from agents.evaluation.report import StudyRecord, write_report, write_tables
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import train_head
 from agents.learning.policy import PolicyController
 from agents.learning.training import train_ppo
-from agents.paths import pretrained_folder
+from agents.paths import prepare_folder, pretrained_folder
 from agents.study import (
     CONFIG_FILE,
     CURVE_FILE,
@@ -30,11 +29,11 @@ from agents.study import (
     machine_description,
     package_versions,
     ppo_progress,
-    prepare_folder,
     run_study,
     stored_curve,
     write_curve,
 )
+from agents.tuning import tune_pid
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.configuration import write_yaml
 
@@ -71,26 +70,24 @@ def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
     return head
 
 
-def _can_go_on(folder: Path, checkpoint: str, resume: bool) -> bool:
-    """Whether to go on from a checkpoint.
+def _prepare_training(folder: Path, checkpoint: str, weights: str, resume: bool, overwrite: bool) -> None:
+    """Check that a training may go into a folder, or go on from the checkpoint there.
 
     Raises:
-        ConfigurationError: that was asked for, and there is none.
+        ConfigurationError: nothing to resume, results that would be replaced unasked, or a study's folder.
     """
     if resume and not (folder / checkpoint).exists():
         raise ConfigurationError(f"{folder}: nothing to resume, there is no {checkpoint}; leave --resume out")
-    return resume
+    prepare_folder(folder, resume, overwrite, checkpoint, f"{weights}.json", CONFIG_FILE, can_resume=True)
+    if (folder / CONFIG_FILE).exists():
+        raise ConfigurationError(f"{folder}: holds a study, whose {weights} this would replace; take another --output")
 
 
 def train_policy(
     settings: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
 ) -> Path:
     """Train PPO; weights, checkpoint and training curve go into the folder."""
-    resume = _can_go_on(folder, "checkpoint.json", resume)
-    written = ("checkpoint.json", f"{POLICY_FILE}.json", CONFIG_FILE)
-    prepare_folder(folder, resume, overwrite, *written, can_resume=True)
-    if (folder / CONFIG_FILE).exists():
-        raise ConfigurationError(f"{folder}: holds a study, whose policy this would replace; take another --output")
+    _prepare_training(folder, "checkpoint.json", POLICY_FILE, resume, overwrite)
     ppo = settings.ppo if steps is None else settings.ppo.model_copy(update={"total_steps": steps})
     rows = stored_curve(folder / CURVE_FILE) if resume else []
     with ProgressDisplay() as display:
@@ -113,11 +110,7 @@ def train_leakage_head(
     settings: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, policy: Path | None
 ) -> Path:
     """Train the leakage head on data of the PID and of a policy."""
-    resume = _can_go_on(folder, "head_checkpoint.json", resume)
-    written = ("head_checkpoint.json", f"{HEAD_FILE}.json", CONFIG_FILE)
-    prepare_folder(folder, resume, overwrite, *written, can_resume=True)
-    if (folder / CONFIG_FILE).exists():
-        raise ConfigurationError(f"{folder}: holds a study, whose head this would replace; take another --output")
+    _prepare_training(folder, "head_checkpoint.json", HEAD_FILE, resume, overwrite)
     pid = PID(settings.pid, ObservationLayout.of(settings.task))
     controllers: list[Controller] = [pid, load_policy(policy, settings.task)]
     with ProgressDisplay() as display:

@@ -1,6 +1,6 @@
 """The search for gains lowers the cost and is reproducible."""
 
-from agents.controllers.tuning import tune_pid
+from agents.tuning import tune_pid
 from hydro_env import TaskConfig
 
 
