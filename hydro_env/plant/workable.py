@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 from hydro_env.plant.analysis import force_limits
+from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import Coefficients, Rates, State, rates
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.arrays import coefficient_array
 
 LEAST_TRAVEL = 1e-3
 """m; a rig that cannot move this far from where its spring is free is no servo axis."""

@@ -5,8 +5,8 @@ import pytest
 
 from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.axes import Axes
-from hydro_env.plant.arrays import TYPICAL_SIZE
 from hydro_env.plant.analysis import fastest_eigenvalue, fastest_rate_bound
+from hydro_env.plant.arrays import TYPICAL_SIZE
 from hydro_env.plant.equations import VAPOUR_PRESSURE
 from hydro_env.plant.kernel import FIRST_STEP, STABLE_PRODUCT, STAGES
 from hydro_env.plant.parameters import PARAMETER_PATHS

@@ -1,8 +1,7 @@
 """A rig that cannot work is refused with the figure and its limit; the shipped ones work."""
 
-from pathlib import Path
-
 import math
+from pathlib import Path
 
 import pytest
 from scipy.optimize import minimize_scalar

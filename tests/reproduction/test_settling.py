@@ -20,9 +20,9 @@ from agents.reproduction.settling import settling_table
 from agents.reproduction.settling_figure import settling_figure
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
+from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, internal_leakage
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
-from hydro_env.plant.arrays import coefficient_array
 from hydro_env.task.configuration import Sensors
 
 LEAKS = (0.01, 0.1, 0.5, 2.0)
