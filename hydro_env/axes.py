@@ -19,7 +19,6 @@ from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
-from hydro_env.plant.simulate import coefficient_array, equilibrium
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
@@ -80,13 +79,6 @@ class Axes:
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
-        self._fill_spare_lanes()
-
-    def _fill_spare_lanes(self) -> None:
-        """Lanes that hold no axis run along on a plant at rest, the default one, which surely has such a state."""
-        state, _ = equilibrium(PlantParameters(), 0.0)
-        self.state[-1] = np.array(list(state.values()))[:, None]
-        self.coefficient[-1] = coefficient_array(PlantParameters())[:, None]
 
     # Randomness -----------------------------------------------------------------------------------------------------
 

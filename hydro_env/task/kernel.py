@@ -197,7 +197,8 @@ def _draw_plant(physical, key, base, draws, override):
             physical[index] = value
 
 
-_integrate = kernel.integrate  # a global: as a closure variable it would be a new cache key in every process
+# Compiled with its caller. A global: as a closure variable it would be a new cache key in every process.
+_integrate = compiler.part(kernel.integrate)
 
 
 def _build(stamp):
@@ -312,6 +313,14 @@ def _build(stamp):
             row[C_REFERENCE] = reference[axis, 0]
             _sample_signals(row, s.position, s.spool_position, noise, sensors, settings)
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)
+
+            # Lanes behind the last axis hold none; they run along as that axis at rest.
+            if axis == record.shape[0] - 1:
+                for spare in range(lane + 1, LANES):
+                    for index in range(state.shape[1]):
+                        state[block, index, spare] = state[block, index, lane]
+                    for index in range(coefficient.shape[1]):
+                        coefficient[block, index, spare] = coefficient[block, index, lane]
 
     def step_axes(
         settings_array,

@@ -162,5 +162,6 @@ def test_spare_lanes_do_no_harm():
     for _ in range(5):
         axes.step(np.ones(3), observation, np.empty(3), np.empty(3, np.bool_), np.empty(3, np.bool_))
     assert np.isfinite(axes.state).all()
-    assert np.abs(axes.state[0, 0, 3:]).max() < 1e-4  # a plant at rest with a closed valve
+    began = axes.reference[2, 0]
+    assert np.abs(axes.state[0, 0, 3:] - began).max() < 1e-3  # the last axis near its start, valve closed
     assert np.abs(axes.state[0, 0, :3] - axes.column("position")).max() == 0.0
