@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from hydro_env import ServoHydraulicVectorEnv, simulate
-from hydro_env.plant import STATE_NAMES
+from hydro_env.plant.equations import STATE_NAMES
 
 
 def main(plants: int = 20) -> None:
