@@ -145,7 +145,7 @@ def _leak_flow(row, time, settings):
         return target
     if time < begin:
         return start
-    if settings.schedule == 1.0:
+    if settings.schedule == 1.0 or target == start:  # which may both be 0
         return target
     end = settings.steps * settings.control_period
     share = min((time - begin) / max(end - begin, settings.control_period), 1.0)
