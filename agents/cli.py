@@ -11,8 +11,11 @@ from typing import Annotated, Any
 
 import typer
 
-from hydro_env import ConfigurationError, HydroError
+from hydro_env import ConfigurationError, HydroError, __version__
 from hydro_env.plant.configuration import validate
+
+# Typer brings its own copy of click, or uses click, depending on its version; this finds either.
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(
     name="hydro",
@@ -40,6 +43,22 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where t
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
 ]
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """What holds for every command."""
+    del version
 
 
 class InputSignal(StrEnum):
@@ -146,7 +165,7 @@ def train(
 
     settings = _study(config)
     seed = settings.seed if seed is None else seed
-    with _stoppable():
+    with _stoppable(resumable=what is not Trainable.PID):
         if what is Trainable.PPO:
             file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
         elif what is Trainable.HEAD:
@@ -177,7 +196,7 @@ def evaluate(
     if plants is not None:
         changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
         settings = validate(type(settings), changed, "--plants")
-    with _stoppable():
+    with _stoppable(resumable=False):
         training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
 
 
@@ -198,17 +217,18 @@ def study(
 
     settings = _study(config)
     seed = settings.seed if seed is None else seed
-    with _stoppable():
+    with _stoppable(resumable=True):
         training_jobs.study_to_folder(settings, output, seed, resume, overwrite, _command_line())
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
+def _stoppable(resumable: bool) -> Iterator[None]:
     """Ctrl-C ends the command with one line that says what becomes of the work."""
+    fate = "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
     try:
         yield
     except KeyboardInterrupt:
-        print("\nhydro: stopped; what is done so far was kept, --resume goes on with it", file=sys.stderr)
+        print(f"\nhydro: stopped; {fate}", file=sys.stderr)
         raise typer.Exit(130) from None
 
 
@@ -226,11 +246,20 @@ def _command_line() -> str:
 def main() -> None:
     """Entry point: one clear line and exit code 2 for whatever a user can put right."""
     try:
-        app()
+        code = app(standalone_mode=False, prog_name="hydro")
+        sys.exit(code if isinstance(code, int) else 0)
+    except _UsageError as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # the help has been asked for, in its way
+            error.show()
+            sys.exit(2)
+        message = " ".join(error.format_message().replace("Value error, ", "").split())
+        command = error.ctx.command_path if error.ctx is not None else "hydro"
+        print(f"hydro: {message.rstrip('.')}; see {command} --help", file=sys.stderr)
+        sys.exit(2)
     except HydroError as error:
         print(f"hydro: {error}", file=sys.stderr)
         sys.exit(2)
-    except KeyboardInterrupt:  # before a command had begun
+    except (KeyboardInterrupt, typer.Abort):  # before a command had begun
         sys.exit(130)
     except OSError as error:
         print(f"hydro: {ConfigurationError(f'{error.filename}: {error.strerror}')}", file=sys.stderr)

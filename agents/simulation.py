@@ -132,7 +132,14 @@ def trajectory_csv(run: Trajectory) -> str:
 
 
 def trajectory_picture(run: Trajectory) -> bytes:
-    """A PNG: command and spool, position and speed, pressures, flows, acceleration."""
+    """A PNG of :func:`trajectory_figure`."""
+    buffer = io.BytesIO()
+    trajectory_figure(run).savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()
+
+
+def trajectory_figure(run: Trajectory) -> Figure:
+    """Command and spool, position, pressures, flows, acceleration over time."""
     figure = Figure(figsize=(9, 11), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(5, 1, sharex=True)
@@ -163,11 +170,10 @@ def trajectory_picture(run: Trajectory) -> bytes:
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
         if len(lines) > 1:
-            axis.legend(loc="upper right", fontsize=8, ncols=len(lines))
+            # Above the panel: inside, it would lie over one of the lines.
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
     axes[-1].set_xlabel("time, s")
     leak = run.parameters.leakage
     shown = 1e7 / leak.internal_resistance * flow
-    axes[0].set_title(f"internal leakage {shown:.3g} l/min at 100 bar", fontsize=10)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    return buffer.getvalue()
+    figure.suptitle(f"internal leakage {shown:.3g} l/min at 100 bar", fontsize=10)
+    return figure

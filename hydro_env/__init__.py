@@ -1,25 +1,26 @@
 """A hydraulic servo axis with a leaking piston seal, as plant and as Gymnasium environment.
 
-``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``.
+``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``. The rest, and
+the compiler with it, is loaded when it is first used.
 """
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 import gymnasium as _gymnasium
 
-from hydro_env.env import ServoHydraulicEnv
-from hydro_env.plant import (
-    PlantParameters,
-    Trajectory,
-    equilibrium,
-    flow_from_resistance,
-    resistance_from_flow,
-    simulate,
-)
-from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
-from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
-from hydro_env.vector_env import ServoHydraulicVectorEnv
 from hydro_env.version import __version__
+
+if TYPE_CHECKING:
+    from hydro_env.env import ServoHydraulicEnv
+    from hydro_env.plant.arrays import equilibrium
+    from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
+    from hydro_env.plant.parameters import PlantParameters, flow_from_resistance, resistance_from_flow
+    from hydro_env.plant.simulate import Trajectory, simulate
+    from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
+    from hydro_env.vector_env import ServoHydraulicVectorEnv
 
 ENVIRONMENT_ID = "ServoHydraulic-v0"
 
@@ -29,6 +30,24 @@ if ENVIRONMENT_ID not in _gymnasium.registry:
         entry_point="hydro_env.env:ServoHydraulicEnv",
         vector_entry_point="hydro_env.vector_env:ServoHydraulicVectorEnv",
     )
+
+_HOME = {
+    "ConfigurationError": "plant.errors",
+    "HydroError": "plant.errors",
+    "InvalidStateError": "plant.errors",
+    "LEAKAGE_CLASSES": "task.configuration",
+    "PlantParameters": "plant.parameters",
+    "REFERENCE_FAMILIES": "task.configuration",
+    "ServoHydraulicEnv": "env",
+    "ServoHydraulicVectorEnv": "vector_env",
+    "TaskConfig": "task.configuration",
+    "Trajectory": "plant.simulate",
+    "equilibrium": "plant.arrays",
+    "flow_from_resistance": "plant.parameters",
+    "resistance_from_flow": "plant.parameters",
+    "simulate": "plant.simulate",
+}
+"""Where the public names are defined; each is imported from there at its first use."""
 
 __all__ = [
     "ENVIRONMENT_ID",
@@ -48,3 +67,15 @@ __all__ = [
     "resistance_from_flow",
     "simulate",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'hydro_env' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"hydro_env.{_HOME[name]}"), name)
+    globals()[name] = value  # found directly from now on
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -132,13 +132,27 @@ class Axes:
             what = (
                 f"initial position {start:.4g} mm cannot be held"
                 if self.column("failure")[axis] == CANNOT_BE_HELD
-                else f"reference up to {1e3 * np.abs(self.reference[axis]).max():.4g} mm cannot be reached"
+                else self._unreachable(axis)
             )
             raise ConfigurationError(
                 f"axis {axis}: {what} by its plant (supply {physical['supply.pressure'] / 1e5:.3g} bar, spring "
                 f"{physical['load.spring_stiffness']:.4g} N/m, external force {physical['load.external_force']:.4g} N, "
                 f"leakage {self.column('leak_flow')[axis]:.3g} l/min at 100 bar)"
             )
+
+    def _unreachable(self, axis: int) -> str:
+        """Which position of a reference asks for more force than the supply gives, and what that force can hold."""
+        c = Coefficients(*self.coefficient[axis])
+        out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - c.external_force
+        back = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + c.external_force
+        if c.spring_stiffness <= 0.0:
+            return "no reference can be reached"
+        low, high = -back / c.spring_stiffness, out / c.spring_stiffness
+        row = self.reference[axis]
+        farthest = row.max() if row.max() - high > low - row.min() else row.min()
+        return (
+            f"reference of {1e3 * farthest:.4g} mm cannot be reached, only {1e3 * low:.4g} to {1e3 * high:.4g} mm can,"
+        )
 
     def step(
         self,

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from hydro_env.axes import Axes, failure_name
 from hydro_env.plant.errors import ConfigurationError
@@ -121,6 +124,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._truncated = np.zeros(1, dtype=np.bool_)
         self._seeded = False
         self._begun = False
+        self._spec: EnvSpec | None = None
         self._history: list[tuple[float, float]] = []
         self._renderer: AxisRenderer | None = None
 
@@ -176,6 +180,15 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             bool(self._truncated[0]),
             self._info(),
         )
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How ``gym.make`` made this environment; ``to_json`` works, however the task was given."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        self._spec = plain_spec(value)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy or a pickle holds: everything but the window or canvas, which a copy makes for itself."""
@@ -260,3 +273,18 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.close()
             self._renderer = None
         self._axes.close()
+
+
+def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
+    """A specification whose keywords are plain data, as ``to_json`` needs them: no models, no paths."""
+    if spec is None:
+        return None
+    return dataclasses.replace(spec, kwargs={name: _plain(value) for name, value in spec.kwargs.items()})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return str(value) if isinstance(value, Path) else value

@@ -41,6 +41,19 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
+def options_given(options: Any) -> dict[str, Any]:
+    """The options of a reset as a dictionary of their own.
+
+    Raises:
+        ConfigurationError: they are no mapping.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise ConfigurationError(f"reset options: {options!r}: must be a mapping, of {', '.join(OPTION_NAMES)}")
+    return dict(options)
+
+
 class ResetOptions:
     """What is fixed on each of N axes; NaN, or family −1, is drawn.
 
@@ -84,7 +97,7 @@ class ResetOptions:
         Raises:
             ConfigurationError: unknown option, wrong shape, or an impossible value; nothing is changed then.
         """
-        options = dict(options or {})
+        options = options_given(options)
         for name in options:
             if name not in OPTION_NAMES:
                 raise ConfigurationError(f"reset options: unknown option '{name}'; known: {', '.join(OPTION_NAMES)}")
@@ -131,7 +144,7 @@ class ResetOptions:
                 raise ConfigurationError(
                     f"reset options: leakage_resistance = {resistance.min():g} Pa s/m³: must be positive"
                 )
-            flow = np.array([flow_from_resistance(r) for r in resistance])
+            flow = np.array([flow_from_resistance(r) for r in resistance])  # 0 of an infinite one
         elif "leakage_flow_lpm" in options:
             flow = self._per_axis(options["leakage_flow_lpm"], "leakage_flow_lpm", axes)
         else:
@@ -141,8 +154,7 @@ class ResetOptions:
             raise ConfigurationError(
                 f"reset options: leakage of {flow[wrong][0]:g} l/min at 100 bar: must be within 0 to {LEAKAGE_LIMIT:g}"
             )
-        lowest: Floats = np.maximum(flow, 1e-9)
-        return lowest
+        return flow
 
     def _position_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
         if "initial_position" not in options:

@@ -7,15 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hydro_env.axes import Axes, failure_name
-from hydro_env.env import REWARD_TERMS
+from hydro_env.env import REWARD_TERMS, plain_spec
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.reset_options import options_given
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
 from hydro_env.task.record import Record
 
@@ -61,6 +63,8 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
     ) -> None:
         if num_envs < 1:
             raise ConfigurationError(f"num_envs = {num_envs}: must be at least 1")
+        if threads is not None and not (type(threads) is int and threads >= 1):
+            raise ConfigurationError(f"threads = {threads!r}: must be a whole number of at least 1, or None")
         if render_mode is not None:
             raise ConfigurationError(f"render_mode = {render_mode!r}: the vector environment does not draw")
         try:
@@ -91,6 +95,16 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         self._seeded = False
         self._begun = False
         self._with_info = info
+        self._spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How ``gym.make_vec`` made this environment; ``to_json`` works, however the task was given."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        self._spec = plain_spec(value)
 
     @property
     def axes(self) -> Axes:
@@ -109,7 +123,7 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         Raises:
             ConfigurationError: an option is unknown or impossible.
         """
-        options = dict(options or {})
+        options = options_given(options)
         axes = self._chosen(options.pop("reset_mask", None))
         if not self._begun and len(axes) < self.num_envs:
             raise ConfigurationError("reset options: reset_mask: the first reset must begin every axis")
@@ -236,7 +250,8 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
             present[axes] = True
         flow = columns[_COLUMN["leak_flow"]]
         resistance = np.zeros(self.num_envs)
-        np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
+        with np.errstate(divide="ignore"):  # no leak is an infinite resistance
+            np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
         family = _FAMILY_NAMES[columns[_COLUMN["reference_family"]].astype(np.int64)]
         failure = _failure_names(columns[_COLUMN["failure"]])
         if not everyone:

@@ -9,7 +9,13 @@ import time
 from pathlib import Path
 
 import pytest
+import typer
 import yaml
+
+import hydro_env
+from agents import cli
+from agents.simulation import trajectory_figure
+from hydro_env import PlantParameters, simulate
 
 ROOT = Path(__file__).parents[1]
 
@@ -67,6 +73,15 @@ def test_simulate_reads_a_rig_and_a_csv(tmp_path):
     assert [float(row[1]) for row in rows[1:]] == [0.0, 1.5, -1.5, -1.5]
 
 
+def test_the_legends_of_the_picture_lie_over_no_line():
+    figure = trajectory_figure(simulate(PlantParameters(), [3.0] * 20, 1e-3))
+    figure.draw_without_rendering()
+    legends = [axes.get_legend() for axes in figure.axes if axes.get_legend() is not None]
+    assert len(legends) == 3
+    for legend in legends:
+        assert legend.get_window_extent().y0 >= legend.axes.get_window_extent().y1 - 1.0
+
+
 @pytest.mark.parametrize(
     ("content", "parts"),
     [
@@ -115,9 +130,45 @@ def test_other_mistakes(tmp_path):
     ):
         assert_one_clear_line(hydro(*arguments), *parts)
     assert not (tmp_path / "a").exists()
-    usage = hydro("simulate", "--volts", "3")
-    assert usage.returncode == 2
-    assert "Traceback" not in usage.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (["simulate", "--voltage", "abc"], ["hydro: ", "'--voltage'", "a number", "see hydro simulate --help"]),
+        (["simulate", "--volts", "3"], ["--volts", "--voltage"]),
+        (["simulate", "--voltage"], ["--voltage"]),
+        (["simulate", "extra"], ["extra", "see hydro simulate --help"]),
+        (["train"], ["ppo, head, pid", "see hydro train --help"]),
+        (["train", "nothing"], ["'nothing'", "'ppo', 'head', 'pid'"]),
+        (["train", "ppo", "--steps", "0"], ["--steps", "greater than or equal to 1"]),
+        (["nothing"], ["'nothing'", "see hydro --help"]),
+    ],
+)
+def test_wrong_usage(arguments, parts):
+    assert_one_clear_line(hydro(*arguments), *parts)
+
+
+def test_version():
+    answer = hydro("--version")
+    assert answer.returncode == 0
+    assert answer.stdout == f"hydro_env {hydro_env.__version__}\n"
+
+
+def test_without_arguments_the_help_is_shown():
+    answer = hydro()
+    assert answer.returncode == 2
+    assert "check-rig" in answer.stdout + answer.stderr
+
+
+@pytest.mark.parametrize(("resumable", "fate"), [(True, "--resume goes on"), (False, "begins anew")])
+def test_ctrl_c_says_what_becomes_of_the_work(capsys, resumable, fate):
+    with pytest.raises(typer.Exit) as stopped, cli._stoppable(resumable):
+        raise KeyboardInterrupt
+    assert stopped.value.exit_code == 130
+    told = capsys.readouterr().err
+    assert fate in told
+    assert ("--resume" in told) == resumable
 
 
 TINY = {

@@ -14,7 +14,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
 import hydro_env
-from hydro_env import ConfigurationError, ServoHydraulicEnv
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 
 ID = "ServoHydraulic-v0"
 
@@ -212,6 +212,36 @@ def test_the_spec_makes_the_same_environment_again():
         assert again.unwrapped.config == env.unwrapped.config
         assert again.spec == env.spec
         assert_same(rollout(env, seed=2), rollout(again, seed=2))
+
+
+def test_the_spec_is_plain_data_however_the_task_was_given(tmp_path):
+    task = TaskConfig(control_period=0.004)
+    task.to_yaml(tmp_path / "task.yaml")
+    for config in (task, task.model_dump(), tmp_path / "task.yaml"):
+        env = gym.make(ID, config=config, plant=PlantParameters())
+        again = gym.make(EnvSpec.from_json(env.spec.to_json()))
+        assert again.unwrapped.config == env.unwrapped.config == task
+        envs = gym.make_vec(ID, num_envs=2, config=config)
+        assert json.loads(envs.spec.to_json())["kwargs"]["config"]
+        assert envs.unwrapped.config == task
+
+
+def test_no_leak_is_told_as_none():
+    env = ServoHydraulicEnv(leakage={"schedule": "growth"})
+    envs = ServoHydraulicVectorEnv(3, leakage={"schedule": "growth"})
+    for options in ({"leakage_flow_lpm": 0.0}, {"leakage_resistance": np.inf}):
+        observation, info = env.reset(seed=1, options=options)
+        assert info["leakage_flow_lpm"] == 0.0
+        assert info["leakage_resistance"] == np.inf
+        assert info["leakage_class"] == 0
+        assert env.parameters.leakage.internal_resistance == np.inf
+        for _ in range(400):
+            observation, _, _, _, info = env.step(np.full(1, 0.1))
+        assert np.isfinite(observation).all()
+        assert info["leakage_flow_lpm"] == 0.0
+        _, info = envs.reset(seed=1, options=options)
+        assert (info["leakage_flow_lpm"] == 0.0).all()
+        assert (info["leakage_resistance"] == np.inf).all()
 
 
 def test_gym_make_cuts_episodes_with_its_own_limit_too():

@@ -110,7 +110,7 @@ WRONG = {
     "reference object": ({"reference": {"a": 1}}, "reference must be numbers in m"),
     "reference beyond the spring": (
         {"reference": [0.0, 0.15], "parameters": {"load": {"spring_stiffness": 89e3}, "supply": {"pressure": 70e5}}},
-        "reference up to 150 mm cannot be reached by its plant .supply 70 bar, spring 8.9e[+]04 N/m",
+        "reference of 150 mm cannot be reached, only -48.99 to 98.12 mm can, by its plant .supply 70 bar, spring 8.9e",
     ),
     "position outside": ({"initial_position": 0.3}, "initial_position = 0.3 m: must be within the stroke, ±0.2 m"),
     "position NaN": ({"initial_position": NAN}, "initial_position = nan m: must be within the stroke"),
@@ -118,6 +118,13 @@ WRONG = {
     "position not held": (
         {"initial_position": -0.1, "parameters": {"load": {"spring_stiffness": 89e3}}},
         "initial position -100 mm cannot be held by its plant",
+    ),
+    "reference beyond the spring on the other side": (
+        {
+            "reference": [0.0, -0.15, 0.05],
+            "parameters": {"load": {"spring_stiffness": 89e3}, "supply": {"pressure": 70e5}},
+        },
+        "reference of -150 mm cannot be reached, only -48.99 to 98.12 mm can",
     ),
     "parameter unknown": ({"parameters": {"load": {"weight": 1.0}}}, "parameters.load.weight is no parameter of the"),
     "group unknown": ({"parameters": {"loads": {"mass": 1.0}}}, "parameters.loads.mass is no parameter of the plant"),
@@ -138,6 +145,8 @@ WRONG = {
         {"parameters": {"friction": {"breakaway_force": 200.0}}},
         "breakaway_force = 200 N must not be below coulomb_force = 300 N",
     ),
+    "options are a number": (5, "reset options: 5: must be a mapping, of leakage_resistance"),
+    "options are a list": (["persist"], r"reset options: \['persist'\]: must be a mapping"),
     "persist": ({"persist": "yes"}, "persist = 'yes': must be true or false"),
 }
 

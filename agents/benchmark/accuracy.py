@@ -72,7 +72,8 @@ class Case:
             "bristle_deflection": 1.0 / c.bristle_weight,
         }
         least = LEAST_RANGE * np.array([sizes[name] for name in STATE_NAMES])
-        return np.maximum(np.ptp(exact, axis=0), least)
+        ranges: Array = np.maximum(np.ptp(exact, axis=0), least)
+        return ranges
 
 
 def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:
@@ -97,12 +98,12 @@ def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:
 
 def _voltage(signal: str, generator: np.random.Generator) -> Array:
     if signal == "held":
-        return np.repeat(generator.uniform(-10.0, 10.0, SAMPLES // 8), 8)
+        return np.array(np.repeat(generator.uniform(-10.0, 10.0, SAMPLES // 8), 8))
     if signal == "noise":
         return generator.uniform(-10.0, 10.0, SAMPLES)
     turns = np.arange(SAMPLES) * generator.uniform(0.05, 0.6) + generator.uniform(0.0, 6.0)
     sine = generator.uniform(1.0, 5.0) * np.sin(turns) + generator.normal(0.0, 0.1, SAMPLES)
-    return np.clip(sine, -10.0, 10.0)
+    return np.array(np.clip(sine, -10.0, 10.0))
 
 
 def reference(case: Case) -> Array:

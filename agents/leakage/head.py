@@ -24,6 +24,9 @@ SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_c
 
 N_CHANNELS = 18
 
+LONGEST_WINDOW = 1_000_000
+"""Observations; more in a file of weights must be a mistake."""
+
 
 class LeakageEstimate(NamedTuple):
     """What the head says, each (N,); NaN while less than a window of observations has been seen."""
@@ -231,6 +234,10 @@ class LeakageHead:
             width, signals = int(stored["width"]), tuple(stored["signals"])
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"{path}: its JSON lacks or mistypes {error}") from None
+        if not 1 <= window <= LONGEST_WINDOW:
+            raise ConfigurationError(f"{path}: window = {window} observations: must be within 1 to {LONGEST_WINDOW}")
+        if not 0.0 <= threshold <= 1.0:
+            raise ConfigurationError(f"{path}: threshold = {threshold:g}: must be a probability, within 0 to 1")
         if signals != SIGNALS or not 1 <= width <= 4096:
             raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
         network = LeakageNetwork(width)

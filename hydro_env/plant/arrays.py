@@ -1,4 +1,4 @@
-"""The compiled functions of one plant, on plain NumPy arrays: for simulation, linearisation and the reference solver."""
+"""The compiled functions of one plant, on plain NumPy arrays: for simulation, linearisation, the reference solver."""
 
 from __future__ import annotations
 

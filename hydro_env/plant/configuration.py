@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -49,12 +50,48 @@ def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> st
     else:
         message = first["msg"].removeprefix("Value error, ")
         message = message[0].lower() + message[1:]
+        message = _both_bounds(model, path, first["type"]) or message
     value = first.get("input")
     shown = f" = {value!r}" if isinstance(value, (int, float, str, bool, list)) and len(repr(value)) < 60 else ""
     unit = _unit_at(model, path)
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     line = f"{source}: {where}{shown}: {message}{f' (unit: {unit})' if unit else ''}{more}"
     return line.replace(": :", ":").replace("\n", " ")
+
+
+BOUNDS = {
+    "ge": ("greater_than_equal", "greater than or equal to"),
+    "gt": ("greater_than", "greater than"),
+    "le": ("less_than_equal", "less than or equal to"),
+    "lt": ("less_than", "less than"),
+}
+"""By the name of a bound: pydantic's type of error, and the words for it."""
+
+
+def _both_bounds(model: type[BaseModel], path: list[str], error: str) -> str | None:
+    """All finite bounds of the field, where one of them was broken; pydantic tells that one alone."""
+    if error not in (kind for kind, _ in BOUNDS.values()):
+        return None
+    found = []
+    for name, (_, words) in BOUNDS.items():
+        for constraint in _constraints_at(model, path):
+            bound = getattr(constraint, name, None)
+            if bound is not None and math.isfinite(bound):
+                found.append(f"{words} {bound:.12g}")
+    return f"input should be {' and '.join(found)}" if found else None
+
+
+def _constraints_at(model: type[BaseModel], path: list[str]) -> list[Any]:
+    """The constraints of a field, or of the entries of a field that holds many (``references.weights.step``)."""
+    _, info = _field_at(model, path)
+    if info is not None:
+        return list(info.metadata)
+    _, info = _field_at(model, path[:-1])
+    entries = get_args(getattr(info, "annotation", None))
+    constraints: list[Any] = []
+    for part in getattr(entries[-1], "__metadata__", ()) if entries else ():
+        constraints += getattr(part, "metadata", [part])
+    return constraints
 
 
 def _field_at(model: type[BaseModel], path: list[str]) -> tuple[Any, Any]:

@@ -72,7 +72,7 @@ N_STATES = len(State._fields)
 N_COEFFICIENTS = len(Coefficients._fields)
 N_PEAKS = 3
 PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
-"""Rows of what an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), steps tried."""
+"""Rows of what an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), steps."""
 
 _SIZES = {
     "state": N_STATES,
@@ -105,13 +105,6 @@ _COEFFICIENTS, _PEAKS, _TRIAL, _DERIVATIVE, _FIRST_STAGE, _VOLTAGE, _REMAINING, 
     )
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
-
-
-def _lane_reader(kind: type, start: int) -> Callable[..., Any]:
-    """A compiled function that reads one lane of the flat work array as a named tuple."""
-    fields = ", ".join(f"work[{start + row * LANES} + lane]" for row in range(len(kind._fields)))  # type: ignore[attr-defined]
-    reader: Callable[..., Any] = eval(f"lambda work, lane: Kind({fields})", {"Kind": kind})
-    return compiler.inline(reader)
 
 
 def _lane_writer(start: int) -> Callable[..., Any]:
@@ -151,13 +144,14 @@ def _estimator() -> Callable[..., Any]:
 def _from_source(source: str, name: str) -> Callable[..., Any]:
     names: dict[str, Any] = {"State": State}
     exec(source, names)
-    return compiler.inline(names[name])
+    function: Callable[..., Any] = names[name]
+    return compiler.inline(function)
 
 
-_read_state = _lane_reader(State, 0)
-_read_coefficients = _lane_reader(Coefficients, _COEFFICIENTS)
-_read_trial = _lane_reader(State, _TRIAL)
-_read_derivative = _lane_reader(State, _DERIVATIVE)
+_read_state = compiler.lane_reader(State, _ROW["state"], LANES)
+_read_coefficients = compiler.lane_reader(Coefficients, _ROW["coefficients"], LANES)
+_read_trial = compiler.lane_reader(State, _ROW["trial"], LANES)
+_read_derivative = compiler.lane_reader(State, _ROW["derivative"], LANES)
 _write_state = _lane_writer(0)
 _write_trial = _lane_writer(_TRIAL)
 _write_derivative = _lane_writer(_DERIVATIVE)

@@ -95,7 +95,7 @@ class _Plant:
 
     def free_rate(self, y: Array, voltage: float) -> Array:
         """The derivative as it would be without limits."""
-        rate = derivative_array(y, self.free, voltage)
+        rate: Array = derivative_array(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
             inside = y.copy()
             inside[_SPOOL] = 0.0
@@ -157,7 +157,7 @@ class _Plant:
 
         functions = [slew, stroke, vapour(_PRESSURE_A, held.vapour_a), vapour(_PRESSURE_B, held.vapour_b)]
         for function in functions:
-            function.terminal, function.direction = True, -1.0  # type: ignore[attr-defined]
+            function.terminal, function.direction = True, -1.0
         return functions
 
     def put_on_limit(self, y: Array, met: NDArray[np.intp], held: Held) -> Array:

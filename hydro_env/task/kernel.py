@@ -146,7 +146,7 @@ def _leak_flow(row, time, settings):
         return target
     if time < begin:
         return start
-    if settings.schedule == 1.0:
+    if settings.schedule == 1.0 or target == start:  # which may both be 0
         return target
     end = settings.steps * settings.control_period
     share = min((time - begin) / max(end - begin, settings.control_period), 1.0)
@@ -198,7 +198,8 @@ def _draw_plant(physical, key, base, draws, override):
             physical[index] = value
 
 
-_integrate = kernel.integrate  # a global: as a closure variable it would be a new cache key in every process
+# Compiled with its caller. A global: as a closure variable it would be a new cache key in every process.
+_integrate = compiler.part(kernel.integrate)
 
 
 def _build(stamp):

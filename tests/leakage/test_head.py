@@ -57,6 +57,24 @@ def test_round_trip(head, tmp_path):
         LeakageHead.load(tmp_path / "head")
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("threshold", -0.2, "threshold = -0.2: must be a probability, within 0 to 1"),
+        ("threshold", float("nan"), "threshold = nan: must be a probability"),
+        ("window", -3, "window = -3 observations: must be within 1 to"),
+        ("window", 0, "window = 0 observations"),
+    ],
+)
+def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
+    head.save(tmp_path / "head")
+    file = tmp_path / "head.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {field: value}))
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        LeakageHead.load(tmp_path / "head")
+    assert len(str(caught.value).splitlines()) == 1
+
+
 def test_monitor_acts_as_its_controller_and_waits_for_a_window(head):
     env = ServoHydraulicVectorEnv(3, CONFIG, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=0)

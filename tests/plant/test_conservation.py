@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hydro_env.plant import PlantParameters, resistance_from_flow, simulate
+from hydro_env import PlantParameters, resistance_from_flow, simulate
 
 SAMPLE_TIME = 0.25e-3
 

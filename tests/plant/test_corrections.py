@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
 from hydro_env.plant.arrays import coefficient_array, derivative_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, edge_flows

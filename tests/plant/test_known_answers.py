@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import (
     closed_port_natural_frequency,
     force_rate_terms,

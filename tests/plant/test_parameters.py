@@ -6,11 +6,12 @@ import numpy as np
 import pydantic
 import pytest
 
-from hydro_env.plant import PlantParameters, flow_from_resistance, resistance_from_flow
+from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, from_vector, to_vector
+from hydro_env.task.configuration import task_config
 
 CHANGED = PlantParameters().replace(
     cylinder={"bore_diameter": 0.063, "rod_diameter": 0.036},
@@ -132,6 +133,29 @@ def test_a_wrong_value_is_answered_with_one_line(text, message, tmp_path):
     with pytest.raises(ConfigurationError, match=f"^{path}: .*{message}") as caught:
         PlantParameters.from_yaml(path)
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("values", "bounds"),
+    [
+        ({"load": {"mass": -60.0}}, "greater than or equal to 0.01 and less than or equal to 1000000"),
+        ({"load": {"mass": 1e9}}, "greater than or equal to 0.01 and less than or equal to 1000000"),
+        (
+            {"leakage": {"internal_resistance": 1.0}},
+            "greater than or equal to 100000000 (unit",
+        ),  # the other is infinity
+    ],
+)
+def test_both_bounds_are_told(values, bounds):
+    with pytest.raises(ConfigurationError) as caught:
+        PlantParameters.from_dict(values)
+    assert f"should be {bounds}" in str(caught.value)
+
+
+def test_both_bounds_are_told_where_a_field_holds_many():
+    with pytest.raises(ConfigurationError) as caught:
+        task_config(None, references={"weights": {"step": -1.0}})
+    assert "should be greater than or equal to 0 and less than or equal to 1000000" in str(caught.value)
 
 
 def test_unreadable_files_are_answered_with_one_line(tmp_path):

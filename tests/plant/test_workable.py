@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from scipy.optimize import minimize_scalar
 
-from hydro_env.plant import PlantParameters, equilibrium, simulate
+from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
