@@ -132,9 +132,9 @@ class Mode(NamedTuple):
 class Linearisation:
     """d(state)/dt = A (state − state_0) + B (voltage − voltage_0), states in the order of STATE_NAMES."""
 
-    a: Array  # (9, 9)
-    b: Array  # (9,)
-    state: Array  # (9,)
+    a: Array  # (10, 10)
+    b: Array  # (10,)
+    state: Array  # (10,)
     voltage: float
 
     @property
@@ -190,7 +190,26 @@ def linearise(
             2e-6 * size
         )
     b = (derivative_array(at, c, voltage + 1e-3) - derivative_array(at, c, voltage - 1e-3)) / 2e-3
+    _make_ideal(parameters, a, b)
     return Linearisation(a, b, at, voltage)
+
+
+IDEAL_RATE = 1e5
+"""1/s; rate at which an ideal part of the valve follows in a linearisation, where it must have one."""
+
+
+def _make_ideal(parameters: PlantParameters, a: Array, b: Array) -> None:
+    """Give the ideal parts of the valve a lag of 10 µs in the matrices of a linearisation."""
+    c = Coefficients(*coefficient_array(parameters))
+    current_gain = c.drive_rate / c.coil_rate
+    ideal = {"coil_current": current_gain} if c.ideal_drive else {}
+    if c.ideal_spool:
+        ideal |= {"spool_position": c.spool_gain * current_gain, "spool_velocity": 0.0}
+    for name, gain in ideal.items():
+        row = STATE_NAMES.index(name)
+        a[row] = 0.0
+        a[row, row] = -IDEAL_RATE
+        b[row] = IDEAL_RATE * gain
 
 
 class ForceRateTerms(NamedTuple):
@@ -223,10 +242,11 @@ def force_rate_terms(trajectory: Trajectory) -> ForceRateTerms:
 
 
 def fastest_eigenvalue(parameters: PlantParameters, state: State | Array, voltage: float = 0.0) -> float:
-    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state."""
-    return float(np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a)).max())
+    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state; ideal parts of the valve have none."""
+    found = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
+    return float(found[np.abs(found - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())
 
 
 def fastest_rate_bound(parameters: PlantParameters, state: State | Array) -> float:
-    """The estimate of |λ| in 1/s from which the integrator chooses its inner step at a state."""
+    """The estimate of |λ| in 1/s from which a rig is judged at a state."""
     return float(fastest_rate(State(*np.asarray(state)), Coefficients(*coefficient_array(parameters))))

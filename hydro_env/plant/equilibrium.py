@@ -78,6 +78,8 @@ def _balance(position, supply_pressure, c):
 def equilibrium_state(position, p, c):
     """State at rest at ``position`` (m), the voltage (V) that holds it, and whether there is one.
 
+    Without pump or relief valve nothing holds the supply pressure: it starts at its set value, and the rest rests.
+
     Args:
         position: m from mid-stroke.
         p: physical parameters (:data:`~hydro_env.plant.equations.Physical`).
@@ -88,7 +90,8 @@ def equilibrium_state(position, p, c):
     """
     supply_pressure = c.relief_pressure
     pressure_a, spool, found = _balance(position, supply_pressure, c)
-    if c.supply_dynamics > 0.0 and found > 0.0:
+    regulated = (c.supply_dynamics > 0.0 or c.line_stiffness > 0.0) and c.pump_flow > 0.0 and c.relief_slope > 0.0
+    if regulated and found > 0.0:
         # The relief valve passes what the pump delivers and the valve does not draw. The null flow of the valve
         # hardly depends on the supply pressure, so that this iteration converges at once.
         for _ in range(_SUPPLY_ITERATIONS):

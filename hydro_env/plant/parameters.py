@@ -150,6 +150,11 @@ class Supply(Group):
     def _supply_above_tank(self) -> Supply:
         if self.pressure <= self.tank_pressure:
             raise ValueError(f"pressure = {self.pressure:g} Pa must be above tank_pressure = {self.tank_pressure:g} Pa")
+        if self.model != "constant" and self.relief_slope == 0.0 and self.pump_flow > 0.0:
+            raise ValueError(
+                f"relief_slope = 0 with pump_flow = {self.pump_flow:g} m³/s: nothing limits the pressure; without a "
+                f"relief valve pump_flow must be 0 (a pump that stands still) or model constant"
+            )
         if self.model == "accumulator" and self.precharge_pressure >= self.pressure:
             raise ValueError(
                 f"precharge_pressure = {self.precharge_pressure:g} Pa must be below pressure = "

@@ -113,10 +113,12 @@ class _Plant:
         """Which limits hold a state: it is there, and is pulled further."""
         rate = self.free_rate(y, voltage)
         slew = stroke = 0
-        if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
+        if self.limits.ideal_spool:
+            pass  # it stands at the command, limit or not
+        elif abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
             side = int(np.sign(y[_SPOOL_VELOCITY]))
             slew = side if side * rate[_SPOOL_VELOCITY] > 0.0 else 0
-        if abs(y[_SPOOL]) >= 1.0 - _NEAR:
+        if abs(y[_SPOOL]) >= 1.0 - _NEAR and not self.limits.ideal_spool:
             side = int(np.sign(y[_SPOOL]))
             stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
         vapour = [int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (2, 3)]
@@ -125,9 +127,9 @@ class _Plant:
     def rate(self, y: Array, voltage: float, held: Held) -> Array:
         """The derivative with the limits that hold."""
         rate = self.free_rate(y, voltage)
-        if held.slew:
+        if held.slew or self.limits.ideal_spool:
             rate[_SPOOL_VELOCITY] = 0.0
-        if held.stroke:
+        if held.stroke or self.limits.ideal_spool:
             rate[_SPOOL] = 0.0
         if held.vapour_a:
             rate[_PRESSURE_A] = 0.0
@@ -142,10 +144,12 @@ class _Plant:
         def slew(_: float, y: Array) -> float:
             if held.slew:
                 return float(held.slew * self.free_rate(y, voltage)[_SPOOL_VELOCITY] / c.spool_stiffness)
-            return float(1.0 - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
+            return float(1.0 + c.ideal_spool - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
 
         def stroke(_: float, y: Array) -> float:
-            return float(held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit if held.stroke else 1.0 - abs(y[_SPOOL]))
+            return float(
+                held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit if held.stroke else 1.0 + c.ideal_spool - abs(y[_SPOOL])
+            )
 
         def vapour(row: int, holds: int) -> Any:
             def distance(_: float, y: Array) -> float:

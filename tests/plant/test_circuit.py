@@ -1,0 +1,183 @@
+"""Parts of the circuit exchanged or switched off by configuration, each against a closed form or a conservation law."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, equilibrium, simulate
+from hydro_env.plant.analysis import linearise
+from hydro_env.plant.equations import ATMOSPHERIC_PRESSURE, STATE_NAMES
+from hydro_env.plant.parameters import from_vector, to_vector
+
+SAMPLE = 0.5e-3
+
+
+def step(parameters, voltage, duration=0.05, start=None):
+    return simulate(parameters, np.full(round(duration / SAMPLE), voltage), SAMPLE, start)
+
+
+def test_an_ideal_spool_follows_the_command_at_once():
+    plant = PlantParameters().replace(valve={"model": "ideal"})
+    run = simulate(plant, [3.0, 3.0, -5.0, 12.0 - 2.0], SAMPLE)
+    np.testing.assert_allclose(run.spool_position[1:], [0.3, 0.3, -0.5, 1.0], rtol=1e-12)
+    assert np.abs(run.spool_velocity).max() < 1e-12
+
+
+def test_an_ideal_drive_leaves_the_spool_of_second_order():
+    """Step response of a second-order system, below the slew limit."""
+    plant = PlantParameters().replace(valve={"model": "spool"})
+    rest, _ = equilibrium(plant)
+    start = rest | {"spool_position": 0.0, "coil_current": 0.0}
+    run = step(plant, 1.0, 0.02, start)
+    omega, zeta = plant.valve.natural_frequency, plant.valve.damping_ratio
+    damped = omega * math.sqrt(1.0 - zeta**2)
+    phase = np.cos(damped * run.time) + zeta * omega / damped * np.sin(damped * run.time)
+    expected = 0.1 * (1.0 - np.exp(-zeta * omega * run.time) * phase)
+    assert np.abs(run.spool_velocity).max() < plant.valve.slew_limit
+    assert np.abs(run.spool_position - expected).max() < 1e-6
+    assert np.allclose(run.coil_current[1:], 0.25)
+
+
+def test_the_whole_drive_adds_the_lag_of_the_coil():
+    plant = PlantParameters()
+    rest, _ = equilibrium(plant)
+    run = step(plant, 1.0, 0.01, rest | {"spool_position": 0.0, "coil_current": 0.0})
+    lag = plant.valve.coil_inductance / plant.valve.coil_resistance
+    assert np.abs(run.coil_current - 0.25 * (1.0 - np.exp(-run.time / lag))).max() < 1e-6
+
+
+@pytest.mark.parametrize("model", ["drive", "spool", "ideal"])
+def test_every_valve_gives_the_same_speed_in_the_end(model):
+    plant = PlantParameters().replace(
+        valve={"model": model}, load={"spring_stiffness": 0.0}, friction={"model": "none"}, supply={"model": "constant"}
+    )
+    speeds = step(plant, 2.0, 0.4, {"position": -0.1}).velocity
+    full = step(
+        plant.replace(valve={"model": "drive"}),
+        2.0,
+        0.4,
+        {"position": -0.1},
+    ).velocity
+    assert speeds[-1] == pytest.approx(full[-1], rel=5e-3)
+    assert speeds[-1] > 0.02
+
+
+@pytest.mark.parametrize(("model", "slower_than"), [("spool", 600.0), ("ideal", 1e-6)])
+def test_the_linearisation_knows_ideal_parts(model, slower_than):
+    """Transfer from voltage to spool: what is ideal neither delays nor weakens it."""
+    axis = linearise(PlantParameters().replace(valve={"model": model}), position=0.02)
+    row, unit = STATE_NAMES.index("spool_position"), np.eye(len(STATE_NAMES))
+    frequency = 100.0
+    gain = np.linalg.solve(1j * frequency * unit - axis.a, axis.b)[row]
+    if model == "ideal":
+        assert abs(gain) == pytest.approx(0.1, rel=1e-5)
+        assert abs(np.angle(gain)) < 2e-3
+    else:
+        omega, zeta = 500.0, 0.8
+        expected = 0.1 / (1.0 - (frequency / omega) ** 2 + 2j * zeta * frequency / omega)
+        assert gain == pytest.approx(expected, rel=2e-3)
+
+
+def test_a_pump_without_accumulator_settles_on_its_relief_valve():
+    """Closed zero-lapped valve: P_s rises as 1 − exp(−β slope t / V_line) to where the relief valve passes the pump."""
+    plant = PlantParameters().replace(
+        supply={"model": "pump"}, valve={"underlap": 0.0}, leakage={"internal_resistance": math.inf}
+    )
+    supply = plant.supply
+    rest, _ = equilibrium(plant)
+    run = step(plant, 0.0, 0.02, rest | {"supply_pressure": supply.pressure, "spool_position": 0.0})
+    rate = plant.fluid.bulk_modulus * supply.relief_slope / supply.line_volume
+    rise = supply.pump_flow / supply.relief_slope
+    expected = supply.pressure + rise * (1.0 - np.exp(-rate * run.time))
+    # The regularised root lets a trace of oil pass a zero-lapped valve; nothing else differs.
+    assert np.abs(run.supply_pressure - expected).max() < 1e-3 * rise
+    assert rest["supply_pressure"] == pytest.approx(supply.pressure + rise, rel=1e-4)
+
+
+def test_a_line_without_accumulator_sags_more_when_the_axis_starts():
+    dips = []
+    for model in ("constant", "accumulator", "pump"):
+        run = step(PlantParameters().replace(supply={"model": model}), 10.0, 0.1)
+        dips.append(run.supply_pressure[0] - run.supply_pressure.min())
+    assert dips[0] == 0.0
+    assert 0.0 < dips[1] < 0.5 * dips[2]
+
+
+def test_an_accumulator_alone_gives_what_its_gas_gives():
+    """Pump standing still: (P_s + p_atm) V^n stays, and the gas grows by the oil that left."""
+    plant = PlantParameters().replace(supply={"pump_flow": 0.0})
+    run = simulate(plant, np.repeat([6.0, -6.0], 400), SAMPLE)
+    invariant = (run.supply_pressure + ATMOSPHERIC_PRESSURE) * run.gas_volume**plant.supply.polytropic_index
+    assert np.ptp(invariant) / invariant[0] < 1e-6
+    drawn = np.concatenate([[0.0], np.cumsum(0.5 * (run.supply_flow[1:] + run.supply_flow[:-1]) * SAMPLE)])
+    assert drawn[-1] > 2e-5
+    assert run.gas_volume - run.gas_volume[0] == pytest.approx(drawn, abs=2e-3 * drawn[-1])
+    assert run.supply_pressure[-1] < run.supply_pressure[0] - 1e5
+
+
+def test_a_relief_valve_can_be_taken_away_only_with_its_pump_standing():
+    with pytest.raises(ConfigurationError, match="nothing limits the pressure"):
+        PlantParameters().replace(supply={"relief_slope": 0.0})
+    still = PlantParameters().replace(supply={"relief_slope": 0.0, "pump_flow": 0.0})
+    assert equilibrium(still)[0]["supply_pressure"] == still.supply.pressure
+
+
+def test_the_throttle_alone_or_with_the_seal():
+    plant = PlantParameters()
+    gain = 1e-3 / 60 / math.sqrt(100e5)  # 1 l/min at 100 bar
+    start = {"pressure_a": 5e5, "pressure_b": 55e5}
+    flows = []
+    for leakage in (
+        {"internal_resistance": math.inf, "orifice_gain": gain},
+        {"internal_resistance": 6e11, "orifice_gain": 0.0},
+        {"internal_resistance": 6e11, "orifice_gain": gain},
+    ):
+        flows.append(simulate(plant.replace(leakage=leakage), [0.0], SAMPLE, start).leakage_flow[0])
+    assert flows[0] == pytest.approx(-gain * math.sqrt(50e5), rel=1e-3)
+    assert flows[1] == pytest.approx(-50e5 / 6e11, rel=1e-12)
+    assert flows[2] == pytest.approx(flows[0] + flows[1], rel=1e-12)
+
+
+CIRCUITS = {
+    "ideal valve": {"valve": {"model": "ideal"}},
+    "ideal drive": {"valve": {"model": "spool"}},
+    "no accumulator": {"supply": {"model": "pump"}},
+    "constant supply": {"supply": {"model": "constant"}},
+    "pump standing": {"supply": {"pump_flow": 0.0}},
+    "symmetric": {"cylinder": {"rod_diameter_a": 0.028}},
+    "no spring": {"load": {"spring_stiffness": 0.0}},
+    "lugre": {"friction": {"model": "lugre"}},
+    "no friction": {"friction": {"model": "none"}},
+    "coulomb": {"friction": {"model": "coulomb"}},
+    "zero-lapped": {"valve": {"underlap": 0.0}},
+    "no air": {"fluid": {"air_fraction": 0.0}},
+    "throttle": {"leakage": {"orifice_gain": 5e-9}},
+}
+
+
+@pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
+def test_every_circuit_meets_the_reference_solver(changes):
+    plant = PlantParameters().replace(**changes)
+    assert from_vector(to_vector(plant)) == plant
+    voltage = np.array([3.0, 3.0, -10.0, -2.0, 10.0, 0.0, 0.0, 0.5])
+    start = {"position": 0.01, "velocity": 0.02}
+    fast, exact = (simulate(plant, voltage, 5e-3, start, method=method) for method in ("fast", "radau"))
+    size = np.maximum(np.ptp(exact.states, axis=0), 0.01 * np.array([0.1, 0.1, 7e6, 7e6, 1, 100, 2.5, 7e6, 1e-3, 4e-5]))
+    assert (np.abs(fast.states - exact.states).max(axis=0) / size).max() < 1e-4
+
+
+@pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
+def test_every_circuit_runs_as_an_environment(changes):
+    env = ServoHydraulicEnv(plant=changes, episode_duration=0.2)
+    observation, _ = env.reset(seed=1)
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(np.array([0.2 * math.sin(info_step(env))]))
+        assert np.isfinite(observation).all()
+        assert not terminated, info["failure"]
+        ended = truncated
+
+
+def info_step(env):
+    return 0.3 * float(env._axes.column("step")[0])
