@@ -108,7 +108,8 @@ def closed_bode_figure(rig: Rig) -> ReproducedFigure:
         f"At rest a proportional loop leaves {plain(100.0 * (1.0 - first['at_rest']), 2)} % of a change of reference "
         f"when tight and {plain(droop, 2)} % at {LEAKS[-1]:g} l/min: oil that leaks must be replaced."
         if droop > 1e-3
-        else "At rest no error is left at any leak: nothing pushes back with the way, so that the leak does not change."
+        else "A change of reference is followed in full at every leak: nothing pushes back with the way, so that the "
+        "leak stays the same. A constant error may be left all the same, see holding."
     )
     summary = pd.DataFrame(
         {

@@ -60,6 +60,8 @@ def variations(rig: Rig) -> list[Variation]:
         elif isinstance(value, float) and 0.0 < value < math.inf:
             low, high = (1 - CHANGE) * value, (1 + CHANGE) * value
             found.append(_variation(base, group, field, value, low, high))
+        else:  # nobody has said what else it might be; it stands in the table without an effect
+            found.append(Variation(name, _shown(value), "–", "–", None, None))
     return found
 
 
