@@ -26,12 +26,12 @@ from hydro_env.plant.analysis import (
     softest_position,
     speed_limits,
 )
+from hydro_env.plant.arrays import coefficient_array, equilibrium
 from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.equations import Coefficients, State
 from hydro_env.plant.kernel import MAXIMUM_STEP
 from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
 from hydro_env.plant.parameters import LITRE_PER_MINUTE, flow_from_resistance
-from hydro_env.plant.simulate import coefficient_array, equilibrium
 from hydro_env.plant.workable import STEPS_PERIOD, inner_step, refuse_unworkable, shortest_inner_step
 
 CSV_FILE = "check.csv"

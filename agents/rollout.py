@@ -112,7 +112,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         if keep_states:
             position[:, step] = axes.column("position")
             command[:, step] = action[:, 0]
-            spool[:, step] = axes.state[:, 4].reshape(-1)[:count]
+            spool[:, step] = axes.state[:, 4]
             reward[:, step] = rewards
             if not alive.all():  # a failed axis stands where it failed while its reference goes on
                 for array in (position, command, spool):

@@ -19,14 +19,12 @@ from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
-from hydro_env.plant.simulate import coefficient_array, equilibrium
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
 from hydro_env.task.packing import draw_table, limits_of, observation_layout, sensor_table, settings_of
 from hydro_env.task.record import CANNOT_BE_HELD, FAILURES, Record
 
-LANES = plant_kernel.LANES
 AXES_PER_THREAD = 64
 """A second thread starts when each has at least this many axes to work on."""
 
@@ -48,7 +46,6 @@ class Axes:
     def __init__(self, config: TaskConfig, count: int, threads: int | None = None) -> None:
         self.config = config
         self.count = count
-        self.blocks = -(-count // LANES)
         self.observation_names, self.observation_units, self.scale, self.limit = observation_layout(config)
         self.observation_space = spaces.Box(-self.limit.astype(np.float32), self.limit.astype(np.float32))
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
@@ -64,10 +61,10 @@ class Axes:
         self._family_weights = weights / weights.sum()
 
         samples = config.steps + 1 + max(config.preview_samples, default=0)
-        self.state = np.ones((self.blocks, plant_kernel.N_STATES, LANES))
-        self.coefficient = np.ones((self.blocks, plant_kernel.N_COEFFICIENTS, LANES))
-        self._voltage = np.zeros((self.blocks, 2, LANES))
-        self._peaks = np.zeros((self.blocks, plant_kernel.N_PEAKS, LANES))
+        self.state = np.zeros((count, plant_kernel.N_STATES))
+        self.coefficient = np.zeros((count, plant_kernel.N_COEFFICIENTS))
+        self._voltage = np.zeros((count, 2))
+        self._peaks = np.zeros((count, plant_kernel.N_PEAKS))
         self.physical = np.zeros((count, len(PARAMETER_PATHS)))
         self.record = np.zeros((count, len(Record._fields)))
         self.reference = np.zeros((count, samples))
@@ -80,13 +77,6 @@ class Axes:
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
-        self._fill_spare_lanes()
-
-    def _fill_spare_lanes(self) -> None:
-        """Lanes that hold no axis run along on a plant at rest, the default one, which surely has such a state."""
-        state, _ = equilibrium(PlantParameters(), 0.0)
-        self.state[-1] = np.array(list(state.values()))[:, None]
-        self.coefficient[-1] = coefficient_array(PlantParameters())[:, None]
 
     # Randomness -----------------------------------------------------------------------------------------------------
 
@@ -138,7 +128,7 @@ class Axes:
         if len(failed):
             axis = int(failed[0])
             physical = dict(zip(PARAMETER_PATHS, self.physical[axis], strict=True))
-            start = 1e3 * self.state[axis // LANES, 0, axis % LANES]
+            start = 1e3 * self.state[axis, 0]
             what = (
                 f"initial position {start:.4g} mm cannot be held"
                 if self.column("failure")[axis] == CANNOT_BE_HELD
@@ -160,20 +150,20 @@ class Axes:
     ) -> None:
         """Advance every axis by one control period; the four arrays, (N, n) and (N,), are written."""
         if self._threads == 1:
-            self._step_blocks(actions, observation, reward, terminated, truncated, 0, self.blocks)
+            self._step_range(actions, observation, reward, terminated, truncated, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
-        bounds = [self.blocks * part // self._threads for part in range(self._threads + 1)]
+        bounds = [self.count * part // self._threads for part in range(self._threads + 1)]
         waiting = [
-            self._pool.submit(self._step_blocks, actions, observation, reward, terminated, truncated, first, last)
+            self._pool.submit(self._step_range, actions, observation, reward, terminated, truncated, first, last)
             for first, last in pairwise(bounds[1:])
         ]
-        self._step_blocks(actions, observation, reward, terminated, truncated, bounds[0], bounds[1])
+        self._step_range(actions, observation, reward, terminated, truncated, bounds[0], bounds[1])
         for future in waiting:
             future.result()
 
-    def _step_blocks(self, actions: Any, observation: Any, reward: Any, ended: Any, cut: Any, a: int, b: int) -> None:
+    def _step_range(self, actions: Any, observation: Any, reward: Any, ended: Any, cut: Any, a: int, b: int) -> None:
         task_kernel.step_axes(
             self._settings,
             self._sensors,
@@ -220,20 +210,19 @@ class Axes:
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage included."""
         vector = self.physical[axis].copy()
-        block, lane = axis // LANES, axis % LANES
         names = Coefficients._fields
-        conductance = self.coefficient[block, names.index("leakage_conductance"), lane]
+        conductance = self.coefficient[axis, names.index("leakage_conductance")]
         vector[PARAMETER_PATHS.index("leakage.internal_resistance")] = (
             1.0 / conductance if conductance > 0.0 else np.inf
         )
-        orifice = self.coefficient[block, names.index("leakage_orifice_gain"), lane]
+        orifice = self.coefficient[axis, names.index("leakage_orifice_gain")]
         vector[PARAMETER_PATHS.index("leakage.orifice_gain")] = orifice
         return from_vector(vector)
 
     def external_force(self, axis: int) -> float:
         """External force in N that acts on an axis now, disturbance included."""
         row = Coefficients._fields.index("external_force")
-        return float(self.coefficient[axis // LANES, row, axis % LANES])
+        return float(self.coefficient[axis, row])
 
 
 def failure_name(code: float) -> str:

@@ -227,7 +227,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         from hydro_env.rendering import View
 
         row = self._axes.record[0]
-        state = self._axes.state[0, :, 0]
+        state = self._axes.state[0]
         step = int(row[_COLUMN["step"]])
         cylinder = self.config.plant.cylinder
         history = np.array(self._history)

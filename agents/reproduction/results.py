@@ -51,6 +51,8 @@ def setting_of(rig: Rig) -> Setting:
 def rubbing(base: PlantParameters, share: float) -> PlantParameters:
     """The plant with its friction forces times ``share``."""
     friction = base.friction
+    if share == 0.0:  # no model slides on forces of zero
+        return base.replace(friction={"model": "none"})
     return base.replace(
         friction={
             "coulomb_force": share * friction.coulomb_force,

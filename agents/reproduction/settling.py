@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar, healthy to severe."""
 
-FRICTION_MODELS = ("none", "stribeck")
+FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
-FRICTION_WORDS = {"none": "no friction"}
+FRICTION_WORDS = {"none": "no friction", "lugre": "LuGre friction"}
 """Heading of a friction model; of all others their name."""
 
 NOISE_SEEDS = range(5)

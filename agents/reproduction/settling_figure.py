@@ -50,7 +50,7 @@ def paint_settling(figure: Figure, table: pd.DataFrame) -> None:
             axes.yaxis.set_major_locator(FixedLocator(TIME_TICKS))
             axes.yaxis.set_minor_locator(NullLocator())
             axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            panel_title(axes, f"{SHORT_LAWS[law].capitalize()}, {friction_words(model)}")
+            panel_title(axes, f"{SHORT_LAWS[law].capitalize()},\n{friction_words(model)}")
             axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")
             axes.set_ylabel("settling time, s" if column == 0 else "")
             _flow_labels(axes)

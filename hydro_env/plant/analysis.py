@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.plant.arrays import TYPICAL_SIZE, coefficient_array, derivative_array, equilibrium
 from hydro_env.plant.equations import (
     STATE_NAMES,
     Coefficients,
@@ -20,7 +21,7 @@ from hydro_env.plant.equations import (
     pressure_rate,
 )
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.simulate import TYPICAL_SIZE, Trajectory, coefficient_array, derivative_array, equilibrium
+from hydro_env.plant.simulate import Trajectory
 
 Array = NDArray[np.float64]
 

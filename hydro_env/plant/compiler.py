@@ -11,7 +11,7 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "nogil": True}
+STRICT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
 """IEEE arithmetic as written (bit-reproducible), divisions like NumPy's, other Python threads may run."""
 
 

@@ -4,7 +4,7 @@ Every line names its equation in Kovari (2015) or in its textbook form; the corr
 equations are listed in docs/model.md. The functions work on plain numbers. Numba compiles them for the fast kernel;
 called from Python they serve the reference solver and the linearisation. Apart from the constants of
 :func:`coefficients` everything is algebraic (no exp, tanh, pow), so that the compiler can vectorise it.
-SI units, gauge pressures.
+What must not be passed (strokes, slew, vapour pressure) stands in ``limits``. SI units, gauge pressures.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from typing import NamedTuple
+
+import numpy as np
 
 from hydro_env.plant.compiler import inline
 from hydro_env.plant.parameters import PARAMETER_PATHS
@@ -35,10 +37,11 @@ class State(NamedTuple):
     coil_current: float  # A
     supply_pressure: float  # Pa
     gas_volume: float  # m³, of the accumulator
+    bristle_deflection: float  # m, of the seal before it slides; a state only with LuGre friction
 
 
 STATE_NAMES = State._fields
-STATE_UNITS = ("m", "m/s", "Pa", "Pa", "1", "1/s", "A", "Pa", "m³")
+STATE_UNITS = ("m", "m/s", "Pa", "Pa", "1", "1/s", "A", "Pa", "m³", "m")
 
 Physical = namedtuple("Physical", [path.replace(".", "_") for path in PARAMETER_PATHS])  # type: ignore[misc]
 """The parameters of :class:`~hydro_env.plant.parameters.PlantParameters` as ``group_field``."""
@@ -60,6 +63,8 @@ class Coefficients(NamedTuple):
     coil_rate: float  # R_C / L_C, 1/s
     drive_rate: float  # K_a / L_C, A/(s V)
     spool_gain: float  # k_t, 1/A
+    ideal_drive: float  # 1 where the coil current follows the command at once
+    ideal_spool: float  # 1 where the spool does
     bulk_modulus: float  # β, Pa
     dissolved_ratio: float  # 1 − η
     free_air_pressure: float  # η p_atm, Pa
@@ -69,6 +74,9 @@ class Coefficients(NamedTuple):
     external_force: float  # F_ext, N
     coulomb_force: float  # F_c, N
     stribeck_force: float  # F_st − F_c, N
+    has_bristles: float  # 1 with LuGre friction
+    bristle_stiffness: float  # σ_0, N/m
+    bristle_damping: float  # σ_1, N s/m
     inverse_stribeck_velocity: float  # 1 / v_st, s/m
     inverse_transition_velocity: float  # 1 / v_t, s/m
     end_stop_position: float  # L / 2, m
@@ -78,10 +86,18 @@ class Coefficients(NamedTuple):
     relief_pressure: float  # P_set, Pa
     relief_slope: float  # m³/(s Pa)
     pump_flow: float  # Q_pump, m³/s
-    supply_dynamics: float  # n with an accumulator, 0 with constant supply
+    supply_dynamics: float  # n with an accumulator, 0 without
+    line_stiffness: float  # β / V_line with a pump and no accumulator, Pa/m³; 0 else
     leakage_conductance: float  # 1 / R_i, m³/(s Pa)
     leakage_orifice_gain: float  # K_i, m³/(s √Pa)
     external_conductance: float  # 1 / R_e, m³/(s Pa)
+    position_weight: float  # 1 / size of each state, in which the integrator measures its errors
+    velocity_weight: float
+    pressure_weight: float
+    spool_velocity_weight: float
+    coil_current_weight: float
+    gas_volume_weight: float
+    bristle_weight: float
 
 
 @inline
@@ -90,15 +106,20 @@ def coefficients(p):
     bore = 0.25 * math.pi * p.cylinder_bore_diameter**2
     area_a = bore - 0.25 * math.pi * p.cylinder_rod_diameter_a**2
     area_b = bore - 0.25 * math.pi * p.cylinder_rod_diameter**2
+    edge_gain = p.valve_rated_flow / math.sqrt(0.5 * p.valve_rated_pressure_drop)  # (3), K alone
+    ideal_drive = 1.0 if p.valve_model >= 1.0 else 0.0
+    ideal_spool = 1.0 if p.valve_model == 2.0 else 0.0
+    has_bristles = 1.0 if p.friction_model == 3.0 else 0.0
     has_friction = 0.0 if p.friction_model == 0.0 else 1.0
-    has_stribeck = 1.0 if p.friction_model == 2.0 else 0.0
+    has_stribeck = 1.0 if p.friction_model >= 2.0 else 0.0
     supply_dynamics = p.supply_polytropic_index if p.supply_model == 1.0 else 0.0
+    line_stiffness = p.fluid_bulk_modulus / p.supply_line_volume if p.supply_model == 2.0 else 0.0
     return Coefficients(
         area_a,
         area_b,
         p.cylinder_dead_volume + area_a * 0.5 * p.cylinder_stroke,
         p.cylinder_dead_volume + area_b * 0.5 * p.cylinder_stroke,
-        p.valve_rated_flow / math.sqrt(0.5 * p.valve_rated_pressure_drop),  # (3), K alone
+        edge_gain,
         p.valve_transition_pressure**2,
         p.valve_underlap**2,
         p.valve_natural_frequency**2,
@@ -107,6 +128,8 @@ def coefficients(p):
         p.valve_coil_resistance / p.valve_coil_inductance,
         p.valve_amplifier_gain / p.valve_coil_inductance,
         p.valve_spool_gain,
+        ideal_drive,
+        ideal_spool,
         p.fluid_bulk_modulus,
         1.0 - p.fluid_air_fraction,
         p.fluid_air_fraction * ATMOSPHERIC_PRESSURE,
@@ -116,6 +139,9 @@ def coefficients(p):
         p.load_external_force,
         has_friction * p.friction_coulomb_force,
         has_stribeck * (p.friction_breakaway_force - p.friction_coulomb_force),
+        has_bristles,
+        p.friction_bristle_stiffness,
+        p.friction_bristle_damping,
         1.0 / p.friction_stribeck_velocity,
         1.0 / p.friction_transition_velocity,
         0.5 * p.cylinder_stroke,
@@ -126,16 +152,34 @@ def coefficients(p):
         p.supply_relief_slope,
         p.supply_pump_flow,
         supply_dynamics,
+        line_stiffness,
         1.0 / p.leakage_internal_resistance,
         p.leakage_orifice_gain,
         1.0 / p.leakage_external_resistance,
+        # Sizes: half the stroke, the speed without load, supply pressure; slew limit and full current ten times, as
+        # errors of the valve die out within milliseconds; the accumulator; the deflection at breakaway.
+        2.0 / p.cylinder_stroke,
+        area_a / (edge_gain * math.sqrt(0.5 * p.supply_pressure)),
+        1.0 / p.supply_pressure,
+        0.1 / p.valve_slew_limit,
+        0.1 * p.valve_coil_resistance / (10.0 * p.valve_amplifier_gain),
+        1.0 / p.supply_accumulator_volume,
+        p.friction_bristle_stiffness / max(p.friction_breakaway_force, 1e-3),
     )
 
 
 @inline
 def smooth_root(pressure_drop, transition_squared):
     """S(dp) = dp / (dp² + dp_t²)^(1/4): signed root of a pressure drop, laminar near zero (√Pa)."""
-    return pressure_drop / math.sqrt(math.sqrt(pressure_drop * pressure_drop + transition_squared))
+    return pressure_drop * inverse_fourth_root(pressure_drop * pressure_drop + transition_squared)
+
+
+@inline
+def inverse_fourth_root(x):
+    """x^(−1/4), to 4e-14: roots in single precision, made exact by one Newton step (a third faster than in double)."""
+    y = np.float64(np.float32(1.0) / math.sqrt(math.sqrt(np.float32(x))))
+    squared = y * y
+    return y * (1.25 - 0.25 * x * (squared * squared))
 
 
 @inline
@@ -184,12 +228,21 @@ def pressure_rate(net_flow, volume, pressure, c):
 
 
 @inline
-def friction_force(velocity, c):
-    """F_f in N: [F_c + (F_st − F_c)/(1 + (v/v_st)²)] s(v), s a smooth sign (Hess & Soom 1990)."""
+def friction(velocity, bristle_deflection, c):
+    """Friction force F_f in N and rate of the bristle deflection in m/s.
+
+    Without bristles F_f = g(v) s(v), with g(v) = F_c + (F_st − F_c)/(1 + (v/v_st)²) and s a smooth sign (Hess & Soom
+    1990). LuGre (Canudas de Wit et al. 1995), with the same g: dz/dt = v − σ_0 |v| z / g(v), F_f = σ_0 z + σ_1 dz/dt;
+    the viscous part is the c v of the load.
+    """
     slip = velocity * c.inverse_stribeck_velocity
     ratio = velocity * c.inverse_transition_velocity
     lubrication = 1.0 + slip * slip
-    return (c.coulomb_force * lubrication + c.stribeck_force) * ratio / (lubrication * math.sqrt(1.0 + ratio * ratio))
+    sliding = c.coulomb_force * lubrication + c.stribeck_force  # g(v) times lubrication
+    steady = sliding * ratio / (lubrication * math.sqrt(1.0 + ratio * ratio))
+    rate = velocity - c.bristle_stiffness * abs(velocity) * bristle_deflection * lubrication / sliding
+    bristles = c.bristle_stiffness * bristle_deflection + c.bristle_damping * rate
+    return (bristles if c.has_bristles > 0.0 else steady), (rate if c.has_bristles > 0.0 else 0.0)
 
 
 @inline
@@ -206,10 +259,11 @@ def end_stop_force(position, velocity, c):
 def acceleration(s, c):
     """dv_d/dt in m/s²: (14), (17) with the friction that (18) drops."""
     force = s.pressure_a * c.area_a - s.pressure_b * c.area_b
+    friction_force, _ = friction(s.velocity, s.bristle_deflection, c)
     resisting = (
         c.spring_stiffness * s.position
         + c.viscous_damping * s.velocity
-        + friction_force(s.velocity, c)
+        + friction_force
         + end_stop_force(s.position, s.velocity, c)
         + c.external_force
     )
@@ -251,11 +305,14 @@ def derivatives(s, c, voltage):
     net_a = flow_a - c.area_a * s.velocity - leakage
     net_b = -flow_b + c.area_b * s.velocity + leakage - external_leakage(s, c)
 
-    # Supply: pump, relief valve, accumulator (Figs 3 and 11). With constant supply supply_dynamics is 0.
+    # Supply: pump, relief valve, and accumulator or oil in the line (Figs 3 and 11). Both stiffnesses are 0 with a
+    # constant supply.
     relief = c.relief_slope * max(s.supply_pressure - c.relief_pressure, 0.0)
     surplus = c.pump_flow - (supply_to_a + supply_to_b) - relief
-    supply_rate = c.supply_dynamics * (s.supply_pressure + ATMOSPHERIC_PRESSURE) / s.gas_volume * surplus
+    gas_stiffness = c.supply_dynamics * (s.supply_pressure + ATMOSPHERIC_PRESSURE) / s.gas_volume
+    supply_rate = (gas_stiffness + c.line_stiffness) * surplus
     gas_rate = -surplus if c.supply_dynamics > 0.0 else 0.0
+    _, bristle_rate = friction(s.velocity, s.bristle_deflection, c)
 
     return State(
         s.velocity,
@@ -267,25 +324,26 @@ def derivatives(s, c, voltage):
         current_rate,
         supply_rate,
         gas_rate,
+        bristle_rate,
     )
 
 
 @inline
-def hold_limits(s, c):
-    """The state with its hard limits held exactly: spool stroke and slew, vapour pressure.
-
-    The derivative stops at these limits; a fixed step passes them by a fraction of a step, which this takes back.
-    """
+def command_changed(s, c, voltage):
+    """The state when a new command begins to act: what follows it at once (an ideal drive, an ideal spool) has."""
+    current = c.drive_rate * voltage / c.coil_rate if c.ideal_drive > 0.0 else s.coil_current
+    spool = min(max(c.spool_gain * current, -1.0), 1.0) if c.ideal_spool > 0.0 else s.spool_position
     return State(
         s.position,
         s.velocity,
-        max(s.pressure_a, VAPOUR_PRESSURE),
-        max(s.pressure_b, VAPOUR_PRESSURE),
-        min(max(s.spool_position, -1.0), 1.0),
-        min(max(s.spool_velocity, -c.slew_limit), c.slew_limit),
-        s.coil_current,
+        s.pressure_a,
+        s.pressure_b,
+        spool,
+        0.0 if c.ideal_spool > 0.0 else s.spool_velocity,
+        current,
         s.supply_pressure,
         s.gas_volume,
+        s.bristle_deflection,
     )
 
 
@@ -298,6 +356,7 @@ class Rates(NamedTuple):
     oil_column: float  # oil column and spring against the mass
     end_stop: float
     valve: float  # spool and coil
+    supply_line: float  # pump and relief valve on the oil in the line
 
 
 @inline
@@ -308,37 +367,23 @@ def rates(s, c):
     volume_b = max(c.volume_b0 - c.area_b * (s.position + margin), 0.2 * (c.volume_b0 - c.area_b * c.end_stop_position))
     slope = 1.0 / math.sqrt(math.sqrt(c.transition_squared))
     leak = c.leakage_conductance + c.leakage_orifice_gain * slope
+    steady_friction = (1.0 - c.has_bristles) * (c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity
     oil_column = c.bulk_modulus * (c.area_a * c.area_a / volume_a + c.area_b * c.area_b / volume_b)
     return Rates(
         c.bulk_modulus / volume_a * (c.edge_gain * slope + leak),
         c.bulk_modulus / volume_b * (c.edge_gain * slope + leak + c.external_conductance),
-        ((c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity + c.viscous_damping) * c.inverse_mass,
-        math.sqrt((oil_column + c.spring_stiffness) * c.inverse_mass),
+        (steady_friction + c.viscous_damping + c.bristle_damping * c.has_bristles) * c.inverse_mass
+        + c.has_bristles * c.bristle_stiffness * abs(s.velocity) / max(c.coulomb_force, 1e-300),
+        math.sqrt((oil_column + c.spring_stiffness + c.has_bristles * c.bristle_stiffness) * c.inverse_mass),
         c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass),
         max(math.sqrt(c.spool_stiffness) + c.spool_damping, c.coil_rate),
+        c.line_stiffness * (c.relief_slope + 2.0 * c.edge_gain * slope),
     )
 
 
 @inline
 def fastest_rate(s, c):
-    """Upper estimate of the fastest rate |λ| in 1/s near a state, from which the inner step follows."""
+    """Upper estimate of the fastest rate |λ| in 1/s near a state, which bounds the inner step."""
     r = rates(s, c)
-    return max(max(max(r.chamber_a, r.chamber_b), max(r.friction, r.oil_column)), max(r.end_stop, r.valve))
-
-
-@inline
-def valid_limits(end_stop_position, slew_limit, volume_b0, area_a, area_b, supply_dynamics, accumulator_volume):
-    """Lowest and highest value of each state for which the model holds, as two tuples in the order of State.
-
-    Pressures end where a steel cylinder does (2000 bar); the accumulator must hold gas and oil; the piston may press
-    into an end stop by half of what the dead volume allows. Arguments as in :class:`Coefficients`.
-    """
-    dead_volume = volume_b0 - area_b * end_stop_position
-    reach = end_stop_position + 0.5 * dead_volume / max(area_a, area_b)
-    slew = slew_limit * (1.0 + 1e-9)
-    most_gas = accumulator_volume * 1.001 if supply_dynamics > 0.0 else 1e300
-    floor = VAPOUR_PRESSURE * (1.0 + 1e-9)
-    return (
-        (-reach, -20.0, floor, floor, -1.000000001, -slew, -1e4, floor, 1e-12),
-        (reach, 20.0, 2e8, 2e8, 1.000000001, slew, 1e4, 2e8, most_gas),
-    )
+    slower = max(max(r.friction, r.oil_column), max(r.end_stop, max(r.valve, r.supply_line)))
+    return max(max(r.chamber_a, r.chamber_b), slower)

@@ -113,7 +113,7 @@ def equilibrium_state(position, p, c):
     coil_current = spool / c.spool_gain
     voltage = coil_current * c.coil_rate / c.drive_rate
     return (
-        State(position, 0.0, pressure_a, pressure_b, spool, 0.0, coil_current, supply_pressure, gas_volume),
+        State(position, 0.0, pressure_a, pressure_b, spool, 0.0, coil_current, supply_pressure, gas_volume, 0.0),
         voltage,
         found,
     )

@@ -1,9 +1,11 @@
-"""Fixed-step integration of one or many plants with the right-hand side of ``equations``, compiled.
+"""Integration of one or many plants with the right-hand side of ``equations``, compiled; each at its own step.
 
-Plants stand in blocks of ``LANES``: an array of plants has the shape (blocks, rows, LANES), and the classical
-Runge–Kutta step runs over the lanes of a block in a loop that the compiler turns into vector instructions. One plant
-is a block with unused lanes. No operation mixes lanes, so a plant's numbers do not depend on its neighbours, on how
-many there are, or on threads.
+The method is the Runge–Kutta pair of order 5(4) of Tsitouras (2011). Every step of every plant is as long as its
+error estimate allows (:data:`TOLERANCE`), and ends at the next kink of the solution (``limits``) if that comes first.
+
+``LANES`` plants are worked on at a time, each in one lane of the vector instructions that the loops over lanes become;
+a lane whose plant has come to the end of its time takes the next plant. No operation mixes lanes, so a plant's numbers
+do not depend on its neighbours, on how many there are, or on threads.
 """
 
 from __future__ import annotations
@@ -19,73 +21,249 @@ from hydro_env.plant import compiler
 from hydro_env.plant.equations import (
     Coefficients,
     State,
+    command_changed,
     derivatives,
-    fastest_rate,
-    hold_limits,
 )
+from hydro_env.plant.limits import hold_limits, time_to_kink
 
 LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
 
-MAXIMUM_STEP = 0.25e-3
-"""s; the inner step where nothing asks for a shorter one."""
+GROUPS = 2
+"""Groups of lanes that take turns, so that one calculates while another waits for its roots and divisions."""
 
-STEP_LIMIT = 2.4
-"""Largest h·|λ|; the classical Runge–Kutta method is stable up to 2.78."""
+TOLERANCE = 1e-6
+"""Largest estimated error of a step, in parts of each state's size (the weights in ``coefficients``)."""
+
+MAXIMUM_STEP = 2e-3
+"""s; no step is longer."""
+
+FIRST_STEP = 1e-3 / 3
+"""s; tried first in each hold interval."""
+
+STABLE_PRODUCT = 3.2
+"""h·|λ| up to which the method is stable for rates with at least a quarter of their size as damping."""
+
+SHORTEST_STEP = 1e-8
+"""s; accepted whatever its error, so that the integration always ends."""
+
+STAGES = (
+    (0.161,),
+    (-0.008480655492356989, 0.335480655492357),
+    (2.8971530571054935, -6.359448489975075, 4.3622954328695815),
+    (5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525),
+    (5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383),
+    (0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774),
+)
+"""Coefficients a_ij of stages 2 to 7 (Tsitouras 2011, table 1); the last row gives the new state as well."""
+
+ERROR = (
+    -0.00178001105222577714,
+    -0.0008164344596567469,
+    0.007880878010261995,
+    -0.1447110071732629,
+    0.5823571654525552,
+    -0.45808210592918697,
+    0.015151515151515152,
+)
+"""Weights of the stages in the error estimate, order 5 minus order 4 (same table)."""
 
 N_STATES = len(State._fields)
 N_COEFFICIENTS = len(Coefficients._fields)
-N_PEAKS = 2
-PEAK_PRESSURE, IMPACT_SPEED = range(N_PEAKS)
-"""Rows of the peaks that an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s)."""
+N_PEAKS = 3
+PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
+"""Rows of what an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), steps tried."""
 
-_STATE_ROW = 0
-_COEFFICIENT_ROW = N_STATES
-_PEAK_ROW = _COEFFICIENT_ROW + N_COEFFICIENTS
-_STEP_ROW = _PEAK_ROW + N_PEAKS
-_COUNT_ROW = _STEP_ROW + 1
-_VOLTAGE_ROW = _COUNT_ROW + 1
-_ROWS = _VOLTAGE_ROW + 1
+_SIZES = {
+    "state": N_STATES,
+    "coefficients": N_COEFFICIENTS,
+    "peaks": N_PEAKS,
+    "trial": N_STATES,
+    "derivative": N_STATES,
+    **{f"stage_{number}": N_STATES for number in range(1, len(STAGES) + 1)},
+    "voltage": 1,
+    "remaining": 1,
+    "proposed": 1,
+    "step": 1,
+    "repeated": 1,
+}
+_ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
+_ROWS = sum(_SIZES.values())
+_COEFFICIENTS, _PEAKS, _TRIAL, _DERIVATIVE, _FIRST_STAGE, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED = (
+    LANES * _ROW[name]
+    for name in (
+        "coefficients",
+        "peaks",
+        "trial",
+        "derivative",
+        "stage_1",
+        "voltage",
+        "remaining",
+        "proposed",
+        "step",
+        "repeated",
+    )
+)
+_PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
 
 
-def _lane_reader(kind: type, first_row: int) -> Callable[..., Any]:
+def _lane_reader(kind: type, start: int) -> Callable[..., Any]:
     """A compiled function that reads one lane of the flat work array as a named tuple."""
-    fields = ", ".join(f"work[{(first_row + row) * LANES} + lane]" for row in range(len(kind._fields)))  # type: ignore[attr-defined]
+    fields = ", ".join(f"work[{start + row * LANES} + lane]" for row in range(len(kind._fields)))  # type: ignore[attr-defined]
     reader: Callable[..., Any] = eval(f"lambda work, lane: Kind({fields})", {"Kind": kind})
     return compiler.inline(reader)
 
 
-_read_state = _lane_reader(State, _STATE_ROW)
-_read_coefficients = _lane_reader(Coefficients, _COEFFICIENT_ROW)
+def _lane_writer(start: int) -> Callable[..., Any]:
+    """A compiled function that writes a :class:`State` into one lane of the flat work array."""
+    lines = [f"    work[{start + row * LANES} + lane] = value.{name}" for row, name in enumerate(State._fields)]
+    return _from_source("\n".join(["def write(work, lane, value):", *lines]), "write")
+
+
+def _stage(number: int) -> Callable[..., Any]:
+    """A compiled function that keeps derivative ``number`` and sets the trial state from all kept ones (STAGES).
+
+    The source is written out row by row: with constant offsets the compiler sees that lanes are independent.
+    """
+    lines = ["def stage(work):", f"    for lane in range({LANES}):", f"        step = work[{_STEP} + lane]"]
+    for row in range(N_STATES):
+        kept = [f"work[{_FIRST_STAGE + (index * N_STATES + row) * LANES} + lane]" for index in range(number)]
+        lines.append(f"        rate = work[{_DERIVATIVE + row * LANES} + lane]")
+        lines.append(f"        {kept[-1]} = rate")
+        terms = [f"{weight!r} * {term}" for weight, term in zip(STAGES[number - 1], [*kept[:-1], "rate"], strict=True)]
+        moved = f"work[{row * LANES} + lane] + step * ({' + '.join(terms)})"
+        lines.append(f"        work[{_TRIAL + row * LANES} + lane] = {moved}")
+    return _from_source("\n".join(lines), "stage")
+
+
+def _estimator() -> Callable[..., Any]:
+    """A compiled function that gives the error estimate of a step as a :class:`State` (ERROR)."""
+    fields = []
+    for row in range(N_STATES):
+        kept = [f"work[{_FIRST_STAGE + (index * N_STATES + row) * LANES} + lane]" for index in range(len(STAGES))]
+        kept.append(f"work[{_DERIVATIVE + row * LANES} + lane]")
+        terms = " + ".join(f"{weight!r} * {rate}" for weight, rate in zip(ERROR, kept, strict=True))
+        fields.append(f"step * ({terms})")
+    source = f"def estimate(work, lane, step):\n    return State({', '.join(fields)})"
+    return _from_source(source, "estimate")
+
+
+def _from_source(source: str, name: str) -> Callable[..., Any]:
+    names: dict[str, Any] = {"State": State}
+    exec(source, names)
+    return compiler.inline(names[name])
+
+
+_read_state = _lane_reader(State, 0)
+_read_coefficients = _lane_reader(Coefficients, _COEFFICIENTS)
+_read_trial = _lane_reader(State, _TRIAL)
+_read_derivative = _lane_reader(State, _DERIVATIVE)
+_write_state = _lane_writer(0)
+_write_trial = _lane_writer(_TRIAL)
+_write_derivative = _lane_writer(_DERIVATIVE)
+_stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
+_error_estimate = _estimator()
 
 
 @compiler.inline
-def _moved(s, k, step):
-    """s + step · k"""
+def _largest(error, c):
+    """Largest error of a state in parts of its size; NaN if one is."""
+    p = max(abs(error.position * c.position_weight), abs(error.velocity * c.velocity_weight))
+    q = max(abs(error.pressure_a), max(abs(error.pressure_b), abs(error.supply_pressure))) * c.pressure_weight
+    r = max(abs(error.spool_position), abs(error.spool_velocity * c.spool_velocity_weight))
+    t = max(abs(error.coil_current * c.coil_current_weight), abs(error.gas_volume * c.gas_volume_weight))
+    return max(max(max(p, q), max(r, t)), abs(error.bristle_deflection * c.bristle_weight))
+
+
+@compiler.inline
+def _difference(a, b):
     return State(
-        s.position + step * k.position,
-        s.velocity + step * k.velocity,
-        s.pressure_a + step * k.pressure_a,
-        s.pressure_b + step * k.pressure_b,
-        s.spool_position + step * k.spool_position,
-        s.spool_velocity + step * k.spool_velocity,
-        s.coil_current + step * k.coil_current,
-        s.supply_pressure + step * k.supply_pressure,
-        s.gas_volume + step * k.gas_volume,
+        a.position - b.position,
+        a.velocity - b.velocity,
+        a.pressure_a - b.pressure_a,
+        a.pressure_b - b.pressure_b,
+        a.spool_position - b.spool_position,
+        a.spool_velocity - b.spool_velocity,
+        a.coil_current - b.coil_current,
+        a.supply_pressure - b.supply_pressure,
+        a.gas_volume - b.gas_volume,
+        a.bristle_deflection - b.bristle_deflection,
     )
 
 
 @compiler.inline
-def runge_kutta_step(s, c, voltage, step):
-    """One classical Runge–Kutta step of length ``step`` (s) with the voltage held."""
-    k1 = derivatives(s, c, voltage)
-    k2 = derivatives(_moved(s, k1, 0.5 * step), c, voltage)
-    k3 = derivatives(_moved(s, k2, 0.5 * step), c, voltage)
-    k4 = derivatives(_moved(s, k3, step), c, voltage)
-    s = _moved(s, k1, step / 6.0)
-    s = _moved(s, k2, step / 3.0)
-    s = _moved(s, k3, step / 3.0)
-    return hold_limits(_moved(s, k4, step / 6.0), c)
+def _chosen(condition, a, b):
+    return State(
+        a.position if condition else b.position,
+        a.velocity if condition else b.velocity,
+        a.pressure_a if condition else b.pressure_a,
+        a.pressure_b if condition else b.pressure_b,
+        a.spool_position if condition else b.spool_position,
+        a.spool_velocity if condition else b.spool_velocity,
+        a.coil_current if condition else b.coil_current,
+        a.supply_pressure if condition else b.supply_pressure,
+        a.gas_volume if condition else b.gas_volume,
+        a.bristle_deflection if condition else b.bristle_deflection,
+    )
+
+
+@compiler.inline
+def _choose_step(work):
+    """Each lane's next step: as proposed, but no further than the interval's end or the next kink."""
+    for lane in range(LANES):
+        remaining = work[_REMAINING + lane]
+        proposed = min(work[_PROPOSED + lane], remaining)
+        # Two equal last steps rather than a long and a very short one.
+        halved = 0.5 * remaining if 2.0 * proposed > remaining and proposed < remaining else proposed
+        c = _read_coefficients(work, lane)
+        kink = time_to_kink(_read_state(work, lane), _read_derivative(work, lane), c)
+        work[_STEP + lane] = min(halved, kink)
+
+
+@compiler.inline
+def _judge(work, strictness, maximum_step):
+    """Accept or repeat each lane's step by its estimated error, and propose the next one."""
+    for lane in range(LANES):
+        remaining = work[_REMAINING + lane]
+        proposed = work[_PROPOSED + lane]
+        step = work[_STEP + lane]
+        c = _read_coefficients(work, lane)
+        s = _read_state(work, lane)
+        trial = _read_trial(work, lane)
+        n = hold_limits(trial, c)
+        other = hold_limits(_difference(trial, _error_estimate(work, lane, step)), c)
+        error = strictness * _largest(_difference(n, other), c)
+        fits = error <= 1.0
+        moving = remaining > 0.0
+        accepted = moving and (fits or step <= SHORTEST_STEP)
+        # err^(-3/16), near the -1/5 of theory, needs square roots alone.
+        root = math.sqrt(math.sqrt(math.sqrt(math.sqrt(max(error, 1e-12)))))
+        factor = min(max(0.9 / (root * root * root), 0.2), 4.0) if error < 1e300 else 0.2
+        grown = min(step * factor, maximum_step)
+        # A step that a kink or the end cut short says nothing against the proposed one.
+        work[_PROPOSED + lane] = max(grown, proposed) if fits and step < proposed else grown
+        left = remaining - step if accepted else remaining
+        broken = accepted and not error < 1e300  # the caller finds the state that is no number
+        work[_REMAINING + lane] = 0.0 if broken or left <= 1e-12 else left
+        work[_REPEATED + lane] = 1.0 if moving and not accepted else 0.0
+        _write_state(work, lane, _chosen(accepted, n, s))
+        # Peaks: of pressure over all steps, of speed where an end stop has just been met.
+        highest = max(n.pressure_a, n.pressure_b) if accepted else -1e300
+        work[_PRESSURE_PEAK + lane] = max(work[_PRESSURE_PEAK + lane], highest)
+        beyond = accepted and abs(n.position) > c.end_stop_position
+        outwards = max(s.velocity, 0.0) if n.position > 0.0 else max(-s.velocity, 0.0)
+        work[_SPEED_PEAK + lane] = max(work[_SPEED_PEAK + lane], outwards if beyond else 0.0)
+        work[_STEP_COUNT + lane] += 1.0 if moving else 0.0
+
+
+@compiler.inline
+def _begin_interval(work, lane, voltage, duration, first_step):
+    """Let a new command act in one lane."""
+    s = command_changed(_read_state(work, lane), _read_coefficients(work, lane), voltage)
+    _write_state(work, lane, s)
+    work[_VOLTAGE + lane] = voltage
+    work[_REMAINING + lane] = duration
+    work[_PROPOSED + lane] = first_step
 
 
 def _build(stamp: int) -> Callable[..., None]:
@@ -95,82 +273,102 @@ def _build(stamp: int) -> Callable[..., None]:
         voltage: NDArray[np.float64],
         durations: NDArray[np.float64],
         maximum_step: float,
+        tolerance: float,
         peaks: NDArray[np.float64],
-        first_block: int,
-        last_block: int,
+        first: int,
+        last: int,
     ) -> None:
         assert stamp >= 0  # keys numba's cache
-        work = np.empty(_ROWS * LANES)
-        for block in range(first_block, last_block):
-            for row in range(N_STATES):
+        groups = min(GROUPS, -(-(last - first) // LANES))
+        # Aligned to cache lines: a vector that lies across two costs twice.
+        room = np.zeros(groups * _ROWS * LANES + 8)
+        shift = (-(room.ctypes.data // 8)) % 8
+        plant_of = np.full(groups * LANES, -1)
+        interval_of = np.zeros(groups * LANES, np.int64)
+        strictness = 1.0 / tolerance
+        first_step = min(FIRST_STEP, maximum_step)
+        intervals = durations.shape[0]
+        following = first
+        active = 0
+        begun = True
+        while begun or active > 0:
+            # Lanes that have come to the end of their interval: the next interval, or the next plant.
+            begun = False
+            again = False
+            for group in range(groups):
+                work = room[shift + group * _ROWS * LANES :]
                 for lane in range(LANES):
-                    work[(_STATE_ROW + row) * LANES + lane] = state[block, row, lane]
-            for row in range(N_COEFFICIENTS):
-                for lane in range(LANES):
-                    work[(_COEFFICIENT_ROW + row) * LANES + lane] = coefficients[block, row, lane]
-            for lane in range(LANES):
-                work[(_PEAK_ROW + PEAK_PRESSURE) * LANES + lane] = -1e300
-                work[(_PEAK_ROW + IMPACT_SPEED) * LANES + lane] = 0.0
-            for interval in range(durations.shape[0]):
-                duration = durations[interval]
-                if duration <= 0.0:
-                    continue
-                base = math.ceil(duration / maximum_step - 1e-9)
-                most = base
-                for lane in range(LANES):
-                    rate = fastest_rate(_read_state(work, lane), _read_coefficients(work, lane))
-                    needed = duration * rate / STEP_LIMIT
-                    count = base
-                    if needed > count:  # false for NaN, which the caller finds afterwards
-                        count = math.ceil(min(needed, 1e6))
-                    most = max(most, count)
-                    work[_COUNT_ROW * LANES + lane] = float(count)
-                    work[_STEP_ROW * LANES + lane] = duration / count
-                    work[_VOLTAGE_ROW * LANES + lane] = voltage[block, interval, lane]
-                for index in range(most):
-                    now = float(index)
-                    for lane in range(LANES):  # this loop becomes vector instructions
-                        s = _read_state(work, lane)
+                    again = again or work[_REPEATED + lane] > 0.0
+                    while work[_REMAINING + lane] == 0.0:
+                        plant = plant_of[group * LANES + lane]
+                        interval = interval_of[group * LANES + lane] + 1
+                        if plant >= 0 and interval == intervals:
+                            for row in range(N_STATES):
+                                state[plant, row] = work[row * LANES + lane]
+                            for row in range(N_PEAKS):
+                                peaks[plant, row] = work[_PEAKS + row * LANES + lane]
+                            active -= 1
+                            plant = -1
+                        if plant < 0:
+                            plant_of[group * LANES + lane] = plant = following if following < last else -1
+                            if plant < 0:
+                                break
+                            interval = 0
+                            following += 1
+                            active += 1
+                            for row in range(N_STATES):
+                                work[row * LANES + lane] = state[plant, row]
+                            for row in range(N_COEFFICIENTS):
+                                work[_COEFFICIENTS + row * LANES + lane] = coefficients[plant, row]
+                            work[_PRESSURE_PEAK + lane] = -1e300
+                            work[_SPEED_PEAK + lane] = 0.0
+                            work[_STEP_COUNT + lane] = 0.0
+                        interval_of[group * LANES + lane] = interval
+                        if durations[interval] > 0.0:
+                            _begin_interval(work, lane, voltage[plant, interval], durations[interval], first_step)
+                            again = True
+            # The first stage is the last one of the step before, unless a lane has begun or repeats its step.
+            for stage in range(0 if again else 1, 7):
+                for group in range(groups):
+                    work = room[shift + group * _ROWS * LANES :]
+                    if stage == 0:
+                        for lane in range(LANES):
+                            _write_trial(work, lane, _read_state(work, lane))
+                    elif stage == 1:
+                        _choose_step(work)
+                        _stage_2(work)
+                    elif stage == 2:
+                        _stage_3(work)
+                    elif stage == 3:
+                        _stage_4(work)
+                    elif stage == 4:
+                        _stage_5(work)
+                    elif stage == 5:
+                        _stage_6(work)
+                    else:
+                        _stage_7(work)
+                for group in range(groups):
+                    work = room[shift + group * _ROWS * LANES :]
+                    for lane in range(LANES):
                         c = _read_coefficients(work, lane)
-                        moving = now < work[_COUNT_ROW * LANES + lane]
-                        n = runge_kutta_step(s, c, work[_VOLTAGE_ROW * LANES + lane], work[_STEP_ROW * LANES + lane])
-                        work[0 * LANES + lane] = n.position if moving else s.position
-                        work[1 * LANES + lane] = n.velocity if moving else s.velocity
-                        work[2 * LANES + lane] = n.pressure_a if moving else s.pressure_a
-                        work[3 * LANES + lane] = n.pressure_b if moving else s.pressure_b
-                        work[4 * LANES + lane] = n.spool_position if moving else s.spool_position
-                        work[5 * LANES + lane] = n.spool_velocity if moving else s.spool_velocity
-                        work[6 * LANES + lane] = n.coil_current if moving else s.coil_current
-                        work[7 * LANES + lane] = n.supply_pressure if moving else s.supply_pressure
-                        work[8 * LANES + lane] = n.gas_volume if moving else s.gas_volume
-                        # Peaks: of pressure over all steps, of speed where an end stop has just been met.
-                        # A lane that has done its own steps (not moving) adds nothing, whatever its neighbours need.
-                        highest = max(n.pressure_a, n.pressure_b) if moving else -1e300
-                        peak = work[(_PEAK_ROW + PEAK_PRESSURE) * LANES + lane]
-                        work[(_PEAK_ROW + PEAK_PRESSURE) * LANES + lane] = max(highest, peak)
-                        beyond = moving and abs(n.position) > c.end_stop_position
-                        outwards = max(s.velocity, 0.0) if n.position > 0.0 else max(-s.velocity, 0.0)
-                        impact = work[(_PEAK_ROW + IMPACT_SPEED) * LANES + lane]
-                        work[(_PEAK_ROW + IMPACT_SPEED) * LANES + lane] = max(impact, outwards if beyond else 0.0)
-            for row in range(N_STATES):
-                for lane in range(LANES):
-                    state[block, row, lane] = work[(_STATE_ROW + row) * LANES + lane]
-            for row in range(N_PEAKS):
-                for lane in range(LANES):
-                    peaks[block, row, lane] = work[(_PEAK_ROW + row) * LANES + lane]
+                        s = hold_limits(_read_trial(work, lane), c)
+                        _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
+            for group in range(groups):
+                _judge(room[shift + group * _ROWS * LANES :], strictness, maximum_step)
 
     return integrate
 
 
-integrate = compiler.compiled(_build(compiler.source_stamp("plant/equations.py")))
+integrate = compiler.compiled(_build(compiler.source_stamp("plant/equations.py", "plant/limits.py")))
 """Advance plants in place through consecutive hold intervals.
 
 Args:
-    state: (blocks, N_STATES, LANES), changed in place.
-    coefficients: (blocks, N_COEFFICIENTS, LANES).
-    voltage: (blocks, intervals, LANES), V, held in each interval.
+    state: (plants, N_STATES), changed in place.
+    coefficients: (plants, N_COEFFICIENTS).
+    voltage: (plants, intervals), V, held in each interval.
     durations: (intervals,), s.
-    maximum_step: longest inner step, s; a plant whose fastest rate asks for it gets a shorter one.
-    peaks: (blocks, N_PEAKS, LANES), written.
-    first_block, last_block: the half-open range of blocks to advance.
+    maximum_step: longest inner step, s.
+    tolerance: largest estimated error of a step, in parts of each state's size; infinity for steps of fixed length.
+    peaks: (plants, N_PEAKS), written.
+    first, last: the half-open range of plants to advance.
 """

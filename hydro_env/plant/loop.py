@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.plant.analysis import linearise
+from hydro_env.plant.arrays import TYPICAL_SIZE, coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients
 from hydro_env.plant.errors import HydroError
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.simulate import TYPICAL_SIZE, coefficient_array
 
 Array = NDArray[np.float64]
 
@@ -146,8 +146,11 @@ def sampled_loop(
         raise HydroError(f"latency = {latency} s: must be within 0 to control_period = {control_period} s")
     moving = parameters.replace(friction={"model": "none"})
     plant = linearise(moving, position=position)
-    # At rest the gas volume acts on nothing, and a constant supply pressure is no state: both would stand at z = 1.
-    dropped = {"gas_volume"} | ({"supply_pressure"} if parameters.supply.model == "constant" else set())
+    # At rest the gas volume acts on nothing, without friction nothing moves bristles, and a constant supply pressure is
+    # no state: they would stand at z = 1.
+    dropped = {"gas_volume", "bristle_deflection"} | (
+        {"supply_pressure"} if parameters.supply.model == "constant" else set()
+    )
     rows = [index for index, name in enumerate(STATE_NAMES) if name not in dropped]
     size = TYPICAL_SIZE[rows]
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]

@@ -68,8 +68,13 @@ class Cylinder(Group):
 
 
 class Valve(Group):
-    """4/3 servo valve with its drive: flow edges, second-order spool, coil."""
+    """4/3 servo valve with its drive: flow edges, second-order spool, coil.
 
+    ``model`` says how much of it moves in its own time: ``drive`` (coil and spool), ``spool`` (an ideal drive: the
+    current follows the command at once), ``ideal`` (the spool does).
+    """
+
+    model: Literal["drive", "spool", "ideal"] = Field("drive", description="paper, eqs (1) and (18)")
     rated_flow: Number = quantity(10e-3 / 60, "m³/s", "paper, Table 1 (10 l/min)", 1e-7, 0.1)
     rated_pressure_drop: Number = quantity(70e5, "Pa", "paper, Table 1; over both edges", 1e4, 1e8)
     natural_frequency: Number = quantity(500.0, "rad/s", "assumed (80 Hz)", 1.0, 1e4)
@@ -103,15 +108,21 @@ class Load(Group):
 class Friction(Group):
     """Friction of seals and guides."""
 
-    model: Literal["none", "coulomb", "stribeck"] = Field("stribeck", description="assumed; Hess & Soom (1990)")
+    model: Literal["none", "coulomb", "stribeck", "lugre"] = Field(
+        "stribeck", description="assumed; Hess & Soom (1990), Canudas de Wit et al. (1995)"
+    )
     coulomb_force: Number = quantity(120.0, "N", "assumed", 0.0, 1e6)
     breakaway_force: Number = quantity(180.0, "N", "assumed", 0.0, 1e6)
     stribeck_velocity: Number = quantity(0.012, "m/s", "assumed", 1e-5, 10.0)
     transition_velocity: Number = quantity(0.0015, "m/s", "assumed; smooths the sign function", 1e-6, 1.0)
+    bristle_stiffness: Number = quantity(5e6, "N/m", "assumed; lugre: seal before it slides", 1e3, 1e10)
+    bristle_damping: Number = quantity(1e3, "N s/m", "assumed; lugre: of the seal's deflection", 0.0, 1e7)
 
     @model_validator(mode="after")
     def _breakaway_is_the_peak(self) -> Friction:
-        if self.model == "stribeck" and self.breakaway_force < self.coulomb_force:
+        if self.model == "lugre" and self.coulomb_force <= 0.0:
+            raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none is without friction")
+        if self.model in ("stribeck", "lugre") and self.breakaway_force < self.coulomb_force:
             raise ValueError(
                 f"breakaway_force = {self.breakaway_force:g} N must not be below "
                 f"coulomb_force = {self.coulomb_force:g} N"
@@ -120,13 +131,17 @@ class Friction(Group):
 
 
 class Supply(Group):
-    """Pump, relief valve and accumulator, or a constant pressure."""
+    """Pump, relief valve and accumulator (``accumulator``), the same without it (``pump``), or a constant pressure.
 
-    model: Literal["constant", "accumulator"] = Field("accumulator", description="paper, Figs 3 and 11")
+    ``pump_flow`` 0 is a pump that stands still, ``relief_slope`` 0 a circuit without relief valve.
+    """
+
+    model: Literal["constant", "accumulator", "pump"] = Field("accumulator", description="paper, Figs 3 and 11")
     pressure: Number = quantity(70e5, "Pa", "assumed; constant supply, or setting of the relief valve", 1e5, 1e8)
     tank_pressure: Number = quantity(1e5, "Pa", "assumed; back pressure of the return line", 0.0, 1e7)
     pump_flow: Number = quantity(2.15e-4, "m³/s", "derived; 9.4 cm³ × 1450 1/min × 0.95", 0.0, 1.0)
-    relief_slope: Number = quantity(4e-10, "m³/(s Pa)", "assumed", 1e-14, 1e-4)
+    relief_slope: Number = quantity(4e-10, "m³/(s Pa)", "assumed; of the relief valve", 0.0, 1e-4)
+    line_volume: Number = quantity(0.5e-3, "m³", "assumed; oil between pump and valve (model pump)", 1e-6, 1.0)
     accumulator_volume: Number = quantity(1e-3, "m³", "paper, Table 1 (1 l)", 1e-6, 10.0)
     precharge_pressure: Number = quantity(55e5, "Pa", "assumed", 1e4, 1e8)
     polytropic_index: Number = quantity(1.3, "1", "assumed", 1.0, 1.7)
@@ -213,8 +228,9 @@ PARAMETER_PATHS: tuple[str, ...] = _paths()
 """``group.field`` of every parameter, in the order of :func:`to_vector`."""
 
 MODEL_CODES: dict[str, tuple[str, ...]] = {
-    "friction.model": ("none", "coulomb", "stribeck"),
-    "supply.model": ("constant", "accumulator"),
+    "valve.model": ("drive", "spool", "ideal"),
+    "friction.model": ("none", "coulomb", "stribeck", "lugre"),
+    "supply.model": ("constant", "accumulator", "pump"),
 }
 """Fields that are a choice; in a parameter vector they stand as the index of the choice."""
 

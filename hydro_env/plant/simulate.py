@@ -4,64 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_ivp
 
-from hydro_env.plant import compiler, equations, kernel
-from hydro_env.plant.equations import (
-    STATE_NAMES,
-    STATE_UNITS,
-    Physical,
-    State,
-    acceleration,
-    derivatives,
-    edge_flows,
-    external_leakage,
-    internal_leakage,
-    valid_limits,
-)
-from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant import equations, kernel
+from hydro_env.plant.arrays import DERIVED_NAMES, DERIVED_UNITS, coefficient_array, derived_array, equilibrium
+from hydro_env.plant.equations import STATE_NAMES, STATE_UNITS
 from hydro_env.plant.errors import HydroError, InvalidStateError
-from hydro_env.plant.parameters import PlantParameters, to_vector
+from hydro_env.plant.limits import valid_limits
+from hydro_env.plant.parameters import PlantParameters
 
 Array = NDArray[np.float64]
-
-DERIVED_NAMES = (
-    "flow_a",
-    "flow_b",
-    "leakage_flow",
-    "external_leakage_flow",
-    "supply_flow",
-    "load_force",
-    "friction_force",
-    "acceleration",
-)
-DERIVED_UNITS = ("m³/s", "m³/s", "m³/s", "m³/s", "m³/s", "N", "N", "m/s²")
-
-
-def coefficient_array(parameters: PlantParameters) -> Array:
-    """The coefficients of the right-hand side, shape (N_COEFFICIENTS,)."""
-    return np.array(_coefficients(to_vector(parameters)))
-
-
-def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dict[str, float], float]:
-    """State at rest that holds ``position`` (m), and the voltage (V) that keeps it there.
-
-    Pressures balance the forces of (17); the spool stands a little off centre so that the flows of (12), (13) vanish.
-
-    Raises:
-        HydroError: the supply cannot hold that position.
-    """
-    state, voltage, found = _equilibrium(float(position), to_vector(parameters))
-    if not found:
-        raise HydroError(
-            f"position = {position:g} m cannot be held: spring, leakage or external force ask for more than "
-            f"the supply of {parameters.supply.pressure / 1e5:g} bar gives"
-        )
-    return dict(zip(STATE_NAMES, state, strict=True)), voltage
 
 
 @dataclass(frozen=True)
@@ -85,6 +40,7 @@ class Trajectory:
     coil_current: Array
     supply_pressure: Array
     gas_volume: Array
+    bristle_deflection: Array
     flow_a: Array
     flow_b: Array
     leakage_flow: Array
@@ -101,7 +57,7 @@ class Trajectory:
 
     @property
     def states(self) -> Array:
-        """All states, shape (n + 1, 9), columns as in :data:`STATE_NAMES`."""
+        """All states, shape (n + 1, 10), columns as in :data:`STATE_NAMES`."""
         return np.column_stack([getattr(self, name) for name in STATE_NAMES])
 
 
@@ -116,8 +72,9 @@ def simulate(
     voltage: ArrayLike,
     sample_time: float,
     initial_state: Mapping[str, float] | None = None,
-    method: Literal["rk4", "radau"] = "rk4",
+    method: Literal["fast", "radau"] = "fast",
     *,
+    tolerance: float = kernel.TOLERANCE,
     maximum_step: float = kernel.MAXIMUM_STEP,
     relative_tolerance: float = 1e-10,
 ) -> Trajectory:
@@ -129,9 +86,12 @@ def simulate(
         sample_time: duration of each input, s.
         initial_state: values by state name (SI); states that are absent take their value of the equilibrium at the
             given position. ``None`` is the equilibrium that holds position 0.
-        method: ``"rk4"``, the fixed-step integrator of the environment, or ``"radau"``, SciPy's implicit
-            Radau IIA solver at ``relative_tolerance``, started anew at every change of the input.
-        maximum_step: longest inner step of ``"rk4"``, s.
+        method: ``"fast"``, the integrator of the environment (Tsitouras 5(4), see ``plant/kernel.py``), or
+            ``"radau"``, SciPy's implicit Radau IIA solver at ``relative_tolerance``, started anew at every change of
+            the input and wherever the solution has a kink.
+        tolerance: of ``"fast"``: largest estimated error of an inner step, in parts of each state's size;
+            infinity for steps of fixed length.
+        maximum_step: longest inner step of ``"fast"``, s.
         relative_tolerance: of ``"radau"``.
 
     Returns:
@@ -141,26 +101,28 @@ def simulate(
         HydroError: impossible input, unknown state name or method, or a start that cannot be held.
         InvalidStateError: a state left the range in which the model is valid; says which, when and its value.
     """
-    inputs = _checked_input(voltage, sample_time, maximum_step)
+    inputs = _checked_input(voltage, sample_time, tolerance, maximum_step)
     start = _checked_start(parameters, initial_state)
     coefficients = coefficient_array(parameters)
-    if method == "rk4":
-        states = _run(start, coefficients, inputs, float(sample_time), maximum_step)
+    if method == "fast":
+        states = _run(start, coefficients, inputs, float(sample_time), tolerance, maximum_step)
     elif method == "radau":
-        states = _reference(start, coefficients, inputs, float(sample_time), relative_tolerance)
+        from hydro_env.plant.reference import reference_states  # SciPy's solvers are loaded when first needed
+
+        states = reference_states(start, coefficients, inputs, float(sample_time), relative_tolerance)
     else:
-        raise HydroError(f"method = {method!r}: must be 'rk4' or 'radau'")
+        raise HydroError(f"method = {method!r}: must be 'fast' or 'radau'")
     time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
     columns = {name: states[:, row].copy() for row, name in enumerate(STATE_NAMES)}
-    derived = _derived(states, coefficients)
+    derived = derived_array(states, coefficients)
     columns |= {name: derived[:, row].copy() for row, name in enumerate(DERIVED_NAMES)}
     return Trajectory(parameters=parameters, time=time, voltage=acting, **columns)
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:
-    """Lowest and highest value of each state for which the model holds, shapes (9,) each, order of STATE_NAMES."""
+    """Lowest and highest value of each state for which the model holds, shapes (10,) each, order of STATE_NAMES."""
     c = equations.Coefficients(*coefficient_array(parameters))
     low, high = valid_limits(
         c.end_stop_position,
@@ -185,7 +147,7 @@ def _check_range(parameters: PlantParameters, time: Array, states: Array) -> Non
         )
 
 
-def _checked_input(voltage: ArrayLike, sample_time: float, maximum_step: float) -> Array:
+def _checked_input(voltage: ArrayLike, sample_time: float, tolerance: float, maximum_step: float) -> Array:
     try:
         inputs = np.asarray(voltage, dtype=np.float64)
     except (TypeError, ValueError):
@@ -200,6 +162,8 @@ def _checked_input(voltage: ArrayLike, sample_time: float, maximum_step: float) 
         raise HydroError(f"sample_time = {sample_time} s: must be positive")
     if not 0.0 < maximum_step < np.inf:
         raise HydroError(f"maximum_step = {maximum_step} s: must be positive")
+    if not tolerance > 0.0:
+        raise HydroError(f"tolerance = {tolerance}: must be positive")
     return inputs
 
 
@@ -218,92 +182,18 @@ def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, floa
     return start
 
 
-def _run(start: Array, coefficients: Array, inputs: Array, sample_time: float, maximum_step: float) -> Array:
-    state = np.repeat(start[None, :, None], kernel.LANES, axis=2)
-    packed = np.repeat(coefficients[None, :, None], kernel.LANES, axis=2)
-    held = np.empty((1, 1, kernel.LANES))
-    peaks = np.empty((1, kernel.N_PEAKS, kernel.LANES))
+def _run(
+    start: Array, coefficients: Array, inputs: Array, sample_time: float, tolerance: float, maximum_step: float
+) -> Array:
+    state = start[None].copy()
+    packed = coefficients[None]
+    peaks = np.empty((1, kernel.N_PEAKS))
     durations = np.array([sample_time])
     states = np.empty((len(inputs) + 1, len(start)))
     states[0] = start
-    for sample, value in enumerate(inputs):
-        held[:] = value
-        kernel.integrate(state, packed, held, durations, maximum_step, peaks, 0, 1)
-        states[sample + 1] = state[0, :, 0]
-    return states
-
-
-TYPICAL_SIZE = np.array([0.1, 0.1, 1e6, 1e6, 1.0, 10.0, 1.0, 1e6, 1e-3])
-"""Sizes of the states, to which absolute tolerances relate."""
-
-
-def _reference(start: Array, coefficients: Array, inputs: Array, sample_time: float, tolerance: float) -> Array:
-    states = np.empty((len(inputs) + 1, len(start)))
-    states[0] = start
-    for sample, value in enumerate(inputs):
-        solution: Any = solve_ivp(
-            lambda _, y, u=value: derivative_array(y, coefficients, u),
-            (0.0, sample_time),
-            states[sample],
-            method="Radau",
-            rtol=tolerance,
-            atol=tolerance * TYPICAL_SIZE,
+    for sample in range(len(inputs)):
+        kernel.integrate(
+            state, packed, inputs[sample : sample + 1, None], durations, maximum_step, tolerance, peaks, 0, 1
         )
-        if not solution.success:
-            raise InvalidStateError(
-                f"the reference solver failed at t = {sample * sample_time:g} s: {solution.message}"
-            )
-        states[sample + 1] = solution.y[:, -1]
+        states[sample + 1] = state[0]
     return states
-
-
-def _build(stamp: int) -> tuple[Any, ...]:
-    @compiler.compiled
-    def coefficients_of(vector: Array) -> Any:
-        assert stamp >= 0  # keys numba's cache
-        return equations.coefficients(_physical(vector))
-
-    @compiler.compiled
-    def equilibrium_of(position: float, vector: Array) -> Any:
-        assert stamp >= 0
-        p = _physical(vector)
-        c = equations.coefficients(p)
-        state, voltage, found = equilibrium_state(position, p, c)
-        return state, voltage, found > 0.0
-
-    @compiler.compiled
-    def derivative_of(y: Array, coefficients: Array, voltage: float) -> Array:
-        assert stamp >= 0
-        rate = derivatives(_state(y), _coefficient_tuple(coefficients), voltage)
-        out = np.empty(y.shape[0])
-        for row, value in enumerate(rate):
-            out[row] = value
-        return out
-
-    @compiler.compiled
-    def derived_of(states: Array, coefficients: Array) -> Array:
-        assert stamp >= 0
-        c = _coefficient_tuple(coefficients)
-        out = np.empty((states.shape[0], len(DERIVED_NAMES)))
-        for sample in range(states.shape[0]):
-            s = _state(states[sample])
-            supply_to_a, a_to_tank, b_to_tank, supply_to_b = edge_flows(s, c)
-            out[sample, 0] = supply_to_a - a_to_tank
-            out[sample, 1] = b_to_tank - supply_to_b
-            out[sample, 2] = internal_leakage(s, c)
-            out[sample, 3] = external_leakage(s, c)
-            out[sample, 4] = supply_to_a + supply_to_b
-            out[sample, 5] = s.pressure_a * c.area_a - s.pressure_b * c.area_b
-            out[sample, 6] = equations.friction_force(s.velocity, c)
-            out[sample, 7] = acceleration(s, c)
-        return out
-
-    return coefficients_of, equilibrium_of, derivative_of, derived_of
-
-
-_physical = compiler.tuple_reader(Physical)
-_state = compiler.tuple_reader(State)
-_coefficient_tuple = compiler.tuple_reader(equations.Coefficients)
-_coefficients, _equilibrium, derivative_array, _derived = _build(
-    compiler.source_stamp("plant/equations.py", "plant/equilibrium.py")
-)

@@ -254,7 +254,10 @@ class TaskConfig(Group):
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
     command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
     episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
-    maximum_step: Number = quantity(0.25e-3, "s", "longest inner step of the integration", 1e-6, 1e-3)
+    tolerance: Number = quantity(
+        1e-6, "1", "largest estimated error of an inner step, in parts of each state's size", 1e-12, 1e-2
+    )
+    maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
     plant: PlantParameters = Field(default_factory=PlantParameters, description="the rig around which is drawn")
     randomisation: dict[str, Distribution] = Field(default_factory=_default_randomisation)
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)

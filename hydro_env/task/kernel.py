@@ -1,7 +1,7 @@
 """Episodes of many axes in compiled code: how one begins, and what one control period does to it.
 
 Per axis there is a row of ``record`` (columns named by ``Record``), a row of reference samples, a row of physical
-parameters, and a lane of the plant's arrays (see ``plant.kernel``). All draws come from counted random numbers, so
+parameters, and a row of the plant's arrays (see ``plant.kernel``). All draws come from counted random numbers, so
 that an axis' episode depends on its own root and episode number alone.
 """
 
@@ -12,9 +12,10 @@ import math
 import numpy as np
 
 from hydro_env.plant import compiler, kernel
-from hydro_env.plant.equations import Coefficients, Physical, coefficients, valid_limits
+from hydro_env.plant.equations import Coefficients, Physical, coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.kernel import IMPACT_SPEED, LANES, N_STATES, PEAK_PRESSURE
+from hydro_env.plant.kernel import IMPACT_SPEED, N_STATES, PEAK_PRESSURE
+from hydro_env.plant.limits import valid_limits
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, PARAMETER_PATHS
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
@@ -153,14 +154,14 @@ def _leak_flow(row, time, settings):
 
 
 @compiler.inline
-def _set_leak(row, coefficient, lane, flow, settings):
+def _set_leak(row, coefficient, flow, settings):
     row[C_LEAK] = flow
     if settings.orifice_law == 0.0:
-        coefficient[_LEAKAGE_CONDUCTANCE, lane] = flow * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
-        coefficient[_LEAKAGE_ORIFICE_GAIN, lane] = 0.0
+        coefficient[_LEAKAGE_CONDUCTANCE] = flow * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+        coefficient[_LEAKAGE_ORIFICE_GAIN] = 0.0
     else:
-        coefficient[_LEAKAGE_CONDUCTANCE, lane] = 0.0
-        coefficient[_LEAKAGE_ORIFICE_GAIN, lane] = flow * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
+        coefficient[_LEAKAGE_CONDUCTANCE] = 0.0
+        coefficient[_LEAKAGE_ORIFICE_GAIN] = flow * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
 
 
 @compiler.inline
@@ -232,7 +233,6 @@ def _build(stamp):
         limits = _read_limits(limits_array)
         for number in range(axes.shape[0]):
             axis = axes[number]
-            block, lane = axis // LANES, axis % LANES
             row = record[axis]
             root, episode = roots[axis], episodes[axis]
             row[:] = 0.0
@@ -240,7 +240,7 @@ def _build(stamp):
             p = _read_physical(physical[axis])
             c = coefficients(p)
             for index, value in enumerate(c):
-                coefficient[block, index, lane] = value
+                coefficient[axis, index] = value
 
             # Leakage: healthy or faulty, and when it starts.
             key = source_key(root, episode, LEAKAGE)
@@ -254,7 +254,7 @@ def _build(stamp):
             row[C_LEAK_TARGET] = target
             duration = settings.steps * settings.control_period
             row[C_LEAK_TIME] = duration * between(key, 3, settings.leak_start_low, settings.leak_start_high)
-            _set_leak(row, coefficient[block], lane, _leak_flow(row, 0.0, settings), settings)
+            _set_leak(row, coefficient[axis], _leak_flow(row, 0.0, settings), settings)
 
             # Disturbance.
             row[C_FORCE_BASE] = c.external_force
@@ -293,10 +293,10 @@ def _build(stamp):
                 fill_reference(reference[axis], family, key, start, settings.control_period, f, limits)
 
             # The axis holds its initial position.
-            held = _read_coefficients(coefficient[block, :, lane])
+            held = _read_coefficients(coefficient[axis])
             s, voltage, found = equilibrium_state(start, p, held)
             for index, value in enumerate(s):
-                state[block, index, lane] = value
+                state[axis, index] = value
             if found == 0.0 or abs(start) > c.end_stop_position:
                 row[C_FAILURE] = CANNOT_BE_HELD
             row[C_COMMAND] = 0.1 * voltage
@@ -333,53 +333,59 @@ def _build(stamp):
         reward,
         terminated,
         truncated,
-        first_block,
-        last_block,
+        first,
+        last,
     ):
         assert stamp >= 0
         settings = _read_settings(settings_array)
-        count = record.shape[0]
-        first, last = first_block * LANES, min(last_block * LANES, count)
         period = settings.control_period
         # The previous command acts for the latency, the new one for the rest (MODEL 2.7).
         for axis in range(first, last):
-            block, lane = axis // LANES, axis % LANES
             row = record[axis]
             command = min(max(np.float64(actions[axis]), -1.0), 1.0)
-            voltage[block, 0, lane] = 10.0 * row[C_COMMAND]
-            voltage[block, 1, lane] = 10.0 * command
+            voltage[axis, 0] = 10.0 * row[C_COMMAND]
+            voltage[axis, 1] = 10.0 * command
             change = command - row[C_COMMAND]
             row[C_COST + 1] = settings.effort_weight * change * change
             row[C_COMMAND] = command
             time = row[C_STEP] * period
             if settings.schedule > 0.0:
-                _set_leak(row, coefficient[block], lane, _leak_flow(row, time, settings), settings)
+                _set_leak(row, coefficient[axis], _leak_flow(row, time, settings), settings)
             if settings.disturbance > 0.0:
-                coefficient[block, _EXTERNAL_FORCE, lane] = _external_force(row, time + 0.5 * period, settings)
+                coefficient[axis, _EXTERNAL_FORCE] = _external_force(row, time + 0.5 * period, settings)
 
-        _integrate(state, coefficient, voltage, durations, settings.maximum_step, peaks, first_block, last_block)
+        _integrate(
+            state,
+            coefficient,
+            voltage,
+            durations,
+            settings.maximum_step,
+            settings.tolerance,
+            peaks,
+            first,
+            last,
+        )
 
         last_step = np.int64(settings.steps)
         for axis in range(first, last):
-            block, lane = axis // LANES, axis % LANES
             row = record[axis]
             row[C_STEP] = min(row[C_STEP] + 1.0, settings.steps)
             step = np.int64(row[C_STEP])
-            position = state[block, 0, lane]
+            position = state[axis, 0]
             row[C_POSITION] = position
-            row[C_VELOCITY] = state[block, 1, lane]
+            row[C_VELOCITY] = state[axis, 1]
             now = reference[axis, step]
             row[C_REFERENCE] = now
 
             # Transducers: exact response of a first-order lag to a pressure that changes linearly over the period.
             for chamber in range(2):
-                old, new = row[C_TRUE + chamber], state[block, 2 + chamber, lane]
+                old, new = row[C_TRUE + chamber], state[axis, 2 + chamber]
                 slope = settings.pressure_lag * (new - old)
                 lagging = row[C_SENSED + chamber] - old + slope
                 row[C_SENSED + chamber] = new - slope + settings.pressure_decay * lagging
                 row[C_TRUE + chamber] = new
             before = row[C_MEASURED]
-            _sample_signals(row, position, state[block, 4, lane], noise_key[axis], sensors, settings)
+            _sample_signals(row, position, state[axis, 4], noise_key[axis], sensors, settings)
             rate = (row[C_MEASURED] - before) / period
             row[C_VELOCITY_ESTIMATE] += settings.velocity_blend * (rate - row[C_VELOCITY_ESTIMATE])
             error = now - row[C_MEASURED]
@@ -387,21 +393,21 @@ def _build(stamp):
             row[C_INTEGRAL] = min(max(integral, -settings.integral_limit), settings.integral_limit)
 
             failure = NO_FAILURE
-            if peaks[block, IMPACT_SPEED, lane] > settings.end_stop_speed:
+            if peaks[axis, IMPACT_SPEED] > settings.end_stop_speed:
                 failure = HIT_END_STOP
-            if peaks[block, PEAK_PRESSURE, lane] > settings.pressure_rating:
+            if peaks[axis, PEAK_PRESSURE] > settings.pressure_rating:
                 failure = OVERPRESSURE
             low, high = valid_limits(
-                coefficient[block, _END_STOP_POSITION, lane],
-                coefficient[block, _SLEW_LIMIT, lane],
-                coefficient[block, _VOLUME_B0, lane],
-                coefficient[block, _AREA_A, lane],
-                coefficient[block, _AREA_B, lane],
-                coefficient[block, _SUPPLY_DYNAMICS, lane],
+                coefficient[axis, _END_STOP_POSITION],
+                coefficient[axis, _SLEW_LIMIT],
+                coefficient[axis, _VOLUME_B0],
+                coefficient[axis, _AREA_A],
+                coefficient[axis, _AREA_B],
+                coefficient[axis, _SUPPLY_DYNAMICS],
                 physical[axis, _ACCUMULATOR_VOLUME],
             )
             for index in range(N_STATES):
-                value = state[block, index, lane]
+                value = state[axis, index]
                 if not (low[index] <= value <= high[index]):
                     failure = FIRST_INVALID_STATE + index
             row[C_FAILURE] = failure
@@ -428,6 +434,7 @@ begin_episodes, step_axes = _build(
     compiler.source_stamp(
         "plant/equations.py",
         "plant/kernel.py",
+        "plant/limits.py",
         "plant/equilibrium.py",
         "task/random_numbers.py",
         "task/record.py",

@@ -30,6 +30,7 @@ def settings_of(config: TaskConfig) -> Floats:
         Settings(
             control_period=period,
             maximum_step=config.maximum_step,
+            tolerance=config.tolerance,
             steps=config.steps,
             healthy_share=leakage.healthy_share,
             healthy_low=leakage.healthy_range[0],

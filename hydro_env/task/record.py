@@ -12,6 +12,7 @@ class Settings(NamedTuple):
 
     control_period: float
     maximum_step: float
+    tolerance: float
     steps: float
     healthy_share: float
     healthy_low: float

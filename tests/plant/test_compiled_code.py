@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 import hydro_env
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.axes import Axes
 from hydro_env.plant import compiler, kernel
-from hydro_env.plant.analysis import fastest_rate_bound
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
-
-STATE_AT_REST = np.array(list(equilibrium(PlantParameters())[0].values()))
 
 
 def drawn_plants(count, seed=0):
@@ -29,43 +26,54 @@ def drawn_plants(count, seed=0):
     return axes
 
 
-def test_a_plant_among_others_moves_exactly_as_it_does_alone():
-    count, intervals, periods = 19, 2, 30
+DURATIONS = np.array([1e-3, 4e-3])
+SETTINGS = (kernel.MAXIMUM_STEP, kernel.TOLERANCE)
+
+
+@pytest.mark.parametrize("count", [2, 7, 8, 9, 16, 17, 33])
+def test_a_plant_among_others_moves_exactly_as_it_does_alone(count):
+    periods = 20
     axes = drawn_plants(count)
-    rng = np.random.default_rng(1)
-    durations = np.array([1e-3, 4e-3])
-    inputs = 10.0 * rng.uniform(-1, 1, (periods, axes.blocks, intervals, kernel.LANES))
-    rates = [fastest_rate_bound(axes.parameters(axis), STATE_AT_REST) for axis in range(count)]
-    assert len({np.ceil(4e-3 * max(rate / kernel.STEP_LIMIT, 1 / 0.25e-3)) for rate in rates}) > 5
-    together = axes.state.copy()
-    peaks = np.empty((axes.blocks, kernel.N_PEAKS, kernel.LANES))
+    inputs = 10.0 * np.random.default_rng(1).uniform(-1, 1, (periods, count, 2))
+    together, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
+    taken = np.zeros(count)
     for voltage in inputs:
-        kernel.integrate(together, axes.coefficient, voltage, durations, 0.25e-3, peaks, 0, axes.blocks)
+        kernel.integrate(together, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+        taken += peaks[:, kernel.STEPS]
     assert np.abs(together[:, 0] - axes.state[:, 0]).max() > 1e-3  # they did move
+    assert len(set(taken)) > count / 2  # each in its own steps
     for axis in range(count):
-        block, lane = divmod(axis, kernel.LANES)
-        # Alone: in the first lane of a block, the others filled with plants of another stiffness.
-        state = np.repeat(axes.state[0:1, :, 3:4], kernel.LANES, axis=2)
-        coefficient = np.repeat(axes.coefficient[0:1, :, 3:4], kernel.LANES, axis=2)
-        state[0, :, 0] = axes.state[block, :, lane]
-        coefficient[0, :, 0] = axes.coefficient[block, :, lane]
-        own_peaks = np.empty((1, kernel.N_PEAKS, kernel.LANES))
+        state, own_peaks = axes.state[axis : axis + 1].copy(), np.empty((1, kernel.N_PEAKS))
         for voltage in inputs:
-            held = np.zeros((1, intervals, kernel.LANES))
-            held[0, :, 0] = voltage[block, :, lane]
-            kernel.integrate(state, coefficient, held, durations, 0.25e-3, own_peaks, 0, 1)
-        np.testing.assert_array_equal(state[0, :, 0], together[block, :, lane])
-        np.testing.assert_array_equal(own_peaks[0, :, 0], peaks[block, :, lane])
+            held = voltage[axis : axis + 1]
+            kernel.integrate(state, axes.coefficient[axis : axis + 1], held, DURATIONS, *SETTINGS, own_peaks, 0, 1)
+        np.testing.assert_array_equal(state[0], together[axis])
+        np.testing.assert_array_equal(own_peaks[0], peaks[axis])
 
 
-def test_only_the_given_blocks_move():
+def test_the_order_in_which_plants_stand_does_not_matter():
+    count = 21
+    axes = drawn_plants(count)
+    voltage = 10.0 * np.random.default_rng(3).uniform(-1, 1, (count, 2))
+    order = np.random.default_rng(4).permutation(count)
+    state, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
+    kernel.integrate(state, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+    mixed, mixed_peaks = axes.state[order], np.empty((count, kernel.N_PEAKS))
+    kernel.integrate(mixed, axes.coefficient[order], voltage[order], DURATIONS, *SETTINGS, mixed_peaks, 0, count)
+    np.testing.assert_array_equal(mixed, state[order])
+    np.testing.assert_array_equal(mixed_peaks, peaks[order])
+
+
+def test_only_the_given_plants_move():
     axes = drawn_plants(24)
-    state = axes.state.copy()
-    peaks = np.zeros((3, kernel.N_PEAKS, kernel.LANES))
-    voltage = np.full((3, 1, kernel.LANES), 5.0)
-    kernel.integrate(state, axes.coefficient, voltage, np.array([5e-3]), 0.25e-3, peaks, 1, 2)
-    np.testing.assert_array_equal(state[[0, 2]], axes.state[[0, 2]])
-    assert (state[1, 0] != axes.state[1, 0]).all()
+    state, peaks = axes.state.copy(), np.full((24, kernel.N_PEAKS), -1.0)
+    voltage = np.full((24, 1), 5.0)
+    kernel.integrate(state, axes.coefficient, voltage, np.array([5e-3]), *SETTINGS, peaks, 5, 18)
+    moved = np.zeros(24, dtype=bool)
+    moved[5:18] = True
+    np.testing.assert_array_equal(state[~moved], axes.state[~moved])
+    assert (state[moved, 0] != axes.state[moved, 0]).all()
+    np.testing.assert_array_equal(peaks[:, 0] == -1.0, ~moved)
 
 
 def test_threads_do_not_change_a_number():
@@ -110,7 +118,7 @@ def test_the_same_source_uncompiled_gives_the_same_numbers():
     )
     uncompiled = json.loads(answer.stdout)
     run = simulate(PlantParameters(), np.repeat([4.0, -3.0, 10.0], 5), 5e-3)
-    size = np.abs(run.states).max(axis=0)
+    size = np.maximum(np.abs(run.states).max(axis=0), 1e-9)
     assert np.abs((np.array(uncompiled["states"]) - run.states) / size).max() < 1e-9
     env = hydro_env.ServoHydraulicEnv()
     rows = [env.reset(seed=5)[0]]

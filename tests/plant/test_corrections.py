@@ -7,8 +7,8 @@ import pytest
 
 from hydro_env.plant import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
+from hydro_env.plant.arrays import coefficient_array, derivative_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, edge_flows
-from hydro_env.plant.simulate import coefficient_array, derivative_array
 
 PLANT = PlantParameters().replace(
     fluid={"air_fraction": 0.0}, valve={"underlap": 0.0, "transition_pressure": 1.0}, supply={"model": "constant"}

@@ -7,10 +7,10 @@ import pydantic
 import pytest
 
 from hydro_env.plant import PlantParameters, flow_from_resistance, resistance_from_flow
+from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, from_vector, to_vector
-from hydro_env.plant.simulate import coefficient_array
 
 CHANGED = PlantParameters().replace(
     cylinder={"bore_diameter": 0.063, "rod_diameter": 0.036},
@@ -102,7 +102,7 @@ WRONG = {
     "number and unit": ("load: {mass: 60 kg}", "load.mass = '60 kg': .* number.*unit: kg"),
     "list": ("load: {mass: [60]}", r"load.mass = \[60\]: .* number.*unit: kg"),
     "nothing": ("load: {mass: }", "load.mass: .* number.*unit: kg"),
-    "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*'none', 'coulomb' or 'stribeck'"),
+    "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*'none', 'coulomb', 'stribeck' or 'lugre'"),
     "group is a number": ("load: 60", "load = 60: .*"),
     "rod does not fit": (
         "cylinder: {rod_diameter: 0.05}",

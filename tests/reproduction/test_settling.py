@@ -19,9 +19,9 @@ from agents.reproduction.settling_figure import settling_figure, trends
 from agents.reproduction.signals import ACCELEROMETER_RANGE, accelerometer_noise, recorded, recorded_acceleration
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
+from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, internal_leakage
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
-from hydro_env.plant.simulate import coefficient_array
 from hydro_env.task.configuration import Sensors
 
 LEAKS = (0.01, 0.1, 0.5, 2.0)
@@ -148,8 +148,9 @@ def test_words_come_from_the_numbers():
     assert figure.differs
     assert figure.summary is not None
     combinations = figure.table[["friction", "valve_null_leakage", "law"]].drop_duplicates()
-    assert len(combinations) == 8
-    assert len(figure.summary) == 8 * 2 + 4  # noise-free and signal; linear theory without friction
+    models = len(settling.FRICTION_MODELS)
+    assert len(combinations) == models * 4
+    assert len(figure.summary) == models * 4 * 2 + 4  # noise-free and signal; linear theory without friction
 
 
 def test_one_entry_more_is_one_friction_model_more(monkeypatch):

@@ -89,7 +89,7 @@ def test_a_disturbed_axis_moves_as_the_plant_with_that_force():
         disturbance={"kind": "step", "force_range": [800.0, 800.0], "start_range": [0.0, 0.0]}, command_latency=0.0
     )
     env.reset(seed=2, options={"initial_position": 0.01, "reference": "step"})
-    start = dict(zip(STATE_NAMES, env._axes.state[0, :, 0], strict=True))
+    start = dict(zip(STATE_NAMES, env._axes.state[0], strict=True))
     force = env._axes.column("force_amplitude")[0]
     run = simulate(env.parameters.replace(load={"external_force": force}), np.full(30, 1.0), PERIOD, start)
     positions = [env.step(np.full(1, 0.1))[-1]["position"] for _ in range(30)]

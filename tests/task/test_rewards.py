@@ -125,7 +125,7 @@ def test_pressure_above_the_rating_terminates():
     assert terminated
     assert info["failure"] == "pressure above the rating"
     assert info["reward_terms"]["failure"] == -env.config.reward.failure
-    assert max(env._axes.state[0, 2:4, 0]) < 70e5 * 1.5
+    assert max(env._axes.state[0, 2:4]) < 70e5 * 1.5
     assert rollout(ServoHydraulicEnv(randomisation={}), lambda _: 1.0, options={"reference": "step"})[-1][3]
 
 
@@ -142,8 +142,8 @@ def test_the_rated_pressure_is_watched_between_the_samples():
     peaks, samples = [], []
     for step in range(40):
         env.step(np.array([policy(step)]))
-        peaks.append(env._axes._peaks[0, 0, 0])
-        samples.append(max(env._axes.state[0, 2:4, 0]))
+        peaks.append(env._axes._peaks[0, 0])
+        samples.append(max(env._axes.state[0, 2:4]))
     highest = int(np.argmax(peaks))
     assert peaks[highest] > max(samples) + 1e3
     rating = 0.5 * (peaks[highest] + max(samples))

@@ -33,7 +33,7 @@ def errors(count, **config):
     envs = ServoHydraulicVectorEnv(count, **config)
     envs.reset(seed=0)
     axes = envs.axes
-    state = axes.state.transpose(0, 2, 1).reshape(-1, axes.state.shape[1])[:count]
+    state = axes.state
     true = dict(zip(CHANNELS, state[:, [0, 2, 3, 4]].T, strict=True))
     return {name: axes.column(f"measured_{name}") - true[name] for name in CHANNELS}, axes
 
@@ -84,7 +84,7 @@ def test_noise_is_drawn_anew_in_every_sample_and_channel():
     for _ in range(400):
         env.step(np.zeros(1))
         axes = env._axes
-        truth = (axes.state[0, 0, 0], axes.column("sensed_a")[0], axes.column("sensed_b")[0], axes.state[0, 4, 0])
+        truth = (axes.state[0, 0], axes.column("sensed_a")[0], axes.column("sensed_b")[0], axes.state[0, 4])
         rows.append([axes.column(f"measured_{name}")[0] - true for name, true in zip(CHANNELS, truth, strict=True)])
     noise = np.array(rows)
     correlation = np.corrcoef(noise.T) - np.eye(4)
@@ -140,7 +140,7 @@ def test_pressure_transducers_lag_as_a_first_order_system():
     for _ in range(60):
         observation = env.step(rng.uniform(-1, 1, 1))[0]
         for name, row in (("a", 2), ("b", 3)):
-            new = env._axes.state[0, row, 0]
+            new = env._axes.state[0, row]
             # y' = (p(t) − y)/τ, p linear between the samples: y(T) = ∫ p(s) exp(−(T−s)/τ)/τ ds + y(0) exp(−T/τ).
             pressure = last[name] + (new - last[name]) * times / PERIOD
             integral = np.trapezoid(pressure * np.exp(-(PERIOD - times) / tau) / tau, times)
@@ -159,7 +159,7 @@ def test_transducers_without_rise_time_do_not_lag():
     env.reset(seed=0)
     for _ in range(20):
         env.step(np.ones(1))
-        assert env._axes.column("measured_a")[0] == pytest.approx(env._axes.state[0, 2, 0], rel=1e-12)
+        assert env._axes.column("measured_a")[0] == pytest.approx(env._axes.state[0, 2], rel=1e-12)
 
 
 def test_velocity_estimate_of_a_steady_move():
@@ -204,7 +204,7 @@ def test_switched_off_sensors_tell_the_exact_truth():
     observation, info = env.reset(seed=3)
     previous, last_command = env._axes.column("command")[0], None
     for _ in range(50):
-        state = env._axes.state[0, :, 0]
+        state = env._axes.state[0]
         si = dict(zip(names, observation * env.observation_scale, strict=True))
         expected = {
             "position": state[0],

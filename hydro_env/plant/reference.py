@@ -1,0 +1,172 @@
+"""The reference solver: SciPy's implicit Radau IIA at tight tolerance on the same right-hand side.
+
+It shares nothing with the fast integrator but the equations. Limits are treated in another way too: the solver stops
+where one is met or left (by root finding on its own interpolant), and between those events the rate of what is held is
+zero, of what is free unlimited, so that it never integrates over a jump.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from hydro_env.plant.arrays import TYPICAL_SIZE, command_changed_array, derivative_array, hold_limits_array
+from hydro_env.plant.equations import STATE_NAMES, VAPOUR_PRESSURE, Coefficients
+from hydro_env.plant.errors import InvalidStateError
+
+Array = NDArray[np.float64]
+
+_PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
+    STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
+)
+_NEAR = 1e-12
+"""Distance from a limit, in parts of it, that counts as being on it."""
+
+_OFF = 1e-10
+"""The same, of a limit that has just been left: enough not to meet it again at once."""
+
+_MOST_EVENTS = 100
+
+
+class Held(NamedTuple):
+    """Which limits hold: −1, 0 (free) or 1 by side for the spool, 0 or 1 for a cavitating chamber."""
+
+    slew: int
+    stroke: int
+    vapour_a: int
+    vapour_b: int
+
+
+def reference_states(
+    start: Array, coefficients: Array, inputs: Array, sample_time: float, tolerance: float = 1e-10
+) -> Array:
+    """States after every sample of held voltages, shape (n + 1, N_STATES).
+
+    Args:
+        start: state, shape (N_STATES,).
+        coefficients: shape (N_COEFFICIENTS,).
+        inputs: voltages, shape (n,), V.
+        sample_time: s.
+        tolerance: relative; absolute in parts of the states' typical size.
+
+    Raises:
+        InvalidStateError: the solver failed.
+    """
+    plant = _Plant(coefficients)
+    states = np.empty((len(inputs) + 1, len(start)))
+    states[0] = start
+    for sample, voltage in enumerate(inputs):
+        state, time = command_changed_array(states[sample], coefficients, voltage), 0.0
+        for _ in range(_MOST_EVENTS):
+            held = plant.held(state, voltage)
+            solution: Any = solve_ivp(
+                lambda _, y, u=voltage, held=held: plant.rate(y, u, held),
+                (time, sample_time),
+                state,
+                method="Radau",
+                rtol=tolerance,
+                atol=tolerance * TYPICAL_SIZE,
+                events=plant.events(voltage, held),
+            )
+            if not solution.success:
+                raise InvalidStateError(
+                    f"the reference solver failed at t = {sample * sample_time + time:g} s: {solution.message}"
+                )
+            state, time = hold_limits_array(solution.y[:, -1], coefficients), float(solution.t[-1])
+            if time >= sample_time:
+                break
+            met = np.flatnonzero([len(times) > 0 for times in solution.t_events])
+            state = plant.put_on_limit(state, met, held)
+        else:
+            raise InvalidStateError(f"the reference solver met more than {_MOST_EVENTS} limits in one sample")
+        states[sample + 1] = state
+    return states
+
+
+class _Plant:
+    """One plant whose limits are held or let go by whom integrates it."""
+
+    def __init__(self, coefficients: Array) -> None:
+        self.limits = Coefficients(*coefficients)
+        self.free = np.array(self.limits._replace(slew_limit=1e30))
+
+    def free_rate(self, y: Array, voltage: float) -> Array:
+        """The derivative as it would be without limits."""
+        rate = derivative_array(y, self.free, voltage)
+        if abs(y[_SPOOL]) >= 1.0:
+            inside = y.copy()
+            inside[_SPOOL] = 0.0
+            unlimited = derivative_array(inside, self.free, voltage)
+            rate[_SPOOL] = unlimited[_SPOOL]
+            rate[_SPOOL_VELOCITY] = unlimited[_SPOOL_VELOCITY] - self.limits.spool_stiffness * y[_SPOOL]
+        for row in (_PRESSURE_A, _PRESSURE_B):
+            if y[row] <= VAPOUR_PRESSURE:  # what the oil would do were it not cavitating
+                above = y.copy()
+                above[row] = VAPOUR_PRESSURE + 1.0
+                rate[row] = derivative_array(above, self.free, voltage)[row]
+        return rate
+
+    def held(self, y: Array, voltage: float) -> Held:
+        """Which limits hold a state: it is there, and is pulled further."""
+        rate = self.free_rate(y, voltage)
+        slew = stroke = 0
+        if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
+            side = int(np.sign(y[_SPOOL_VELOCITY]))
+            slew = side if side * rate[_SPOOL_VELOCITY] > 0.0 else 0
+        if abs(y[_SPOOL]) >= 1.0 - _NEAR:
+            side = int(np.sign(y[_SPOOL]))
+            stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
+        vapour = [int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (2, 3)]
+        return Held(slew, stroke, *vapour)
+
+    def rate(self, y: Array, voltage: float, held: Held) -> Array:
+        """The derivative with the limits that hold."""
+        rate = self.free_rate(y, voltage)
+        if held.slew:
+            rate[_SPOOL_VELOCITY] = 0.0
+        if held.stroke:
+            rate[_SPOOL] = 0.0
+        if held.vapour_a:
+            rate[_PRESSURE_A] = 0.0
+        if held.vapour_b:
+            rate[_PRESSURE_B] = 0.0
+        return rate
+
+    def events(self, voltage: float, held: Held) -> list[Any]:
+        """Functions that fall through zero where a limit is met (free) or left (held); order of :class:`Held`."""
+        c = self.limits
+
+        def slew(_: float, y: Array) -> float:
+            if held.slew:
+                return float(held.slew * self.free_rate(y, voltage)[_SPOOL_VELOCITY] / c.spool_stiffness)
+            return float(1.0 - abs(y[_SPOOL_VELOCITY]) / c.slew_limit)
+
+        def stroke(_: float, y: Array) -> float:
+            return float(held.stroke * y[_SPOOL_VELOCITY] / c.slew_limit if held.stroke else 1.0 - abs(y[_SPOOL]))
+
+        def vapour(row: int, holds: int) -> Any:
+            def distance(_: float, y: Array) -> float:
+                if holds:
+                    return float(-self.free_rate(y, voltage)[row] / c.bulk_modulus)
+                return float((y[row] - VAPOUR_PRESSURE) / c.relief_pressure)
+
+            return distance
+
+        functions = [slew, stroke, vapour(_PRESSURE_A, held.vapour_a), vapour(_PRESSURE_B, held.vapour_b)]
+        for function in functions:
+            function.terminal, function.direction = True, -1.0  # type: ignore[attr-defined]
+        return functions
+
+    def put_on_limit(self, y: Array, met: NDArray[np.intp], held: Held) -> Array:
+        """The state exactly on the limits that have just been met, and a trifle off those that have been left."""
+        y = y.copy()
+        for event, row, limit in ((0, _SPOOL_VELOCITY, self.limits.slew_limit), (1, _SPOOL, 1.0)):
+            if event in met:
+                y[row] = np.sign(y[row]) * limit * (1.0 - _OFF if held[event] else 1.0)
+        for event, row in ((2, _PRESSURE_A), (3, _PRESSURE_B)):
+            if event in met:
+                y[row] = VAPOUR_PRESSURE * (1.0 - _OFF if held[event] else 1.0)
+        return y
