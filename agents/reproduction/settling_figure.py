@@ -72,7 +72,12 @@ def _flow_labels(axes: Axes) -> None:
         axes.axvline(place, color="#dddddd", linewidth=0.6, zorder=0)
         side = "right" if leak == 0.01 else "left"
         axes.annotate(
-            f"{leak:g} l/min", (place, 0.02), xycoords=("data", "axes fraction"), fontsize=7.0, color="#6b6b6b", ha=side
+            f"{leak:g} l/min" if leak == 0.01 else f"{leak:g}",
+            (place, 0.02),
+            xycoords=("data", "axes fraction"),
+            fontsize=7.0,
+            color="#6b6b6b",
+            ha=side,
         )
 
 
@@ -156,6 +161,14 @@ def settling_figure(rig: Rig) -> ReproducedFigure:
         )
     found.append(_signal_sentence(table))
     told = trends(table)
+    rubbing = told[(told["method"] == "clean_s") & (told["friction"] != "none") & (told["law"] == "throttle")]
+    for _, row in rubbing.drop_duplicates("friction", keep="last").iterrows():
+        if row["first_s"] > CLEAR * row["moderate_s"]:
+            found.append(
+                f"With {friction_words(row['friction'])} as assumed the paper's trend comes out as well: "
+                f"{row['first_s']:.3f} s with the tight seal, {row['moderate_s']:.3f} s at {MODERATE:g} l/min "
+                f"(throttle)."
+            )
     clean = told[told["method"] == "clean_s"]
     found.append(
         f"Noise-free, settling falls at every step of the leak in {int(clean['falls'].sum())} of {len(clean)} "
