@@ -133,15 +133,23 @@ def check_rig(
 
 
 @app.command()
-def reproduce(output: Output = Path("results/reproduce"), overwrite: Overwrite = False) -> None:
+def reproduce(
+    output: Output = Path("results/reproduce"),
+    rig: Annotated[
+        Path | None,
+        typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
     """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
 
     Leaves for each figure a picture (PNG and SVG) and its numbers (CSV), and `page.html` (self-contained), which sets
-    each beside what the paper says and tells where it does not come out.
+    each beside what the paper says and tells where it does not come out. With `--rig` the same for a rig of your own;
+    a figure that it cannot do is left out, and the page says why.
     """
     from agents.reproduction.command import reproduce_to_folder
 
-    typer.echo(reproduce_to_folder(output, overwrite, _command_line()))
+    typer.echo(reproduce_to_folder(output, overwrite, _command_line(), rig))
 
 
 @app.command()

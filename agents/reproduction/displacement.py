@@ -10,18 +10,19 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from agents.reproduction.drawing import LEAK_COLOURS, ReproducedFigure, legend, panel_title
-from agents.reproduction.rig import SAMPLE_TIME, recorded, simplified, with_leak
-from hydro_env import PlantParameters, equilibrium, simulate
-from hydro_env.task.configuration import Sensors
+from agents.reproduction.rig import Rig, simplified, with_leak
+from agents.reproduction.signals import recorded
+from hydro_env import equilibrium, simulate
 
 LEAKS = (0.01, 0.3, 1.0, 2.0, 4.0)
 """l/min at 100 bar."""
 
-COMMANDS = ((0.25, 4.0), (0.45, 0.0), (0.25, 4.0), (0.45, 0.0), (0.5, -4.0), (0.5, 0.0))
-"""s and V, after the start is held: two moves out, one move back, a stop after each."""
+MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
+"""s (times Rig.stretch) and parts of Rig.voltage, after the start is held: two moves out, one
+back, a stop after each."""
 
 HELD = 0.1
-"""s; so long the start is held first."""
+"""s; so long the start is held first. Times Rig.stretch, like all times here."""
 
 ENLARGED = (0.01, 1.0, 4.0)
 """Leaks of which the stop is drawn enlarged."""
@@ -29,28 +30,28 @@ ENLARGED = (0.01, 1.0, 4.0)
 FIRST_STOP = 0.35
 """s; the first command to stop."""
 
-START = 0.005
 SEED = 12
 
 
-def start_stop_voltage(holding: float) -> NDArray[np.float64]:
+def start_stop_voltage(rig: Rig, holding: float) -> NDArray[np.float64]:
     """The commands, one per sample, V; first the one that holds the start."""
-    commands = ((HELD, holding), *COMMANDS)
-    return np.concatenate([np.full(round(duration / SAMPLE_TIME), volts) for duration, volts in commands])
+    commands = ((HELD, holding), *((duration, share * rig.voltage) for duration, share in MOVES))
+    return np.concatenate([np.full(rig.count(rig.stretch * duration), volts) for duration, volts in commands])
 
 
-def displacement_table(base: PlantParameters) -> pd.DataFrame:
+def displacement_table(rig: Rig) -> pd.DataFrame:
     """Recorded and true displacement over time for each leak; throttle in parallel, open loop.
 
-    ``friction``: whether the seals rub. Every run sees the same noise and bias, as one transducer would give.
+    ``friction``: whether the seals rub; without friction alone where the rig has none. Every run sees the same noise
+    and bias, as one transducer would give.
     """
-    sensor, parts = Sensors().position, []
-    for friction in (True, False):
+    base, parts = rig.parameters, []
+    for friction in (True, False) if rig.has_friction else (False,):
         for leak in LEAKS:
-            plant = with_leak(simplified(base, friction, True), leak, "throttle")
-            _, holding = equilibrium(plant, START)
-            run = simulate(plant, start_stop_voltage(holding), SAMPLE_TIME, {"position": START})
-            signal = recorded(run.position, sensor, np.random.default_rng(SEED))
+            plant = with_leak(simplified(base, base.friction.model if friction else "none", True), leak, "throttle")
+            _, holding = equilibrium(plant, rig.start)
+            run = simulate(plant, start_stop_voltage(rig, holding), rig.sample_time, {"position": rig.start})
+            signal = recorded(run.position, rig.transducer, np.random.default_rng(SEED))
             parts.append(
                 pd.DataFrame(
                     {
@@ -66,11 +67,12 @@ def displacement_table(base: PlantParameters) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
+def summary(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFrame:
     """Per friction and leak: length of the first move, drift in the 0.4 s after it, swing of the true position, mm."""
     rows = []
     for (friction, leak), part in table.groupby(["friction", "leak_lpm"]):
         time, true, seen = (part[name].to_numpy() for name in ("time_s", "true_position_mm", "recorded_position_mm"))
+        time = time / stretch
         moved = np.interp(FIRST_STOP + 0.03, time, true) - true[0]
         late = (time > FIRST_STOP + 0.40) & (time < FIRST_STOP + 0.44)
         early = (time > FIRST_STOP + 0.04) & (time < FIRST_STOP + 0.09)
@@ -91,69 +93,92 @@ def summary(table: pd.DataFrame) -> pd.DataFrame:
 def paint_displacement(figure: Figure, table: pd.DataFrame) -> None:
     """The whole move, and what follows the first stop, enlarged, with and without friction."""
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
-    top, bottom = parts
-    whole, panels = top.subplots(), bottom.subplots(1, 2, sharey=True)
+    frictions = [bool(friction) for friction in table["friction"].unique()]
+    whole, panels = parts[0].subplots(), parts[1].subplots(1, len(frictions), sharey=True, squeeze=False)[0]
+    stretch = float(table["time_s"].max()) / (HELD + sum(duration for duration, _ in MOVES))
+    stop, low, high = stretch * FIRST_STOP, 0.0, 0.0
     for colour, leak in zip(LEAK_COLOURS, LEAKS, strict=True):
-        for friction, axes in ((True, panels[0]), (False, panels[1])):
+        for friction, axes in zip(frictions, panels, strict=True):
             part = table[(table["leak_lpm"] == leak) & (table["friction"] == friction)]
             time, seen = part["time_s"].to_numpy(), part["recorded_position_mm"].to_numpy()
-            if friction:
+            if friction == frictions[0]:
                 whole.plot(time, seen, color=colour, linewidth=1.2, label=f"{leak:g} l/min")
             if leak not in ENLARGED:
                 continue
-            window = (time >= FIRST_STOP - 0.01) & (time <= FIRST_STOP + 0.15)
-            at_stop = seen[(time > FIRST_STOP + 0.02) & (time < FIRST_STOP + 0.05)].mean()
-            axes.plot(1e3 * (time[window] - FIRST_STOP), seen[window] - at_stop, color=colour, linewidth=1.0)
-    command = table[(table["leak_lpm"] == LEAKS[0]) & table["friction"]]
-    moving = np.abs(command["command_v"].to_numpy()) > 3.0
-    low, high = whole.get_ylim()
-    whole.fill_between(command["time_s"], low, high, where=moving.tolist(), color="#000000", alpha=0.05, linewidth=0)
-    whole.set(
-        xlabel="time, s", ylabel="recorded position, mm", ylim=(low, high), xlim=(0.0, float(command["time_s"].max()))
-    )
-    panel_title(whole, "Start–stop moves (grey: valve commanded open, +4 V twice, then −4 V)")
-    legend(whole, title="leak at 100 bar", loc="upper left")
-    for axes, words in zip(panels, ("with friction", "no friction"), strict=True):
-        axes.set(xlabel="time after the first stop command, ms", xlim=(-10, 150), ylim=(-0.55, 0.35))
-        panel_title(axes, f"After the first stop, {words}")
+            window = (time >= stop - 0.01 * stretch) & (time <= stop + 0.15 * stretch)
+            at_stop = seen[(time > stop + 0.02 * stretch) & (time < stop + 0.05 * stretch)].mean()
+            axes.plot(1e3 * (time[window] - stop), seen[window] - at_stop, color=colour, linewidth=1.0)
+            later = seen[window & (time > stop + 0.005 * stretch)] - at_stop
+            low, high = min(low, float(later.min())), max(high, float(later.max()))
+    command = table[(table["leak_lpm"] == LEAKS[0]) & (table["friction"] == frictions[0])]
+    volts = command["command_v"].to_numpy()
+    moving = np.abs(volts) > 0.9 * np.abs(volts).max()
+    bottom, top = whole.get_ylim()
+    whole.fill_between(command["time_s"], bottom, top, where=moving.tolist(), color="#000000", alpha=0.05, linewidth=0)
+    whole.set(xlabel="time, s", ylabel="recorded position, mm", ylim=(bottom, top), xlim=(0.0, command["time_s"].max()))
+    volt = float(volts.max())
+    panel_title(whole, f"Start–stop moves (grey: valve commanded open, +{volt:g} V twice, then −{volt:g} V)")
+    legend(whole, title="leak at 100 bar", loc="upper right")
+    for axes, friction in zip(panels, frictions, strict=True):
+        axes.set(xlabel="time after the first stop command, ms", xlim=(-10 * stretch, 150 * stretch))
+        axes.set_ylim(1.5 * low, 1.15 * high)
+        panel_title(axes, f"After the first stop, {'with' if friction else 'no'} friction")
     panels[0].set_ylabel("recorded position, mm\n(from the place of the stop)")
 
 
-def displacement_figure(base: PlantParameters) -> ReproducedFigure:
+def displacement_figure(rig: Rig) -> ReproducedFigure:
     """Fig. 12 with its words."""
-    table = displacement_table(base)
-    told = summary(table)
-    with_friction, without = told[told["friction"]], told[~told["friction"]]
-    tight, worst = with_friction.iloc[0], with_friction.iloc[-1]
-    swing = float(without.iloc[0]["swing_mm"])
+    table = displacement_table(rig)
+    told = summary(table, rig.stretch)
+    without = told[~told["friction"]]
+    rubbing = told[told["friction"]] if rig.has_friction else without
+    tight, worst = rubbing.iloc[0], rubbing.iloc[-1]
     noise = float(told["noise_mm"].mean())
+    less = worst["move_mm"] < tight["move_mm"]
+    swing = [float(without.iloc[row]["swing_mm"]) for row in (0, -1)]
+    sensor, late = rig.transducer, rig.stretch
+    differs = []
+    if not less:
+        differs.append(
+            "The axis does not get slower with the leak here: an external force or the direction of the pressure "
+            "difference lets the leak help the first move."
+        )
+    elif worst["move_mm"] > 0.95 * tight["move_mm"]:
+        differs.append(
+            f"The slowing is small: {100 * (1 - worst['move_mm'] / tight['move_mm']):.1f} % of the way at "
+            f"{worst['leak_lpm']:g} l/min."
+        )
+    if rig.has_friction and max(float(row["swing_mm"]) for row in (tight, worst)) < noise:
+        differs.append(
+            f"With the friction of the rig no swing above the noise is left {40 * late:.0f} ms after the stop, "
+            f"whatever "
+            f"the leak ({float(tight['swing_mm']):.3f} mm with the tight seal, {float(worst['swing_mm']):.3f} mm at "
+            f"{worst['leak_lpm']:g} l/min): friction, not leakage, stops it. What the leak changes is the length of "
+            f"the move and the creep."
+        )
+    if swing[1] > swing[0]:
+        differs.append("Without friction the swing after the stop does not fall with the leak.")
     return ReproducedFigure(
-        key="fig12_displacement",
-        title="Fig. 12: displacement in start–stop moves",
         table=table,
         paint=paint_displacement,
         height=6.4,
         equations="(1)–(3), (8)–(14), (17)",
         paper="Fig. 12 shows recorded displacements at start–stop; the text reads from it that more leakage slows the "
         "axis and damps it.",
-        how=f"Valve commands without feedback, a throttle between the chambers as on the rig. The position goes "
-        f"through the transducer as the environment models it: noise {1e3 * Sensors().position.noise:.3f} mm, a "
-        f"constant error of at most {1e3 * Sensors().position.bias:.3f} mm, 16-bit steps of "
-        f"{1e3 * Sensors().position.resolution:.3f} mm.",
+        how=f"Valve commands of ±{rig.voltage:g} V without feedback, a throttle between the chambers as on the paper's "
+        f"rig. The position goes through the transducer as the environment models it"
+        f"{'' if rig.is_paper else ', stretched to this stroke'}: noise {1e3 * sensor.noise:.3f} mm, a constant error "
+        f"of at most {1e3 * sensor.bias:.3f} mm, 16-bit steps of {1e3 * sensor.resolution:.3f} mm."
+        f"{'' if rig.has_friction else ' This rig has no dry friction, so that there is no panel with friction.'}",
         found=[
-            f"More leakage makes the same command move less: {tight['move_mm']:.1f} mm at {tight['leak_lpm']:g} l/min, "
-            f"{worst['move_mm']:.1f} mm at {worst['leak_lpm']:g} l/min.",
-            f"After the first stop the axis creeps on by {tight['drift_mm']:+.2f} mm in 0.4 s with the tight seal and "
-            f"by {worst['drift_mm']:+.2f} mm at {worst['leak_lpm']:g} l/min.",
-            f"Without friction the oscillation 0.04 to 0.09 s after the stop is {swing:.2f} mm from peak to peak with "
-            f"the tight seal and {float(without.iloc[-1]['swing_mm']):.2f} mm at {worst['leak_lpm']:g} l/min; the "
-            f"recorded noise has a standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper "
-            f"says.",
+            f"More leakage makes the same command move {'less' if less else 'more'}: {tight['move_mm']:.1f} mm at "
+            f"{tight['leak_lpm']:g} l/min, {worst['move_mm']:.1f} mm at {worst['leak_lpm']:g} l/min.",
+            f"After the first stop the axis creeps on by {tight['drift_mm']:+.2f} mm in {0.4 * late:.1f} s with the "
+            f"tight seal and by {worst['drift_mm']:+.2f} mm at {worst['leak_lpm']:g} l/min.",
+            f"Without friction the oscillation {40 * late:.0f} to {90 * late:.0f} ms after the stop is "
+            f"{swing[0]:.2f} mm "
+            f"from peak to peak with the tight seal and {swing[1]:.2f} mm at {worst['leak_lpm']:g} l/min; the recorded "
+            f"noise has a standard deviation of {noise:.3f} mm. An accelerometer sees it better, as the paper says.",
         ],
-        differs=[
-            f"With the friction assumed for the rig no swing is left 0.04 s after the stop, whatever the leak "
-            f"({float(tight['swing_mm']):.3f} mm with the tight seal, {float(worst['swing_mm']):.3f} mm at "
-            f"{worst['leak_lpm']:g} l/min): friction, not leakage, stops it. What the leak changes is the length of "
-            f"the move and the creep."
-        ],
+        differs=differs,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -30,8 +31,6 @@ LEAK_COLOURS = ("#1b6ca8", "#3fa7a0", "#d9a400", "#e8743b", "#a61c3c")
 class ReproducedFigure:
     """One figure: its numbers, how to draw it, and what there is to say."""
 
-    key: str  # name of its files
-    title: str
     table: pd.DataFrame
     paint: Callable[[Figure, pd.DataFrame], None]
     height: float  # inches
@@ -43,11 +42,11 @@ class ReproducedFigure:
     summary: pd.DataFrame | None = None  # a short table for the page
 
 
-def render(figure: ReproducedFigure) -> tuple[bytes, str]:
+def render(figure: ReproducedFigure, key: str) -> tuple[bytes, str]:
     """The picture as PNG and as SVG. The same numbers give the same bytes."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(STYLE | {"svg.hashsalt": figure.key})
+        matplotlib.rcParams.update(STYLE | {"svg.hashsalt": key})
         picture = Figure(figsize=(WIDTH, figure.height), layout="constrained")
         FigureCanvasAgg(picture)
         figure.paint(picture, figure.table)
@@ -64,6 +63,13 @@ def inline_svg(svg: str, key: str, alt: str) -> str:
     text = re.sub(r'\bid="|url\(#|href="#', lambda found: f"{found.group(0)}{key}-", text)
     label = alt.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
     return re.sub(r'width="[^"]*" height="[^"]*"', lambda _: f'role="img" aria-label="{label}"', text, count=1)
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits, never in powers of ten."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
 def panel_title(axes: Axes, text: str) -> None:

@@ -45,7 +45,7 @@ EQUATIONS: tuple[Equation, ...] = (
         (f"{_AN}.force_rate_terms",),
         "V_b0 − A_b x in every term of chamber b; external leakage with +, as in (24)",
     ),
-    Equation(17, "motion of the load", (f"{_EQ}.acceleration", f"{_EQ}.friction_force"), "friction kept, also in (18)"),
+    Equation(17, "motion of the load", (f"{_EQ}.acceleration", f"{_EQ}.friction"), "friction kept, also in (18)"),
     Equation(
         18,
         "the whole state space model",

@@ -9,15 +9,16 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
-from agents.reproduction.rig import with_leak
-from hydro_env import PlantParameters, equilibrium, simulate
+from agents.reproduction.rig import Rig, with_leak
+from hydro_env import HydroError, PlantParameters, equilibrium, simulate
 from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.loop import FULL_COMMAND
 
 LEAKS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-TARGET = 0.04  # m
 PERIOD = 0.005  # s
-DURATION = 10.0  # s
+DURATION = 6.0  # s
 JUDGED = 0.5  # s at the end
+LEAST = 1e-3  # mm; errors below are none
 
 
 @dataclass(frozen=True)
@@ -29,24 +30,25 @@ class Gains:
     derivative: float = 0.0
 
 
-CONTROLLERS = {
-    "P": Gains(200.0),
-    "PI": Gains(200.0, 400.0),
-    "PID": Gains(200.0, 400.0, 1.0),
-}
-"""The proportional gain is that of the project's PID (20 per m of 10 V)."""
+CONTROLLERS = ("P", "PI", "PID")
 
 
-def held_error(plant: PlantParameters, gains: Gains) -> tuple[float, float]:
+def controllers(rig: Rig) -> dict[str, Gains]:
+    """Gains of P, PI and PID; on the paper's rig the proportional one is that of the project's PID (20 per metre)."""
+    gain = FULL_COMMAND * rig.holding_gain
+    return {"P": Gains(gain), "PI": Gains(gain, 2.0 * gain), "PID": Gains(gain, 2.0 * gain, PERIOD * gain)}
+
+
+def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[float, float]:
     """Mean error (m) and mean command (V) at the end of a hold that begins in balance at the target, u = 0.
 
     The position is read without noise; the command is computed every 5 ms and acts at once.
     """
-    state, _ = equilibrium(plant, TARGET)
-    integral, before, errors, commands = 0.0, TARGET, [], []
+    state, _ = equilibrium(plant, target)
+    integral, before, errors, commands = 0.0, target, [], []
     for _ in range(round(DURATION / PERIOD)):
         position = state["position"]
-        error = TARGET - position
+        error = target - position
         wanted = gains.proportional * error + integral - gains.derivative * (position - before) / PERIOD
         command = float(np.clip(wanted, -10.0, 10.0))
         if command == wanted:
@@ -60,13 +62,20 @@ def held_error(plant: PlantParameters, gains: Gains) -> tuple[float, float]:
     return float(np.mean(errors[-last:])), float(np.mean(commands[-last:]))
 
 
-def holding_table(base: PlantParameters) -> pd.DataFrame:
-    """Error in mm and command in V of each controller and leak; the rig as assumed, throttle in parallel."""
+def holding_table(rig: Rig) -> pd.DataFrame:
+    """Error in mm and command in V of each controller and leak; the rig as assumed, throttle in parallel.
+
+    Raises:
+        HydroError: the axis holds without a pressure difference, so that nothing leaks.
+    """
+    _, voltage = equilibrium(with_leak(rig.parameters, LEAKS[-1], "throttle"), rig.hold)
+    if 1e3 * abs(voltage) < LEAST * FULL_COMMAND * rig.holding_gain:
+        raise HydroError("no force asks for a pressure difference while it holds, so that no oil leaks")
     rows = []
     for leak in LEAKS:
-        plant = with_leak(base, leak, "throttle")
-        for name, gains in CONTROLLERS.items():
-            error, command = held_error(plant, gains)
+        plant = with_leak(rig.parameters, leak, "throttle")
+        for name, gains in controllers(rig).items():
+            error, command = held_error(plant, gains, rig.hold)
             rows.append({"leak_lpm": leak, "controller": name, "error_mm": 1e3 * error, "command_v": command})
     return pd.DataFrame(rows)
 
@@ -82,30 +91,30 @@ def paint_holding(figure: Figure, table: pd.DataFrame) -> None:
     axes.set(xscale="log", xlabel="leak (throttle in parallel), l/min at 100 bar", ylabel="error left, mm")
     axes.set_xticks(LEAKS, [f"{leak:g}" for leak in LEAKS])
     axes.minorticks_off()
-    panel_title(axes, f"Error that remains while holding {1e3 * TARGET:+.0f} mm against the spring")
-    legend(axes, loc="upper left")
+    panel_title(axes, "Error that remains while holding")
+    legend(axes, loc="best")
 
 
-def holding_figure(base: PlantParameters) -> ReproducedFigure:
+def holding_figure(rig: Rig) -> ReproducedFigure:
     """The steady-state errors with their words."""
-    table = holding_table(base)
+    table = holding_table(rig)
     error = table.pivot(index="leak_lpm", columns="controller", values="error_mm")
     command = table.pivot(index="leak_lpm", columns="controller", values="command_v")
-    gains = CONTROLLERS["P"]
+    gains = controllers(rig)
     worst_integral = error[["PI", "PID"]].abs().max().max()
     return ReproducedFigure(
-        key="holding_error",
-        title="Further: error while holding against the spring",
         table=table,
         paint=paint_holding,
         height=3.6,
         paper="The paper shows moves and stops. A leak also shows while nothing moves: the valve must replace what "
         "leaks.",
-        how=f"The rig as assumed, with friction; gains {gains.proportional:g} V/m, {CONTROLLERS['PI'].integral:g} V/(m "
-        f"s), {CONTROLLERS['PID'].derivative:g} V s/m; position without noise, command every 5 ms without latency; "
-        f"mean over the last {JUDGED:g} s of {DURATION:g} s, from balance.",
+        how=f"Holding {1e3 * rig.hold:+.0f} mm{' against the spring' if rig.has_spring else ''}; the rig as assumed"
+        f"{', with friction' if rig.has_friction else ''}; gains {gains['P'].proportional:g} V/m, "
+        f"{gains['PI'].integral:g} V/(m s), {gains['PID'].derivative:g} V s/m; position without noise, command every "
+        f"5 ms "
+        f"without latency; mean over the last {JUDGED:g} s of {DURATION:g} s, from balance.",
         found=[
-            f"P leaves {error['P'].iloc[0]:.2f} mm with the tight seal and {error['P'].iloc[-1]:.2f} mm at "
+            f"P leaves {error['P'].iloc[0]:.3g} mm with the tight seal and {error['P'].iloc[-1]:.3g} mm at "
             f"{LEAKS[-1]:g} l/min; with an integral part at most {worst_integral:.3f} mm is left.",
             f"The integral part does not hide the leak, it moves it into the command: PI holds with "
             f"{command['PI'].iloc[0]:.2f} V when tight and {command['PI'].iloc[-1]:.2f} V at {LEAKS[-1]:g} l/min.",

@@ -1,39 +1,121 @@
-"""The rig of the paper for these figures: its leaks, its start–stop commands, the signals it would record."""
+"""The rig that the figures are computed for, its leaks, and its quick stop."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from hydro_env import PlantParameters, Trajectory, resistance_from_flow, simulate
+from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
 from hydro_env.plant.equations import smooth_root
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
-from hydro_env.task.configuration import Sensor
+from hydro_env.plant.workable import refuse_unworkable
+from hydro_env.task.configuration import Sensor, Sensors
 
-Array = NDArray[np.float64]
 Law = Literal["laminar", "throttle"]
 
-LAWS: dict[Law, str] = {"laminar": "laminar leak (10)", "throttle": "throttle in parallel, as on the rig"}
+LAWS: dict[Law, str] = {"laminar": "laminar leak (10)", "throttle": "throttle in parallel, as on the paper's rig"}
 
-GRAVITY = 9.81
-ACCELEROMETER_RANGE = 3.0 * GRAVITY  # m/s²; Table 1
-ACCELEROMETER_VOLTS = 0.440 / GRAVITY  # V per m/s²; Table 1
-ACCELEROMETER_BANDWIDTH = 400.0  # Hz; data sheet of the MMA7341L
-ACCELEROMETER_NOISE = 350e-6 * GRAVITY  # m/s² per √Hz; data sheet of the MMA7341L
-ACQUISITION_STEP = 20.0 / 65536  # V; 16 bit over ±10 V
+SLOWEST = 65.0
+"""Hz; an axis that oscillates slower is given more time."""
 
-CONVERTER_NOISE_BANDWIDTH = 0.5 * math.pi
-"""Noise bandwidth of a first-order low-pass over its corner frequency."""
+SAMPLES_PER_PERIOD = 20
+SAMPLE_TIMES = (0.5e-3, 0.25e-3, 0.2e-3, 0.1e-3, 0.05e-3, 0.02e-3)
+"""s; the first that gives enough samples per oscillation is taken."""
+
+HOLDING_SPEED = 3.0
+"""1/s; velocity gain of the project's PID on the paper's rig: 20 per metre times the mean no-load speed."""
 
 
-def accelerometer_noise() -> float:
-    """Standard deviation in m/s² of the accelerometer's noise behind its own low-pass."""
-    return ACCELEROMETER_NOISE * math.sqrt(CONVERTER_NOISE_BANDWIDTH * ACCELEROMETER_BANDWIDTH)
+@dataclass(frozen=True)
+class Rig:
+    """A plant with the places and commands of its moves; the defaults are those of the paper's rig.
+
+    Everything that :func:`own_rig` chooses for another rig stands here, so that no figure knows a place by itself.
+    """
+
+    parameters: PlantParameters = field(default_factory=PlantParameters)
+    name: str = "the rig of Kovari (2015), Table 1"
+    is_paper: bool = True
+    start: float = 0.005  # m, where moves begin
+    place: float = 0.02  # m, where the axis is linearised
+    hold: float = 0.04  # m, where holding is judged
+    voltage: float = 4.0  # V, of the moves
+    stretch: float = 1.0  # all durations times this: a slow axis gets more time
+    sample_time: float = 0.5e-3  # s
+    holding_gain: float = 20.0  # command (1 = 10 V) per metre; that of the project's PID
+    transducer: Sensor = field(default_factory=lambda: Sensors().position)
+
+    @property
+    def has_spring(self) -> bool:
+        """Whether a spring acts on the load."""
+        return self.parameters.load.spring_stiffness > 0.0
+
+    @property
+    def has_friction(self) -> bool:
+        """Whether the seals and guides rub at all."""
+        friction = self.parameters.friction
+        return friction.model != "none" and max(friction.coulomb_force, friction.breakaway_force) > 0.0
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Lowest and highest position in m at which the axis is judged: 0.9 of what the supply can hold."""
+        low, high = reachable_range(self.parameters)
+        return 0.9 * float(low), 0.9 * float(high)
+
+    def with_parameters(self, parameters: PlantParameters) -> Rig:
+        """The same places and commands with another plant."""
+        return replace(self, parameters=parameters)
+
+    def count(self, seconds: float) -> int:
+        """Samples of a duration (s)."""
+        return round(seconds / self.sample_time)
+
+
+def own_rig(parameters: PlantParameters, name: str) -> Rig:
+    """Places and commands for any rig: moves within 40 % of its reach, durations by its oscillation.
+
+    Raises:
+        ConfigurationError: the rig cannot work at all.
+    """
+    refuse_unworkable(parameters, name)
+    if parameters == PlantParameters():
+        return Rig()
+    low, high = (float(end) for end in reachable_range(parameters))
+    span = high - low
+    hertz = closed_port_natural_frequency(parameters, 0.5 * (low + high)) / (2 * math.pi)
+    stretch = math.ceil(10.0 * max(1.0, SLOWEST / hertz)) / 10.0
+    speeds = speed_limits(parameters)
+    travel = 0.5 * stretch * max(speeds) / 10.0  # m per V of the longest move
+    fitting = next((step for step in SAMPLE_TIMES if step * hertz * SAMPLES_PER_PERIOD <= 1.0), SAMPLE_TIMES[-1])
+    transducer = Sensors().position
+    larger = parameters.cylinder.stroke / (transducer.high - transducer.low)
+    return Rig(
+        parameters,
+        name,
+        False,
+        start=round(low + 0.35 * span, 4),
+        place=round(low + 0.5 * span, 4),
+        hold=round(low + 0.6 * span, 4),
+        voltage=max(min(4.0, math.floor(10.0 * 0.4 * span / travel) / 10.0), 0.1),
+        stretch=stretch,
+        sample_time=fitting,
+        holding_gain=float(f"{2.0 * HOLDING_SPEED / (speeds.extending + speeds.retracting):.2g}"),
+        transducer=Sensor(**{name: larger * value for name, value in transducer.model_dump().items()}),
+    )
+
+
+def rig_from(path: Path | None) -> Rig:
+    """The paper's rig, or that of a YAML file.
+
+    Raises:
+        ConfigurationError: a wrong file, or a rig that cannot work; one line.
+    """
+    return Rig() if path is None else own_rig(PlantParameters.from_yaml(path), str(path))
 
 
 def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantParameters:
@@ -45,53 +127,25 @@ def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantPa
     return parameters.replace(leakage={"internal_resistance": math.inf, "orifice_gain": gain})
 
 
-def simplified(parameters: PlantParameters, friction: bool, underlap: bool) -> PlantParameters:
-    """The plant with or without its friction, and with or without the null leakage of its valve."""
-    changes: dict[str, dict[str, object]] = {}
-    if not friction:
-        changes["friction"] = {"model": "none"}
+def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> PlantParameters:
+    """The plant with a friction model (``friction.model``), and with or without the null leakage of its valve."""
+    changes: dict[str, dict[str, object]] = {"friction": {"model": friction}}
     if not underlap:
         changes["valve"] = {"underlap": 0.0}
-    return parameters.replace(**changes) if changes else parameters
+    return parameters.replace(**changes)
 
 
-def recorded(true: Array, sensor: Sensor, generator: np.random.Generator) -> Array:
-    """What the acquisition stores: bias (drawn once), noise, range, 16-bit steps; as in the environment."""
-    bias = sensor.bias * generator.uniform(-1.0, 1.0)
-    value = np.clip(true + bias + sensor.noise * generator.standard_normal(true.shape), sensor.low, sensor.high)
-    if sensor.resolution > 0.0:
-        value = sensor.low + sensor.resolution * np.round((value - sensor.low) / sensor.resolution)
-    return np.clip(value, sensor.low, sensor.high)
+STOP_DRIVE = 0.15  # s, until the valve is closed; times Rig.stretch
+STOP_WATCH = 3.0  # s, after that; times Rig.stretch
 
 
-def recorded_acceleration(true: Array, sample_time: float, generator: np.random.Generator) -> Array:
-    """What the acquisition stores of the accelerometer: range, 400 Hz low-pass, noise, 16-bit steps; m/s²."""
-    pole = math.exp(-2 * math.pi * ACCELEROMETER_BANDWIDTH * sample_time)
-    start = [pole * float(true[0])]
-    smooth, _ = lfilter([1 - pole], [1, -pole], np.clip(true, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE), zi=start)
-    coloured = lfilter([math.sqrt(1 - pole**2)], [1, -pole], generator.standard_normal(len(true) + 50))[50:]
-    value = np.clip(smooth + accelerometer_noise() * coloured, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE)
-    step = ACQUISITION_STEP / ACCELEROMETER_VOLTS
-    stored: Array = step * np.round(value / step)
-    return stored
+def quick_stop(parameters: PlantParameters, rig: Rig) -> Trajectory:
+    """Extend from the rig's start, then 0 V. Time 0 of the result is the command to stop.
 
-
-SAMPLE_TIME = 0.5e-3
-"""s; all of these figures are sampled so."""
-
-STOP_START = 0.005  # m, where the axis holds before a quick stop
-STOP_VOLTAGE = 4.0  # V, extending
-STOP_DRIVE = 0.15  # s, until the valve is closed
-STOP_WATCH = 3.0  # s, after that
-
-
-def quick_stop(parameters: PlantParameters) -> Trajectory:
-    """Extend at 4 V for 0.15 s from +5 mm, then 0 V. Time 0 of the result is the command to stop.
-
-    It ends near +15 mm, where the spring asks for nearly equal pressures in both chambers: little oil leaks then, so
-    that the oscillation stands almost alone.
+    On the paper's rig it ends near +15 mm, where the spring asks for nearly equal pressures in both chambers: little
+    oil leaks then, so that the oscillation stands almost alone.
     """
-    before, after = round(STOP_DRIVE / SAMPLE_TIME), round(STOP_WATCH / SAMPLE_TIME)
-    voltage = np.concatenate([np.full(before, STOP_VOLTAGE), np.zeros(after)])
-    run = simulate(parameters, voltage, SAMPLE_TIME, {"position": STOP_START})
-    return replace(run, time=run.time - STOP_DRIVE)
+    before, after = rig.count(STOP_DRIVE * rig.stretch), rig.count(STOP_WATCH * rig.stretch)
+    voltage = np.concatenate([np.full(before, rig.voltage), np.zeros(after)])
+    run = simulate(parameters, voltage, rig.sample_time, {"position": rig.start})
+    return replace(run, time=run.time - before * rig.sample_time)

@@ -1,153 +1,171 @@
-"""Which of the assumed parameters the settling time hangs on, and how little friction the trend of Fig. 13 needs."""
+"""Which of the assumed parameters each result of the page hangs on, ranked."""
 
 from __future__ import annotations
 
 import math
 
+import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from agents.reproduction.drawing import COLOURS, LEAK_COLOURS, ReproducedFigure, legend, panel_title
-from agents.reproduction.rig import quick_stop, with_leak
-from agents.reproduction.settling import healthy_frequency, settling_of
-from hydro_env import ConfigurationError, PlantParameters
+from agents.reproduction.drawing import ReproducedFigure, plain
+from agents.reproduction.results import FRICTION_SHARE, LEAK, MODERATE, RESULTS, Result, Setting, setting_of
+from agents.reproduction.rig import Rig
+from agents.reproduction.variations import CHANGE, Variation, leak_variation, variations
+from hydro_env import HydroError, PlantParameters
 
-LEAK = 0.3
-CHANGE = 0.2
-FRICTION_SHARE = 0.02
-"""Friction of the base case, in parts of what is assumed: little enough that the axis still swings."""
+SHOWN = 20
+LEAST = 1e-9
+"""Results smaller than this are zero: nothing relative can be said of them."""
 
-FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-SCAN_LEAKS = (0.01, 0.1, 0.3, 1.0, 4.0)
-SHOWN = 12
+LEAK_NAME = "leakage.internal_resistance"
 
 
-def rubbing(base: PlantParameters, share: float) -> PlantParameters:
-    """The plant with its friction forces times ``share``."""
-    friction = base.friction
-    return base.replace(
-        friction={
-            "coulomb_force": share * friction.coulomb_force,
-            "breakaway_force": share * friction.breakaway_force,
-        }
+def sensitivity_table(rig: Rig) -> pd.DataFrame:
+    """One row per result and parameter, the weightiest first within each result.
+
+    ``normal``, ``at_low`` and ``at_high`` in the result's unit; ``change_low_percent`` and ``change_high_percent`` of
+    the normal value; ``effect_percent`` the larger of their sizes; ``rank`` from 1. NaN where a value is not possible.
+    """
+    at, moved = setting_of(rig), variations(rig)
+    rows = []
+    for result in RESULTS:
+        normal = _tried(result, rig.parameters, at)
+        if not math.isfinite(normal) or abs(normal) < LEAST:
+            continue
+        for variation in (*moved, leak_variation(LEAK)):
+            low, high = _moved(result, variation, rig, at)
+            changes = [100.0 * (value / normal - 1.0) for value in (low, high)]
+            known = [abs(change) for change in changes if math.isfinite(change)]
+            rows.append(
+                {
+                    "result": result.name,
+                    "unit": result.unit,
+                    "parameter": variation.name,
+                    "value": variation.value,
+                    "low_value": variation.low_value,
+                    "high_value": variation.high_value,
+                    "normal": normal,
+                    "at_low": low,
+                    "at_high": high,
+                    "change_low_percent": changes[0],
+                    "change_high_percent": changes[1],
+                    "effect_percent": max(known) if known else math.nan,
+                }
+            )
+    if not rows:
+        raise HydroError("none of the results can be computed for this rig")
+    table = pd.DataFrame(rows)
+    table["rank"] = table.groupby("result")["effect_percent"].rank(ascending=False, method="first")
+    order = {result.name: number for number, result in enumerate(RESULTS)}
+    return table.sort_values(["result", "rank"], key=lambda c: c.map(order) if c.name == "result" else c).reset_index(
+        drop=True
     )
 
 
-def assumed_parameters(base: PlantParameters) -> dict[str, float]:
-    """``group.field`` and value of every parameter that the paper does not give and that a factor can change.
-
-    The internal leak is left out: it is what the figures vary.
-    """
-    found = {}
-    for group in PlantParameters.model_fields:
-        settings = getattr(base, group)
-        for field, details in type(settings).model_fields.items():
-            value, origin = getattr(settings, field), details.description or ""
-            if origin.startswith("assumed") and isinstance(value, float) and 0.0 < value < math.inf:
-                found[f"{group}.{field}"] = value
-    found.pop("leakage.internal_resistance", None)
-    return found
+def _moved(result: Result, variation: Variation, rig: Rig, at: Setting) -> tuple[float, float]:
+    if variation.name == LEAK_NAME:  # a smaller resistance is a larger leak
+        return _tried(result, rig.parameters, at, 1 + CHANGE), _tried(result, rig.parameters, at, 1 - CHANGE)
+    low, high = (
+        _tried(result, plant, at) if plant is not None else math.nan for plant in (variation.low, variation.high)
+    )
+    return low, high
 
 
-def sensitivity_table(base: PlantParameters) -> pd.DataFrame:
-    """Settling time with every assumed parameter at 80 and 120 %, ranked; and over friction × leak (``kind``)."""
-    frequency = healthy_frequency(base)
-    start = with_leak(rubbing(base, FRICTION_SHARE), LEAK, "laminar")
-    normal = settling_of(quick_stop(start), frequency).clean
-    rows = []
-    for name, value in assumed_parameters(start).items():
-        group, field = name.split(".")
-        times = []
-        for factor in (1 - CHANGE, 1 + CHANGE):
-            try:
-                times.append(
-                    settling_of(quick_stop(start.replace(**{group: {field: factor * value}})), frequency).clean
-                )
-            except ConfigurationError:  # outside what the parameter may be
-                times.append(math.nan)
-        rows.append({"kind": "parameter", "name": name, "value": value, "low_s": times[0], "high_s": times[1]})
-    ranked = pd.DataFrame(rows)
-    ranked["normal_s"] = normal
-    ranked["effect_s"] = (ranked[["low_s", "high_s"]].sub(normal)).abs().max(axis=1)
-    ranked = ranked.sort_values("effect_s", ascending=False, ignore_index=True)
-    scan = [
-        {
-            "kind": "friction",
-            "name": "friction_share",
-            "value": share,
-            "leak_lpm": leak,
-            "normal_s": settling_of(quick_stop(with_leak(rubbing(base, share), leak, "laminar")), frequency).clean,
-        }
-        for leak in SCAN_LEAKS
-        for share in FRICTION_SHARES
-    ]
-    return pd.concat([ranked, pd.DataFrame(scan)], ignore_index=True)
+def _tried(result: Result, plant: PlantParameters, at: Setting, factor: float = 1.0) -> float:
+    try:
+        return result.compute(plant, at, factor)
+    except (HydroError, ArithmeticError, ValueError):  # cannot be held, does not oscillate, no root
+        return math.nan
+
+
+def effects(table: pd.DataFrame) -> pd.DataFrame:
+    """Effects in %, parameters (weightiest first) by results."""
+    grid = table.pivot(index="parameter", columns="result", values="effect_percent")
+    grid = grid[[result.name for result in RESULTS if result.name in grid.columns]]
+    return grid.loc[grid.max(axis=1).sort_values(ascending=False).index]
 
 
 def paint_sensitivity(figure: Figure, table: pd.DataFrame) -> None:
-    """The ranked parameters as bars; settling time over friction."""
-    left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
-    ranked = table[table["kind"] == "parameter"].head(SHOWN)
-    normal = 1e3 * float(ranked["normal_s"].iloc[0])
-    rows = np.arange(len(ranked))
-    for colour, column, words in zip(COLOURS, ("low_s", "high_s"), ("−20 %", "+20 %"), strict=False):
-        left.barh(rows, 1e3 * ranked[column] - normal, color=colour, height=0.7, alpha=0.8, label=words)
-    left.axvline(0.0, color="#222222", linewidth=0.8)
-    left.set_yticks(rows, [name.replace(".", ": ").replace("_", " ") for name in ranked["name"]])
-    left.invert_yaxis()
-    left.grid(visible=False, axis="y")
-    left.set_xlabel(f"change of the settling time of {normal:.0f} ms, ms")
-    panel_title(left, "Assumed parameters, ranked")
-    legend(left, title="parameter", loc="lower right")
-    scan = table[table["kind"] == "friction"]
-    shown = 0.5 * min(share for share in FRICTION_SHARES if share > 0.0)
-    for colour, leak in zip(LEAK_COLOURS, SCAN_LEAKS, strict=True):
-        part = scan[scan["leak_lpm"] == leak]
-        right.plot(
-            100 * np.maximum(part["value"], shown),
-            part["normal_s"],
-            color=colour,
-            marker="o",
-            markersize=3,
-            label=f"{leak:g} l/min",
-        )
-    ticks = [0.5, 1, 2, 5, 10, 20, 50, 100]
-    right.set(xscale="log", yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
-    right.set_xticks([100 * shown, *ticks], ["0", *(f"{tick:g}" for tick in ticks)])
-    right.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2], ["0.05", "0.1", "0.2", "0.5", "1", "2"])
-    right.minorticks_off()
-    panel_title(right, "How much friction the trend bears")
-    legend(right, title="leak at 100 bar", loc="upper right")
+    """A chequered table: the darker, the more the result changes."""
+    grid = effects(table).head(SHOWN)
+    axes = figure.subplots()
+    words = {result.name: result.words for result in RESULTS}
+    values = np.nan_to_num(grid.to_numpy(), nan=0.0)
+    shades = matplotlib.colormaps["Blues"]
+    norm = LogNorm(vmin=0.5, vmax=100.0, clip=True)
+    axes.pcolormesh(0.75 * np.asarray(norm(np.maximum(values, 0.5))), cmap=shades, vmin=0.0, vmax=1.0)
+    axes.invert_yaxis()
+    for row, column in np.ndindex(values.shape):
+        value = values[row, column]
+        text = f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 0.1 else "·"
+        ink = "white" if float(norm(max(value, 0.5))) > 0.75 else "#222222"
+        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=7.5, color=ink)
+    axes.set_yticks(np.arange(len(grid)) + 0.5, [name.replace(".", ": ").replace("_", " ") for name in grid.index])
+    axes.set_xticks(np.arange(grid.shape[1]) + 0.5, [words[name] for name in grid.columns], rotation=38, ha="left")
+    axes.xaxis.tick_top()
+    axes.set_xlabel("largest change of the result, %; · below 0.1 %")
+    axes.xaxis.set_label_position("bottom")
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
 
 
-def sensitivity_figure(base: PlantParameters) -> ReproducedFigure:
-    """The ranking and the scan with their words."""
-    table = sensitivity_table(base)
-    ranked = table[table["kind"] == "parameter"]
-    scan = table[table["kind"] == "friction"].pivot(index="value", columns="leak_lpm", values="normal_s")
-    ratio = scan[SCAN_LEAKS[0]] / scan[1.0]
-    bears = ratio[ratio >= 2.0].index.max()
-    first = ", ".join(f"{row['name']} (±{1e3 * row['effect_s']:.0f} ms)" for _, row in ranked.head(5).iterrows())
-    still = int((ranked["effect_s"] < 0.01 * ranked["normal_s"]).sum())
-    coulomb = base.friction.coulomb_force
+def sensitivity_figure(rig: Rig) -> ReproducedFigure:
+    """The table of effects with its words."""
+    table = sensitivity_table(rig)
+    grid = effects(table)
+    own = table[table["parameter"] != LEAK_NAME]
+    found = []
+    for result in RESULTS:
+        part = own[own["result"] == result.name].head(3)
+        if len(part):
+            listed = ", ".join(
+                f"{_named(row['parameter'])} {plain(row['effect_percent'], 2)} %" for _, row in part.iterrows()
+            )
+            normal = part["normal"].iloc[0]
+            unit = "" if result.unit == "1" else f" {result.unit}"
+            found.append(f"{result.words} ({plain(normal)}{unit}): {listed}.")
+    idle = [_named(name) for name in grid.index[grid.max(axis=1) < 1.0]]
+    if idle:
+        found.append(f"No result changes by 1 % or more with: {', '.join(idle)}.")
+    missing = [result.words for result in RESULTS if result.name not in grid.columns]
+    special = [row for row in own.drop_duplicates("parameter").itertuples() if not _plain(row.value, row.low_value)]
+    others = "; ".join(f"{_named(row.parameter)} {row.value} → {row.low_value}, {row.high_value}" for row in special)
     return ReproducedFigure(
-        key="sensitivity_settling",
-        title="Further: what the settling time hangs on",
         table=table,
         paint=paint_sensitivity,
-        height=4.6,
-        paper="The paper gives no supply pressure, friction or air content, so that its settling times cannot be "
-        "recomputed. This is how much each unknown matters.",
-        how=f"Quick stop as for Fig. 13, laminar leak of {LEAK:g} l/min, valve with null leakage, friction at "
-        f"{100 * FRICTION_SHARE:g} % of what is assumed (else friction alone would decide); one parameter at a time by "
-        f"±{100 * CHANGE:.0f} %. All {len(ranked)} assumed parameters that are neither zero nor infinite are in the "
-        f"CSV file.",
-        found=[
-            f"Most weighty: {first}. {still} of {len(ranked)} change the settling time by less than 1 %. Gains and "
-            f"resistance of the valve's drive count because they set the speed from which the axis is stopped.",
-            f"Between {SCAN_LEAKS[0]:g} and 1 l/min the settling time falls by a factor of {ratio.iloc[0]:.1f} without "
-            f"friction and {ratio.iloc[-1]:.2f} with the assumed one; at least a factor of 2 is left up to "
-            f"{100 * bears:g} % of it, a Coulomb force of {bears * coulomb:.1f} N.",
-        ],
+        height=1.6 + 0.25 * min(len(grid), SHOWN),
+        paper="The paper gives no supply pressure, friction or air content, so that its values cannot be recomputed. "
+        "This is how much each unknown matters for each result."
+        + (
+            ""
+            if rig.is_paper
+            else " Varied is what is assumed for the paper's rig: which of its own numbers are sure, this rig's file "
+            "does not say."
+        ),
+        how=f"Largest change of each result in %, one assumed parameter at a time by ±{100 * CHANGE:.0f} %; shown "
+        f"are the "
+        f"{min(len(grid), SHOWN)} of {len(grid)} parameters with the largest effects, the CSV file has all, with rank "
+        f"and sign. Zero, infinite or a choice, and so moved otherwise: {others or 'none'}. The leak itself "
+        f"(internal resistance) by ±{100 * CHANGE:.0f} % is the yardstick. Results hold {LEAK:g} l/min (holding and "
+        f"energy {MODERATE:g} l/min), the closed loop a fixed gain; settling is judged with friction at "
+        f"{100 * FRICTION_SHARE:g} % of what is assumed, since else friction alone would decide, and the held error "
+        f"without friction."
+        + (f" Zero or impossible for this rig, and so left out: {', '.join(missing)}." if missing else ""),
+        found=found,
     )
+
+
+def _named(path: str) -> str:
+    return path.replace(".", ": ").replace("_", " ")
+
+
+def _plain(value: str, low: str) -> bool:
+    try:
+        return abs(float(low) / float(value) - (1 - CHANGE)) < 1e-3
+    except (ValueError, ZeroDivisionError):
+        return False

@@ -10,8 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from agents.reproduction.oscillation import SETTLED, band_envelope, last_above, swing_envelope
-from agents.reproduction.rig import LAWS, SAMPLE_TIME, Law, quick_stop, recorded_acceleration, simplified, with_leak
-from hydro_env import PlantParameters, Trajectory, resistance_from_flow
+from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_leak
+from agents.reproduction.signals import recorded_acceleration
+from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.analysis import Mode, linearise
 from hydro_env.plant.equations import STATE_NAMES
 
@@ -20,9 +21,16 @@ Array = NDArray[np.float64]
 LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar, healthy to severe."""
 
+FRICTION_MODELS = ("none", "stribeck", "lugre")
+"""``friction.model`` of each column of the figure; one more entry is one more column."""
+
+FRICTION_WORDS = {"none": "no friction", "lugre": "LuGre friction"}
+"""Heading of a friction model; of all others their name."""
+
 NOISE_SEEDS = range(5)
 EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
+FIRST_SWINGS = 0.05  # s after the stop command. All three times Rig.stretch
 
 
 class Settling(NamedTuple):
@@ -36,12 +44,33 @@ class Settling(NamedTuple):
     start: float  # m/s², largest swing after the stop
 
 
-def oscillation_mode(run: Trajectory) -> Mode | None:
+def friction_words(model: str) -> str:
+    """A friction model as the figure heads it."""
+    return FRICTION_WORDS.get(model, f"{model.capitalize()} friction")
+
+
+def friction_models(rig: Rig) -> tuple[str, ...]:
+    """Friction models to compare: :data:`FRICTION_MODELS` and the rig's own; none alone if it has no friction."""
+    if not rig.has_friction:
+        return ("none",)
+    models = dict.fromkeys((*FRICTION_MODELS, rig.parameters.friction.model))
+    return tuple(model for model in models if _possible(rig.parameters, model))
+
+
+def _possible(base: PlantParameters, model: str) -> bool:
+    try:
+        simplified(base, model, True)
+    except ConfigurationError:  # the forces of the rig do not fit this model
+        return False
+    return True
+
+
+def oscillation_mode(run: Trajectory, stretch: float = 1.0) -> Mode | None:
     """The mode of the axis without friction, linearised at the mean state of the first 0.1 s after the stop.
 
     Friction is left out: at rest its smooth sign is so steep that the linear axis would not oscillate at all.
     """
-    window = (run.time >= RING_DOWN[0]) & (run.time <= RING_DOWN[1])
+    window = (run.time >= stretch * RING_DOWN[0]) & (run.time <= stretch * RING_DOWN[1])
     state = run.states[window].mean(axis=0)
     for name in ("velocity", "spool_position", "spool_velocity", "coil_current"):
         state[STATE_NAMES.index(name)] = 0.0
@@ -51,13 +80,13 @@ def oscillation_mode(run: Trajectory) -> Mode | None:
         return None
 
 
-def settling_of(run: Trajectory, reference_frequency: float) -> Settling:
+def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.0) -> Settling:
     """Settling times of one quick stop; the drift is the mean over one period of ``reference_frequency`` (rad/s)."""
     after = run.time >= 0.0
     time, acceleration = run.time[after], run.acceleration[after]
     swing = swing_envelope(time, acceleration, reference_frequency)
-    first = int(np.argmax(swing[: round(0.05 / SAMPLE_TIME)]))
-    mode = oscillation_mode(run)
+    first = int(np.argmax(swing[time <= stretch * FIRST_SWINGS]))
+    mode = oscillation_mode(run, stretch)
     theory = math.nan
     if mode is not None and run.parameters.friction.model == "none":
         decay = mode.damping_ratio * mode.natural_frequency
@@ -72,43 +101,44 @@ def settling_of(run: Trajectory, reference_frequency: float) -> Settling:
     )
 
 
-def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int) -> float:
+def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int, stretch: float = 1.0) -> float:
     """Settling time in s that the accelerometer's record gives, by the envelope in a band about the oscillation."""
-    signal = recorded_acceleration(run.acceleration, SAMPLE_TIME, np.random.default_rng(seed))
-    outline = band_envelope(signal, SAMPLE_TIME, reference_frequency)
-    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - EDGE)
+    sample_time = float(run.time[1] - run.time[0])
+    signal = recorded_acceleration(run.acceleration, sample_time, np.random.default_rng(seed))
+    outline = band_envelope(signal, sample_time, reference_frequency)
+    usable = (run.time >= 0.0) & (run.time <= run.time[-1] - stretch * EDGE)
     return last_above(run.time[usable], outline[usable])
 
 
-def healthy_frequency(base: PlantParameters) -> float:
+def healthy_frequency(rig: Rig) -> float:
     """Oscillation frequency in rad/s with a tight seal: where all detectors look."""
-    mode = oscillation_mode(quick_stop(with_leak(simplified(base, False, False), LEAKS[0], "laminar")))
+    mode = oscillation_mode(
+        quick_stop(with_leak(simplified(rig.parameters, "none", False), LEAKS[0], "laminar"), rig), rig.stretch
+    )
     if mode is None:
-        raise ArithmeticError("the axis does not oscillate even with a tight seal")
+        raise ArithmeticError("the axis does not oscillate even with a tight seal and without friction")
     return mode.natural_frequency
 
 
-def settling_table(base: PlantParameters, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
+def settling_table(rig: Rig, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
     """One row per friction, null leakage, law and leak: settling times in s by every method."""
-    frequency = healthy_frequency(base)
+    frequency = healthy_frequency(rig)
     rows = []
-    for friction in (False, True):
-        for underlap in (False, True):
-            plain = simplified(base, friction, underlap)
+    for friction in friction_models(rig):
+        for underlap in (False, True) if rig.parameters.valve.underlap > 0.0 else (False,):
+            plain = simplified(rig.parameters, friction, underlap)
             for law in LAWS:
-                rows += [_row(plain, law, leak, frequency, friction, underlap) for leak in leaks]
+                rows += [_row(rig, plain, law, leak, frequency) for leak in leaks]
     return pd.DataFrame(rows)
 
 
-def _row(
-    plain: PlantParameters, law: Law, leak: float, frequency: float, friction: bool, underlap: bool
-) -> dict[str, float | str | bool]:
-    run = quick_stop(with_leak(plain, leak, law))
-    settling = settling_of(run, frequency)
-    seen = [settling_from_signal(run, frequency, seed) for seed in NOISE_SEEDS]
+def _row(rig: Rig, plain: PlantParameters, law: Law, leak: float, frequency: float) -> dict[str, float | str | bool]:
+    run = quick_stop(with_leak(plain, leak, law), rig)
+    settling = settling_of(run, frequency, rig.stretch)
+    seen = [settling_from_signal(run, frequency, seed, rig.stretch) for seed in NOISE_SEEDS]
     return {
-        "friction": friction,
-        "valve_null_leakage": underlap,
+        "friction": plain.friction.model,
+        "valve_null_leakage": plain.valve.underlap > 0.0,
         "law": law,
         "leak_lpm": leak,
         "resistance_pa_s_m3": resistance_from_flow(leak),

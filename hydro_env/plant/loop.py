@@ -44,6 +44,7 @@ class SampledLoop:
     b: Array  # (n,), per command
     force: Array  # (n,), per newton of external force
     position_size: float  # m
+    control_period: float = CONTROL_PERIOD  # s
 
     def closed(self, gain: float) -> Array:
         """Transition matrix of one period with the loop closed, states and last command, (n + 1, n + 1)."""
@@ -78,6 +79,37 @@ class SampledLoop:
             middle = float(np.sqrt(low * high))
             low, high = (low, middle) if self.spectral_radius(middle) > 1.0 + _NEUTRAL else (middle, high)
         return float(low)
+
+    def response(self, gain: float, frequencies: Array) -> NDArray[np.complex128]:
+        """Reference to position of the closed loop at frequencies in Hz, shape (n,), complex, m per m.
+
+        Exact at the sampling instants, up to half the sampling frequency: T = g P(z) / (1 + g P(z)) with
+        P(z) = c (z − Φ)⁻¹ (Γ_new + Γ_old / z), z = exp(j 2π f · period) (Åström & Wittenmark 1997, section 2.6).
+        """
+        n = len(self.input_new)
+        z = np.exp(2j * np.pi * np.asarray(frequencies, dtype=np.float64) * self.control_period)[:, None]
+        matrices = z[:, :, None] * np.eye(n) - self.transition
+        states = np.linalg.solve(matrices, (self.input_new + self.input_old / z)[:, :, None])
+        opened = gain * self.position_size * states[:, 0, 0]
+        closed = opened / (1.0 + opened)
+        return np.asarray(closed, dtype=np.complex128)
+
+    def step_response(self, gain: float, periods: int) -> Array:
+        """Position after a unit step of the reference, at each sampling instant, shape (periods + 1,), m per m."""
+        n = len(self.input_new)
+        state, command, out = np.zeros(n), 0.0, np.zeros(periods + 1)
+        for period in range(periods):
+            new = gain * (1.0 - self.position_size * state[0])
+            state = self.transition @ state + self.input_old * command + self.input_new * new
+            command = new
+            out[period + 1] = self.position_size * state[0]
+        return out
+
+    def final_value(self, gain: float) -> float:
+        """Position in m per m of reference at which a stable closed loop comes to rest; below 1 where oil leaks."""
+        matrix, n = self.closed(gain), len(self.input_new)
+        drive = np.append(self.input_new * gain, gain)
+        return float(np.linalg.solve(np.eye(n + 1) - matrix, drive)[0] * self.position_size)
 
     def static_stiffness(self, gain: float) -> float:
         """Constant external force per lasting position error, N/m, with the loop closed; inf if nothing gives way."""
@@ -128,7 +160,19 @@ def sampled_loop(
     force[velocity] = -Coefficients(*coefficient_array(parameters)).inverse_mass / size[velocity]
     first, held_first = _hold(a, b, latency)
     rest, held_rest = _hold(a, b, control_period - latency)
-    return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]))
+    return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)
+
+
+def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> float:
+    """Steady speed in m/s per command (1 = 10 V) of small motions about rest at a position (m).
+
+    The supply pressure is held, and so is the place: the force of a spring does not change. Times the gain of the
+    loop it is the velocity gain K_v in 1/s (Merritt 1967).
+    """
+    plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
+    names = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
+    rows = [STATE_NAMES.index(name) for name in names]
+    return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_COMMAND * plant.b[rows])[0])
 
 
 def _hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:

@@ -8,20 +8,14 @@ import pytest
 from agents.cli import main
 from agents.reproduction import command
 from agents.reproduction.displacement import displacement_figure, displacement_table
-from hydro_env import ConfigurationError, PlantParameters
+from agents.reproduction.rig import Rig
+from hydro_env import ConfigurationError
 from hydro_env.task.configuration import Sensors
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("reproduce") / "new"
-    command.reproduce_to_folder(path, overwrite=False)
-    return path
 
 
 def test_every_figure_has_picture_and_table(folder):
     keys = sorted(path.stem for path in folder.glob("*.png"))
-    assert len(keys) == len(command.PAPER_FIGURES) + len(command.FURTHER_FIGURES)
+    assert keys == sorted(entry.key for entry in command.FIGURES)
     for key in keys:
         assert (folder / f"{key}.png").read_bytes().startswith(b"\x89PNG")
         assert "<svg" in (folder / f"{key}.svg").read_text(encoding="utf-8")
@@ -61,7 +55,7 @@ def test_a_file_in_place_of_the_folder_is_one_line_and_exit_2(tmp_path, monkeypa
 
 
 def test_recorded_displacement_has_the_noise_of_the_sensor():
-    table = displacement_table(PlantParameters())
+    table = displacement_table(Rig())
     error = 1e-3 * (table["recorded_position_mm"] - table["true_position_mm"])
     assert error.std() == pytest.approx(Sensors().position.noise, rel=0.1)
     assert abs(error.mean()) <= Sensors().position.bias
@@ -70,4 +64,4 @@ def test_recorded_displacement_has_the_noise_of_the_sensor():
 
 
 def test_displacement_words_name_the_sensor():
-    assert f"{1e3 * Sensors().position.noise:.3f} mm" in displacement_figure(PlantParameters()).how
+    assert f"{1e3 * Sensors().position.noise:.3f} mm" in displacement_figure(Rig()).how

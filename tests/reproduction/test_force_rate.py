@@ -6,16 +6,19 @@ import pytest
 
 from agents.reproduction.equation_table import EQUATIONS, equation_table, resolve
 from agents.reproduction.force_rate import TERMS, force_rate_table, shares
-from hydro_env import PlantParameters
+from agents.reproduction.leakage_share import share_table
+from agents.reproduction.rig import Rig
 
 
-@pytest.fixture(scope="module")
-def table():
-    return force_rate_table(PlantParameters())
+@pytest.fixture(scope="module", params=["laminar", "throttle"])
+def table(request):
+    return force_rate_table(Rig(), request.param)
 
 
 def test_the_terms_add_up_to_the_rate_of_the_force(table):
-    total = table[list(TERMS)].sum(axis=1)
+    """The edges of the stacked areas: what piles up above zero and what hangs below it."""
+    terms = table[list(TERMS)]
+    total = terms.clip(lower=0.0).sum(axis=1) + terms.clip(upper=0.0).sum(axis=1)
     assert total.to_numpy() == pytest.approx(table["sum_n_s"].to_numpy(), abs=1e-6)
     largest = table["from_chambers_n_s"].abs().max()
     assert np.abs(total - table["from_chambers_n_s"]).max() < 1e-6 * largest
@@ -34,6 +37,16 @@ def test_the_share_of_leakage_grows_with_the_leak(table):
         part = told[told["window"] == window].sort_values("leak_lpm")
         assert np.all(np.diff(part["leakage_share"]) > 0.0)
         assert part["leakage_share"].between(0.0, 1.0).all()
+
+
+def test_the_share_is_that_of_the_samples_at_a_pressure_difference():
+    row = share_table(Rig()).query("law == 'throttle' and leak_lpm == 1.0").iloc[1]
+    seen = force_rate_table(Rig(), "throttle").query("leak_lpm == 1.0 and time_s >= 0.0")
+    size = seen["pressure_difference_bar"].abs()
+    seen = seen[(size >= row["difference_low_bar"]) & (size < row["difference_high_bar"])]
+    assert len(seen) == row["samples"]
+    sizes = seen[list(TERMS)].abs().to_numpy()
+    assert row["leakage_share"] == pytest.approx(sizes[:, 2].sum() / sizes.sum())
 
 
 def test_every_equation_has_a_function_that_exists():

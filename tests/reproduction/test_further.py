@@ -1,19 +1,23 @@
 """What the paper could not show: maps, frequency response, holding, energy, sensitivity."""
 
+import math
+
 import numpy as np
+import pandas as pd
 import pytest
 
-from agents.reproduction.bode import FREQUENCIES, bode_table
+from agents.reproduction.bode import LOWEST, bode_table
 from agents.reproduction.energy import energy_table
-from agents.reproduction.holding import CONTROLLERS, TARGET, held_error
+from agents.reproduction.friction_scan import friction_scan_table
+from agents.reproduction.holding import controllers, held_error
 from agents.reproduction.maps import map_table
-from agents.reproduction.rig import simplified, with_leak
-from agents.reproduction.sensitivity import assumed_parameters, rubbing, sensitivity_table
+from agents.reproduction.results import RESULTS
+from agents.reproduction.rig import Rig, simplified, with_leak
 from hydro_env import PlantParameters, equilibrium
 
 
 def test_damping_grows_with_the_leak_everywhere():
-    table = map_table(PlantParameters())
+    table = map_table(Rig())
     grid = table.pivot(index="leak_lpm", columns="position_mm", values="damping_ratio")
     assert np.all(np.diff(grid.to_numpy(), axis=0) > 0.0)
     frequency = table.pivot(index="leak_lpm", columns="position_mm", values="natural_frequency_hz").iloc[0]
@@ -22,45 +26,76 @@ def test_damping_grows_with_the_leak_everywhere():
 
 def test_the_slowest_response_is_that_of_the_balance():
     """At low frequency the gain is the slope of the position that a voltage holds."""
-    table = bode_table(PlantParameters())
+    table = bode_table(Rig())
     part = table[table["leak_lpm"] == 4.0]
-    plant = with_leak(simplified(PlantParameters(), False, True), 4.0, "laminar")
+    plant = with_leak(simplified(PlantParameters(), "none", True), 4.0, "laminar")
     (_, low), (_, high) = equilibrium(plant, 0.0195), equilibrium(plant, 0.0205)
     assert part["gain_mm_per_v"].iloc[0] == pytest.approx(1.0 / (high - low), rel=0.1)
-    assert part["frequency_hz"].iloc[0] == pytest.approx(FREQUENCIES[0])
+    assert part["frequency_hz"].iloc[0] == pytest.approx(LOWEST)
     peaks = table[table["frequency_hz"] > 40].groupby("leak_lpm")["gain_mm_per_v"].max()
     assert peaks.is_monotonic_decreasing
 
 
 def test_the_integral_part_takes_the_error():
     plant = with_leak(PlantParameters(), 1.0, "throttle")
-    proportional, command = held_error(plant, CONTROLLERS["P"])
-    integral, _ = held_error(plant, CONTROLLERS["PI"])
+    gains, target = controllers(Rig()), Rig().hold
+    proportional, command = held_error(plant, gains["P"], target)
+    integral, _ = held_error(plant, gains["PI"], target)
     assert proportional > 1e-3
-    assert command == pytest.approx(CONTROLLERS["P"].proportional * proportional, rel=0.05)
+    assert command == pytest.approx(gains["P"].proportional * proportional, rel=0.05)
     assert abs(integral) < 0.1 * proportional
-    _, needed = equilibrium(plant, TARGET - proportional)
+    _, needed = equilibrium(plant, target - proportional)
     assert command == pytest.approx(needed, abs=0.15)
 
 
 def test_a_leak_costs_energy():
-    table = energy_table(PlantParameters())
+    table = energy_table(Rig())
     for _, part in table.groupby("law"):
         ordered = part.sort_values("leak_lpm")
-        for column in ("holding_0_mm_w", "holding_40_mm_w", "cycle_j"):
+        for column in ("holding_first_w", "holding_second_w", "cycle_j"):
             assert ordered[column].iloc[-1] > 1.1 * ordered[column].iloc[0]
 
 
-def test_sensitivity_is_ranked_and_whole():
-    base = PlantParameters()
-    table = sensitivity_table(base)
-    ranked = table[table["kind"] == "parameter"]
-    assert set(ranked["name"]) == set(assumed_parameters(rubbing(base, 0.02)))
-    assert len(ranked) > 20
-    assert np.all(np.diff(ranked["effect_s"].dropna()) <= 0.0)
-    damping = ranked.set_index("name").loc["load.viscous_damping"]
-    assert damping["low_s"] > damping["normal_s"] > damping["high_s"]
-    scan = table[table["kind"] == "friction"].pivot(index="value", columns="leak_lpm", values="normal_s")
+@pytest.fixture(scope="module")
+def sensitivity(folder):
+    return pd.read_csv(folder / "sensitivity.csv")
+
+
+def test_every_assumed_parameter_is_ranked_for_every_result(sensitivity):
+    names = {
+        f"{group}.{field}"
+        for group, settings in PlantParameters.model_fields.items()
+        for field, details in settings.annotation.model_fields.items()
+        if details.description.startswith("assumed")
+    }
+    assert len(names) >= 29
+    assert set(sensitivity["result"]) == {result.name for result in RESULTS}
+    for _, part in sensitivity.groupby("result"):
+        assert set(part["parameter"]) == names
+        assert np.all(np.diff(part.sort_values("rank")["effect_percent"].dropna()) <= 0.0)
+        assert part["effect_percent"].max() > 1.0
+
+
+def test_effects_with_known_answers(sensitivity):
+    rows = sensitivity.set_index(["result", "parameter"])
+    mass = rows.loc[("natural_frequency_hz", "cylinder.piston_mass")]  # 3 of 63 kg
+    assert mass["at_low"] / mass["normal"] == pytest.approx(math.sqrt(63.0 / 62.4), rel=1e-3)
+    for name in ("valve.amplifier_gain", "valve.spool_gain"):
+        gain = rows.loc[("gain_limit_per_m", name)]  # a factor of the loop gain like any other
+        assert gain["at_low"] / gain["normal"] == pytest.approx(1 / 0.8, rel=1e-6)
+        assert gain["at_high"] / gain["normal"] == pytest.approx(1 / 1.2, rel=1e-6)
+    damping = rows.loc[("settling_s", "load.viscous_damping")]
+    assert damping["at_low"] > damping["normal"] > damping["at_high"]
+
+
+def test_the_held_error_is_that_of_the_simulated_loop(sensitivity):
+    plant = with_leak(simplified(PlantParameters(), "none", True), 1.0, "throttle")
+    error, _ = held_error(plant, controllers(Rig())["P"], Rig().hold)
+    assert sensitivity.query("result == 'held_error_mm'")["normal"].iloc[0] == pytest.approx(1e3 * error, rel=0.01)
+
+
+def test_friction_hides_the_trend_little_by_little():
+    scan = friction_scan_table(Rig()).pivot(index="friction_share", columns="leak_lpm", values="settling_s")
     assert scan[0.01].is_monotonic_decreasing
     assert scan.loc[0.0, 0.01] > 3.0 * scan.loc[0.0, 1.0]
     assert scan.loc[1.0, 0.01] < 1.5 * scan.loc[1.0, 1.0]

@@ -3,21 +3,20 @@
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from agents.reproduction import settling
 from agents.reproduction.oscillation import band_envelope, drift, last_above, swing_envelope
 from agents.reproduction.rig import (
-    ACCELEROMETER_RANGE,
     LAWS,
-    SAMPLE_TIME,
-    accelerometer_noise,
+    Rig,
     quick_stop,
-    recorded,
-    recorded_acceleration,
     with_leak,
 )
 from agents.reproduction.settling import settling_table
-from agents.reproduction.settling_figure import settling_figure
+from agents.reproduction.settling_figure import settling_figure, trends
+from agents.reproduction.signals import ACCELEROMETER_RANGE, accelerometer_noise, recorded, recorded_acceleration
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
 from hydro_env.plant.arrays import coefficient_array
@@ -26,14 +25,15 @@ from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.task.configuration import Sensors
 
 LEAKS = (0.01, 0.1, 0.5, 2.0)
+SAMPLE_TIME = Rig().sample_time
 
 
 @pytest.fixture(scope="module")
 def table():
-    return settling_table(PlantParameters(), LEAKS)
+    return settling_table(Rig(), LEAKS)
 
 
-def picked(table, law, friction=False, underlap=False):
+def picked(table, law, friction="none", underlap=False):
     return table[
         (table["law"] == law) & (table["friction"] == friction) & (table["valve_null_leakage"] == underlap)
     ].sort_values("leak_lpm")
@@ -55,7 +55,7 @@ def test_linear_theory_holds_for_the_laminar_law(table):
 
 
 def test_linear_theory_is_left_out_with_friction(table):
-    assert table[table["friction"]]["theory_s"].isna().all()
+    assert table[table["friction"] != "none"]["theory_s"].isna().all()
 
 
 def test_the_signal_agrees_with_the_clean_acceleration(table):
@@ -67,7 +67,7 @@ def test_the_signal_agrees_with_the_clean_acceleration(table):
 
 
 def test_friction_hides_the_trend(table):
-    part = picked(table, "laminar", friction=True, underlap=True)
+    part = picked(table, "laminar", friction="stribeck", underlap=True)
     assert part["clean_s"].iloc[0] < 1.5 * part["clean_s"].iloc[-1]
 
 
@@ -136,15 +136,35 @@ def test_position_sensor_noise_bias_and_steps():
 
 
 def test_the_stop_is_at_time_zero():
-    run = quick_stop(PlantParameters())
+    run = quick_stop(PlantParameters(), Rig())
     assert run.voltage[np.argmin(np.abs(run.time))] == 0.0
     assert run.voltage[np.argmin(np.abs(run.time)) - 1] == 4.0
 
 
 def test_words_come_from_the_numbers():
-    figure = settling_figure(PlantParameters())
-    tight = figure.table.query("not friction and not valve_null_leakage and law == 'laminar'")["clean_s"].iloc[0]
+    figure = settling_figure(Rig())
+    tight = figure.table.query("friction == 'none' and not valve_null_leakage and law == 'laminar'")["clean_s"].iloc[0]
     assert f"from {tight:.2f} s" in figure.found[0]
     assert figure.differs
     assert figure.summary is not None
-    assert len(figure.summary) == figure.table["leak_lpm"].nunique()
+    combinations = figure.table[["friction", "valve_null_leakage", "law"]].drop_duplicates()
+    models = len(settling.FRICTION_MODELS)
+    assert len(combinations) == models * 4
+    assert len(figure.summary) == models * 4 * 2 + 4  # noise-free and signal; linear theory without friction
+
+
+def test_one_entry_more_is_one_friction_model_more(monkeypatch):
+    monkeypatch.setattr(settling, "FRICTION_MODELS", ("none", "coulomb", "stribeck"))
+    table = settling_table(Rig(), (0.1, 1.0))
+    assert list(table["friction"].unique()) == ["none", "coulomb", "stribeck"]
+    assert len(table) == 3 * 2 * 2 * 2
+
+
+def test_trends_are_told_as_they_are():
+    row = {"friction": "none", "valve_null_leakage": False, "law": "laminar", "signal_s": 1.0, "theory_s": math.nan}
+    times = {0.01: 2.0, 1.0: 0.5, 4.0: 0.6}
+    told = trends(pd.DataFrame([{**row, "leak_lpm": leak, "clean_s": time} for leak, time in times.items()]))
+    clean = told.set_index("method").loc["clean_s"]
+    assert not clean["falls"]
+    assert clean["ratio"] == pytest.approx(2.0 / 0.6)
+    assert "theory_s" not in set(told["method"])

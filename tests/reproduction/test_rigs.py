@@ -1,0 +1,115 @@
+"""``hydro reproduce --rig``: places and commands of other rigs, pages, what a rig cannot do, wrong files."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from agents.cli import main
+from agents.paths import config_folder
+from agents.reproduction import command
+from agents.reproduction.closed_bode import closed_bode_figure
+from agents.reproduction.displacement import displacement_figure, displacement_table
+from agents.reproduction.page import true_minus
+from agents.reproduction.rig import Rig, own_rig, rig_from
+from hydro_env import ConfigurationError, HydroError, PlantParameters
+from hydro_env.plant.analysis import reachable_range
+
+RIGS = sorted((config_folder() / "rigs").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("file", RIGS, ids=lambda file: file.stem)
+def test_places_lie_within_reach(file):
+    rig = rig_from(file)
+    low, high = reachable_range(rig.parameters)
+    for place in (rig.start, rig.place, rig.hold):
+        assert low < place < high
+    table = displacement_table(rig)
+    true = 1e-3 * table["true_position_mm"]
+    assert low < true.min() < true.max() < high
+    assert abs(table["command_v"]).max() == pytest.approx(rig.voltage)
+
+
+def test_the_file_of_the_papers_rig_is_the_papers_rig():
+    assert rig_from(next(file for file in RIGS if "kovari" in file.stem)) == rig_from(None) == Rig()
+
+
+@pytest.fixture(scope="module")
+def own_folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("own_rig")
+    (path / "friction_scan.png").write_text("of an earlier run", encoding="utf-8")
+    file = next(file for file in RIGS if "symmetric" in file.stem)
+    quick = [entry for entry in command.FIGURES if entry.key != "sensitivity"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "FIGURES", tuple(quick))
+        command.reproduce_to_folder(path, overwrite=False, rig_file=file)
+    return path
+
+
+def test_a_figure_that_a_rig_cannot_do_is_said_in_its_place(own_folder):
+    page = (own_folder / "page.html").read_text(encoding="utf-8")
+    missing = {key for key in re.findall(r'<section id="(\w+)">', page) if not (own_folder / f"{key}.png").exists()}
+    assert missing == {"equations", "friction_scan", "holding_error"}  # no friction, and no force to hold
+    for key, reason in (("friction_scan", "no dry friction"), ("holding_error", "no oil leaks")):
+        section = page[page.index(f'<section id="{key}">') :]
+        section = section[: section.index("</section>")]
+        assert reason in section
+        assert "<svg" not in section
+    for file in own_folder.glob("*.png"):
+        assert len(pd.read_csv(file.with_suffix(".csv"))) > 3
+
+
+def test_the_page_says_whose_rig_it_is(own_folder):
+    page = (own_folder / "page.html").read_text(encoding="utf-8")
+    assert "another rig" in page
+    assert "symmetric_eha.yaml" in page
+    assert "The paper, on its rig" in page
+    text = re.sub(r"<svg.*?</svg>|<style.*?</style>", "", page, flags=re.S)
+    assert "against the spring" not in text
+    assert not {"nan", "inf", "-nan"} & set(re.sub(r"<[^>]*>", " ", text).split())
+
+
+def test_a_slow_axis_gets_more_time():
+    heavy = own_rig(PlantParameters().replace(load={"mass": 1200.0}), "heavy")
+    assert heavy.stretch > 3.0
+    assert "ms after the stop" in displacement_figure(heavy).found[2]
+
+
+def test_a_light_axis_is_sampled_finer():
+    light = own_rig(PlantParameters().replace(load={"mass": 3.0}), "light")
+    assert light.sample_time < Rig().sample_time
+    assert light.stretch == 1.0
+
+
+def test_a_rig_without_a_stable_gain_says_so(monkeypatch):
+    monkeypatch.setattr("hydro_env.plant.loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
+    with pytest.raises(HydroError, match="no sensible gain"):
+        closed_bode_figure(own_rig(PlantParameters().replace(load={"mass": 61.0}), "unlimited"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("load: {mass: -1.0}", "load.mass"), ("load: {external_force: 1.0e+6}", "external_force")]
+)
+def test_a_wrong_rig_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys, text, words):
+    file = tmp_path / "rig.yaml"
+    file.write_text(text, encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["hydro", "reproduce", "--rig", str(file), "-o", str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+    assert not Path(tmp_path / "out" / "page.html").exists()
+
+
+def test_a_missing_rig_is_one_line(tmp_path):
+    with pytest.raises(ConfigurationError, match="absent"):
+        command.reproduce_to_folder(tmp_path, overwrite=False, rig_file=tmp_path / "absent.yaml")
+
+
+def test_signs():
+    assert true_minus("from -0.05 to -0.000 and +0.00, -12 mm, 1e-5, +0.09") == (
+        "from −0.05 to 0.000 and 0.00, −12 mm, 1e-5, +0.09"
+    )
