@@ -61,7 +61,7 @@ def test_friction_gives_back_no_more_than_it_has_stored(amplitude, second, frequ
     speeds = amplitude * (np.sin(turn) + second * np.sin(2.7 * turn + phase))
     deflection, work = 0.0, 0.0
     for velocity in speeds.tolist():
-        force, rate = friction(velocity, deflection, C)
+        force, _ = friction(velocity, deflection, C)
         work += force * velocity * step
         assert work > -1e-6 * F.breakaway_force * amplitude / frequency
         # exact over the step, as velocity is constant in it
