@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gc
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -90,18 +90,100 @@ def lane_reader(kind: type, first_row: int, lanes: int) -> Callable[..., Any]:
             return None
 
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            kind_of_array = signature.args[0]
-            elements = make_array(kind_of_array)(context, builder, arguments[0])
-            values = []
-            for row in rows:
-                place = builder.add(arguments[1], context.get_constant(types.intp, row * lanes))
-                pointer = cgutils.get_item_pointer(context, builder, kind_of_array, elements, [place])
-                values.append(context.unpack_value(builder, types.float64, pointer))
+            place = _lane_of(context, builder, signature.args[0], arguments[0], arguments[1], lanes)
+            values = [builder.load(place(row)) for row in rows]
             return context.make_tuple(builder, result, values)
 
         return result(array, types.intp), generate
 
     return cast("Callable[..., Any]", read)
+
+
+def lane_writer(first_row: int, count: int, lanes: int) -> Callable[..., Any]:
+    """A compiled function ``write(array, lane, values)``, the inverse of :func:`lane_reader` for a tuple of values."""
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+
+        def write_one_by_one(array: Any, lane: int, values: Any) -> None:
+            for row, value in enumerate(values, first_row):
+                array[row * lanes + lane] = value
+
+        return write_one_by_one
+
+    @intrinsic
+    def write(typing_context: Any, array: Any, lane: Any, values: Any) -> Any:
+        del typing_context
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            place = _lane_of(context, builder, signature.args[0], arguments[0], arguments[1], lanes)
+            for index in range(count):
+                value = builder.extract_value(arguments[2], index)
+                value = context.cast(builder, value, signature.args[2].types[index], types.float64)
+                builder.store(value, place(first_row + index))
+            return context.get_dummy_value()
+
+        return types.none(array, types.intp, values), generate
+
+    return cast("Callable[..., Any]", write)
+
+
+def lane_combination(
+    result: int, terms: Sequence[tuple[float, int]], count: int, lanes: int, base: int | None = None, factor: int = 0
+) -> Callable[..., Any]:
+    """A compiled function ``combine(array, lane)``: result ← base + factor · Σ weight · rows, in one lane.
+
+    Written down directly for the same reason as :func:`lane_reader`.
+
+    Args:
+        result: first row of the ``count`` rows that are written.
+        terms: (weight, first row) of what is added up.
+        count: number of rows.
+        lanes: lanes per row.
+        base: first row of what the sum is added to; ``None`` is zero.
+        factor: the row (one for all) that multiplies the sum.
+    """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+
+        def combine_one_by_one(array: Any, lane: int) -> None:
+            for row in range(count):
+                total = sum(weight * array[(first + row) * lanes + lane] for weight, first in terms)
+                start = 0.0 if base is None else array[(base + row) * lanes + lane]
+                array[(result + row) * lanes + lane] = start + array[factor * lanes + lane] * total
+
+        return combine_one_by_one
+
+    @intrinsic
+    def combine(typing_context: Any, array: Any, lane: Any) -> Any:
+        del typing_context
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            place = _lane_of(context, builder, signature.args[0], arguments[0], arguments[1], lanes)
+            scale = builder.load(place(factor))
+            for row in range(count):
+                total = None
+                for weight, first in terms:
+                    constant = context.get_constant(types.float64, weight)
+                    term = builder.fmul(constant, builder.load(place(first + row)), flags=("contract",))
+                    total = term if total is None else builder.fadd(total, term, flags=("contract",))
+                total = builder.fmul(scale, total, flags=("contract",))
+                if base is not None:
+                    total = builder.fadd(builder.load(place(base + row)), total, flags=("contract",))
+                builder.store(total, place(result + row))
+            return context.get_dummy_value()
+
+        return types.none(array, types.intp), generate
+
+    return cast("Callable[..., Any]", combine)
+
+
+def _lane_of(context: Any, builder: Any, kind: Any, array: Any, lane: Any, lanes: int) -> Callable[[int], Any]:
+    """A function that gives the pointer to one lane of a row of an array."""
+    elements = make_array(kind)(context, builder, array)
+
+    def place(row: int) -> Any:
+        index = builder.add(lane, context.get_constant(types.intp, row * lanes))
+        return cgutils.get_item_pointer(context, builder, kind, elements, [index])
+
+    return place
 
 
 class _Part:

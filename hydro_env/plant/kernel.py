@@ -81,6 +81,7 @@ _SIZES = {
     "trial": N_STATES,
     "derivative": N_STATES,
     **{f"stage_{number}": N_STATES for number in range(1, len(STAGES) + 1)},
+    "error": N_STATES,
     "voltage": 1,
     "remaining": 1,
     "proposed": 1,
@@ -89,74 +90,42 @@ _SIZES = {
 }
 _ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
 _ROWS = sum(_SIZES.values())
-_COEFFICIENTS, _PEAKS, _TRIAL, _DERIVATIVE, _FIRST_STAGE, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED = (
-    LANES * _ROW[name]
-    for name in (
-        "coefficients",
-        "peaks",
-        "trial",
-        "derivative",
-        "stage_1",
-        "voltage",
-        "remaining",
-        "proposed",
-        "step",
-        "repeated",
-    )
+_COEFFICIENTS, _PEAKS, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED = (
+    LANES * _ROW[name] for name in ("coefficients", "peaks", "voltage", "remaining", "proposed", "step", "repeated")
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
 
 
-def _lane_writer(start: int) -> Callable[..., Any]:
-    """A compiled function that writes a :class:`State` into one lane of the flat work array."""
-    lines = [f"    work[{start + row * LANES} + lane] = value.{name}" for row, name in enumerate(State._fields)]
-    return _from_source("\n".join(["def write(work, lane, value):", *lines]), "write")
-
-
 def _stage(number: int) -> Callable[..., Any]:
-    """A compiled function that keeps derivative ``number`` and sets the trial state from all kept ones (STAGES).
-
-    The source is written out row by row: with constant offsets the compiler sees that lanes are independent.
-    """
-    lines = ["def stage(work):", f"    for lane in range({LANES}):", f"        step = work[{_STEP} + lane]"]
-    for row in range(N_STATES):
-        kept = [f"work[{_FIRST_STAGE + (index * N_STATES + row) * LANES} + lane]" for index in range(number)]
-        lines.append(f"        rate = work[{_DERIVATIVE + row * LANES} + lane]")
-        lines.append(f"        {kept[-1]} = rate")
-        terms = [f"{weight!r} * {term}" for weight, term in zip(STAGES[number - 1], [*kept[:-1], "rate"], strict=True)]
-        moved = f"work[{row * LANES} + lane] + step * ({' + '.join(terms)})"
-        lines.append(f"        work[{_TRIAL + row * LANES} + lane] = {moved}")
-    return _from_source("\n".join(lines), "stage")
+    """A compiled function that sets the trial state from the derivatives 1 to ``number`` (STAGES)."""
+    rows = [_ROW[f"stage_{kept}"] for kept in range(1, number)] + [_ROW["derivative"]]
+    terms = list(zip(STAGES[number - 1], rows, strict=True))
+    return compiler.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
 
 
-def _estimator() -> Callable[..., Any]:
-    """A compiled function that gives the error estimate of a step as a :class:`State` (ERROR)."""
-    fields = []
-    for row in range(N_STATES):
-        kept = [f"work[{_FIRST_STAGE + (index * N_STATES + row) * LANES} + lane]" for index in range(len(STAGES))]
-        kept.append(f"work[{_DERIVATIVE + row * LANES} + lane]")
-        terms = " + ".join(f"{weight!r} * {rate}" for weight, rate in zip(ERROR, kept, strict=True))
-        fields.append(f"step * ({terms})")
-    source = f"def estimate(work, lane, step):\n    return State({', '.join(fields)})"
-    return _from_source(source, "estimate")
+def _keep(number: int) -> Callable[..., Any]:
+    """A compiled function that keeps the derivative as that of stage ``number``."""
+    return compiler.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
 
 
-def _from_source(source: str, name: str) -> Callable[..., Any]:
-    names: dict[str, Any] = {"State": State}
-    exec(source, names)
-    function: Callable[..., Any] = names[name]
-    return compiler.inline(function)
+def _estimate() -> Callable[..., Any]:
+    """A compiled function that sets the estimated error of a step (ERROR)."""
+    rows = [_ROW[f"stage_{kept}"] for kept in range(1, len(STAGES) + 1)] + [_ROW["derivative"]]
+    terms = list(zip(ERROR, rows, strict=True))
+    return compiler.lane_combination(_ROW["error"], terms, N_STATES, LANES, factor=_ROW["step"])
 
 
 _read_state = compiler.lane_reader(State, _ROW["state"], LANES)
 _read_coefficients = compiler.lane_reader(Coefficients, _ROW["coefficients"], LANES)
 _read_trial = compiler.lane_reader(State, _ROW["trial"], LANES)
 _read_derivative = compiler.lane_reader(State, _ROW["derivative"], LANES)
-_write_state = _lane_writer(0)
-_write_trial = _lane_writer(_TRIAL)
-_write_derivative = _lane_writer(_DERIVATIVE)
+_read_error = compiler.lane_reader(State, _ROW["error"], LANES)
+_write_state, _write_trial, _write_derivative = (
+    compiler.lane_writer(_ROW[name], N_STATES, LANES) for name in ("state", "trial", "derivative")
+)
 _stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
-_error_estimate = _estimator()
+_keep_1, _keep_2, _keep_3, _keep_4, _keep_5, _keep_6 = (_keep(number) for number in range(1, 7))
+_estimate_error = _estimate()
 
 
 @compiler.inline
@@ -218,6 +187,8 @@ def _choose_step(work):
 def _judge(work, strictness, maximum_step):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
     for lane in range(LANES):
+        _estimate_error(work, lane)
+    for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = work[_PROPOSED + lane]
         step = work[_STEP + lane]
@@ -225,7 +196,7 @@ def _judge(work, strictness, maximum_step):
         s = _read_state(work, lane)
         trial = _read_trial(work, lane)
         n = hold_limits(trial, c)
-        other = hold_limits(_difference(trial, _error_estimate(work, lane, step)), c)
+        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
         error = strictness * _largest(_difference(n, other), c)
         fits = error <= 1.0
         moving = remaining > 0.0
@@ -330,17 +301,29 @@ def _build(stamp: int) -> Callable[..., None]:
                             _write_trial(work, lane, _read_state(work, lane))
                     elif stage == 1:
                         _choose_step(work)
-                        _stage_2(work)
+                        for lane in range(LANES):
+                            _stage_2(work, lane)
+                            _keep_1(work, lane, _read_derivative(work, lane))
                     elif stage == 2:
-                        _stage_3(work)
+                        for lane in range(LANES):
+                            _stage_3(work, lane)
+                            _keep_2(work, lane, _read_derivative(work, lane))
                     elif stage == 3:
-                        _stage_4(work)
+                        for lane in range(LANES):
+                            _stage_4(work, lane)
+                            _keep_3(work, lane, _read_derivative(work, lane))
                     elif stage == 4:
-                        _stage_5(work)
+                        for lane in range(LANES):
+                            _stage_5(work, lane)
+                            _keep_4(work, lane, _read_derivative(work, lane))
                     elif stage == 5:
-                        _stage_6(work)
+                        for lane in range(LANES):
+                            _stage_6(work, lane)
+                            _keep_5(work, lane, _read_derivative(work, lane))
                     else:
-                        _stage_7(work)
+                        for lane in range(LANES):
+                            _stage_7(work, lane)
+                            _keep_6(work, lane, _read_derivative(work, lane))
                 for group in range(groups):
                     work = room[shift + group * _ROWS * LANES :]
                     for lane in range(LANES):
