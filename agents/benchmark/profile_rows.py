@@ -133,7 +133,7 @@ def _iteration_case(extent: Extent) -> Case:
         model.learn(size)
         iterations = max(2, extent.training_steps // (4 * size))
         with Stopwatch() as watch:
-            watch.wrap(env, "step_wait", "environment")
+            watch.wrap(env, "step", "environment")
             watch.wrap(env.env.axes, "step", "compiled step")
             watch.wrap(PolicyFeatures, "__call__", "features")
             watch.wrap(env, "_drive_twins", "features")

@@ -80,7 +80,7 @@ def native_model(settings: StudySettings, ppo: PPOSettings) -> tuple[PPO, AxisVe
 def watched_training(model: PPO, env: VecEnv, steps: int) -> tuple[float, dict[str, float]]:
     """Train for some steps; returns wall time (s), and of it the time in environment, inference and update."""
     with Stopwatch() as watch:
-        watch.wrap(env, "step_wait", "environment")
+        watch.wrap(env, "step", "environment")
         watch.wrap(model.policy, "forward", "inference")
         watch.wrap(model, "train", "update")
         began = time.perf_counter()
