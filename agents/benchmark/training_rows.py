@@ -93,14 +93,17 @@ def training_cases(extent: Extent) -> list[Case]:
     settings = default_study()
     ppo = settings.ppo
 
-    def native(run: int) -> Sequence[float]:
-        model, env = native_model(settings, ppo)
+    def native(run: int, threads: int = ppo.torch_threads) -> Sequence[float]:
+        model, env = native_model(settings, ppo.model_copy(update={"torch_threads": threads}))
         model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
         return _speed_and_shares(model, env, extent.training_steps)
 
     paired = ", each with its twin under the PID" if ppo.residual and ppo.paired else ""
     size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
     cases = [Case((Row(NATIVE_ROW, "steps/s", note=size), *_share_rows(NATIVE_ROW)), native, extent.training_runs)]
+    other = 2 if ppo.torch_threads == 1 else 1
+    row = Row(f"{NATIVE_ROW}, torch threads: {other}", "steps/s", NATIVE_ROW)
+    cases.append(Case((row, *_share_rows(row.name)), lambda run: native(run, other), extent.training_runs))
     for kind in (DummyVecEnv, SubprocVecEnv):
         name = f"PPO, {kind.__name__}"
 
