@@ -161,8 +161,8 @@ def benchmark(
 ) -> None:
     """Measure speed, memory and start-up on this machine, with other environments and solvers in turn.
 
-    Leaves one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. About half an
-    hour on two quiet cores, `--quick` two minutes. Ctrl-C keeps what is measured, `--resume` goes on.
+    Leaves one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. About a quarter
+    of an hour on two quiet cores, `--quick` a few minutes. Ctrl-C keeps what is measured, `--resume` goes on.
     """
     from agents.benchmark.command import benchmark_to_folder
 

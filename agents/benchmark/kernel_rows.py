@@ -10,7 +10,7 @@ from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, fresh_process, rate
 
 PEAK_SIZE = 1024
-PEAK_ROW = "DGEMM, 1 thread"
+SHARE_SIZE = 4096  # plants for which the share of the peak is told
 _PEAK_CODE = f"""
 import time, numpy as np
 n = {PEAK_SIZE}
@@ -75,10 +75,9 @@ def _peak_case(threads: int, peaks: dict[int, float], extent: Extent) -> Case:
 
 def _kernel_case(count: int, threads: int, per_step: int, peaks: dict[int, float], extent: Extent) -> Case:
     name = f"{count:,} plant{'s' if count > 1 else ''}, {threads} thread{'s' if threads > 1 else ''}"
-    largest = count == max(extent.kernel_sizes)
     against = f"{count:,} plants, 1 thread" if threads > 1 else ""
     rows = [Row(name, "plant periods/s", against)]
-    if (count >= 4096 and not largest) or (len(extent.kernel_sizes) < 4 and largest):
+    if count == SHARE_SIZE:
         rows.append(Row(f"{name}: share of the peak", "%", note="of the operations above; a DGEMM has no division"))
 
     def measure(run: int) -> Sequence[float]:

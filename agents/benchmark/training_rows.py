@@ -93,17 +93,18 @@ def training_cases(extent: Extent) -> list[Case]:
     settings = default_study()
     ppo = settings.ppo
 
-    def native(run: int, threads: int = ppo.torch_threads) -> Sequence[float]:
+    def native(run: int, threads: int = ppo.torch_threads, share: int = 1) -> Sequence[float]:
         model, env = native_model(settings, ppo.model_copy(update={"torch_threads": threads}))
         model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
-        return _speed_and_shares(model, env, extent.training_steps)
+        return _speed_and_shares(model, env, extent.training_steps // share)
 
     paired = ", each with its twin under the PID" if ppo.residual and ppo.paired else ""
     size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
     cases = [Case((Row(NATIVE_ROW, "steps/s", note=size), *_share_rows(NATIVE_ROW)), native, extent.training_runs)]
     other = 2 if ppo.torch_threads == 1 else 1
-    row = Row(f"{NATIVE_ROW}, torch threads: {other}", "steps/s", NATIVE_ROW)
-    cases.append(Case((row, *_share_rows(row.name)), lambda run: native(run, other), extent.training_runs))
+    waiting = "fewer steps: where another process holds a core, torch's threads wait for each other"
+    row = Row(f"{NATIVE_ROW}, torch threads: {other}", "steps/s", NATIVE_ROW, waiting)
+    cases.append(Case((row, *_share_rows(row.name)), lambda run: native(run, other, 8), extent.training_runs))
     for kind in (DummyVecEnv, SubprocVecEnv):
         name = f"PPO, {kind.__name__}"
 
