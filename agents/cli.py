@@ -166,7 +166,7 @@ def benchmark(
     """
     from agents.benchmark.command import benchmark_to_folder
 
-    with _stoppable():
+    with _stoppable(True):
         for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, _command_line()):
             typer.echo(file)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import inf, pi, sqrt
 
-from hydro_env import PlantParameters
+from hydro_env import ConfigurationError, PlantParameters
 
 RightHandSide = Callable[[float, Sequence[float], float], list[float]]
 
@@ -17,7 +17,16 @@ VAPOUR = -0.9e5  # Pa, gauge
 
 
 def right_hand_side(parameters: PlantParameters) -> RightHandSide:
-    """f(t, y, u): derivative of the nine states y (order of ``STATE_NAMES``, SI) at the voltage u (V)."""
+    """f(t, y, u): derivative of the states y (order of ``STATE_NAMES``, SI) at the voltage u (V).
+
+    The valve with its drive, friction without bristles, supply constant or with accumulator.
+
+    Raises:
+        ConfigurationError: the rig is modelled otherwise.
+    """
+    kinds = parameters.valve.model, parameters.friction.model, parameters.supply.model
+    if kinds[0] != "drive" or kinds[1] == "lugre" or kinds[2] == "pump":
+        raise ConfigurationError(f"the plant written by hand has no model {' / '.join(kinds)}")
     cylinder, valve, fluid = parameters.cylinder, parameters.valve, parameters.fluid
     load, friction, supply, leakage = parameters.load, parameters.friction, parameters.supply, parameters.leakage
     area_a = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter_a**2)
@@ -40,7 +49,7 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
 
     def f(t: float, y: Sequence[float], u: float) -> list[float]:
         del t
-        x, v, p_a, p_b, spool, spool_speed, current, p_s, gas = y
+        x, v, p_a, p_b, spool, spool_speed, current, p_s, gas, _ = y
         # valve drive, spool with its limits
         current_rate = (valve.amplifier_gain * u - valve.coil_resistance * current) / valve.coil_inductance
         spool_rate = min(max(spool_speed, -slew), slew)
@@ -90,6 +99,7 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
             current_rate,
             supply_rate,
             gas_rate,
+            0.0,
         ]
 
     return f

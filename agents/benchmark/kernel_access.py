@@ -11,14 +11,15 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
+from unittest import mock
 
 import numpy as np
 
 from agents.benchmark.timing import fresh_process
-from hydro_env import ServoHydraulicVectorEnv
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
 from hydro_env.plant import equations, kernel
-from hydro_env.plant.simulate import coefficient_array, equilibrium
+from hydro_env.plant.arrays import coefficient_array
 
 VOLTAGE = 1.0  # V; the square wave that drives the plants
 HALF_WAVE = 20  # control periods
@@ -33,16 +34,15 @@ class BareKernel:
     def __init__(self, count: int, threads: int) -> None:
         env = ServoHydraulicVectorEnv(count, info=False, threads=1)
         env.reset(seed=0)
+        config = env.config
         self.count, self.threads = count, threads
         self._first = env.axes.state.copy()
         self.coefficients = env.axes.coefficient.copy()
-        latency, period = env.config.command_latency, env.config.control_period
-        self._durations = np.array([latency, period - latency])
-        self._maximum_step = env.config.maximum_step
-        blocks = len(self._first)
-        self._voltage = np.full((blocks, 2, kernel.LANES), VOLTAGE)
-        self._peaks = np.zeros((blocks, kernel.N_PEAKS, kernel.LANES))
-        self._bounds = [blocks * part // threads for part in range(threads + 1)]
+        self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
+        self._accuracy = float(config.maximum_step), float(config.tolerance)
+        self._voltage = np.full((count, 2), VOLTAGE)
+        self._peaks = np.zeros((count, kernel.N_PEAKS))
+        self._bounds = [count * part // threads for part in range(threads + 1)]
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
         self.restart()
 
@@ -72,39 +72,11 @@ class BareKernel:
             self.coefficients,
             self._voltage,
             self._durations,
-            self._maximum_step,
+            *self._accuracy,
             self._peaks,
             first,
             last,
         )
-
-    def inner_steps(self, periods: int = 2 * HALF_WAVE) -> float:
-        """Inner steps per plant and control period, mean over plants and one period of the square wave."""
-        self.restart()
-        total = 0.0
-        for _ in range(periods):
-            total += self._steps_now()
-            self.advance()
-        self.restart()
-        return total / periods
-
-    def _steps_now(self) -> float:
-        steps = []
-        for axis in range(min(self.count, 64)):
-            block, lane = axis // kernel.LANES, axis % kernel.LANES
-            state = equations.State(*self.state[block, :, lane])
-            coefficients = equations.Coefficients(*self.coefficients[block, :, lane])
-            fastest = equations.fastest_rate(state, coefficients)
-            steps.append(
-                sum(
-                    max(
-                        math.ceil(duration / self._maximum_step - 1e-9),
-                        math.ceil(duration * fastest / kernel.STEP_LIMIT),
-                    )
-                    for duration in self._durations
-                )
-            )
-        return float(np.mean(steps))
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -112,18 +84,23 @@ class BareKernel:
             self._pool.shutdown()
 
 
-def operations() -> dict[str, dict[str, int]]:
-    """Floating-point operations by kind of a right-hand side and of an inner step, counted in a process of its own."""
-    _, text = fresh_process(
-        "from agents.benchmark.kernel_access import print_operations; print_operations()", {"NUMBA_DISABLE_JIT": "1"}
-    )
-    counted: dict[str, dict[str, int]] = json.loads(text)
-    return counted
+class Work(NamedTuple):
+    """Arithmetic of the integrator."""
+
+    kinds: dict[str, int]  # of one right-hand side, by kind of operation
+    evaluations: float  # of right-hand sides per plant and control period, those of idle lanes included
 
 
-def total(counted: dict[str, int]) -> int:
+def counted_work() -> Work:
+    """Operations of a right-hand side and how often it is evaluated, counted in a process of its own."""
+    code = "from agents.benchmark.kernel_access import print_work; print_work()"
+    _, text = fresh_process(code, {"NUMBA_DISABLE_JIT": "1"})
+    return Work(**json.loads(text))
+
+
+def total(kinds: dict[str, int]) -> int:
     """Additions, multiplications, divisions and square roots; comparisons and selections are not counted."""
-    return sum(number for kind, number in counted.items() if kind != "comparisons")
+    return sum(number for kind, number in kinds.items() if kind != "comparisons")
 
 
 class _Counted(float):
@@ -152,8 +129,9 @@ class _CountingMath:
         return _Counted(math.sqrt(value))
 
 
-def print_operations() -> None:
-    """Print, as JSON, what :func:`operations` returns; needs ``NUMBA_DISABLE_JIT=1``."""
+def print_work() -> None:
+    """Print, as JSON, what :func:`counted_work` returns; needs ``NUMBA_DISABLE_JIT=1``."""
+    evaluations = _count_evaluations()
     kinds = {"add": "additions", "sub": "additions", "mul": "multiplications", "truediv": "divisions"}
     for name, kind in kinds.items():
         setattr(_Counted, f"__{name}__", _counting(f"__{name}__", kind))
@@ -161,17 +139,28 @@ def print_operations() -> None:
     setattr(_Counted, "__neg__", _counting("__neg__", "additions"))  # noqa: B010
     for name in ("lt", "le", "gt", "ge"):
         setattr(_Counted, f"__{name}__", _counting(f"__{name}__", "comparisons"))
-    from hydro_env import PlantParameters
-
     rest, voltage = equilibrium(PlantParameters(), 0.0)
     state = equations.State(*(_Counted(value) for value in rest.values()))
     coefficients = equations.Coefficients(*(_Counted(value) for value in coefficient_array(PlantParameters())))
     setattr(equations, "math", _CountingMath())  # noqa: B010
-    counted = {}
     _Counted.counts = {}
     equations.derivatives(state, coefficients, _Counted(voltage))
-    counted["right-hand side"] = _Counted.counts
-    _Counted.counts = {}
-    kernel.runge_kutta_step(state, coefficients, _Counted(voltage), _Counted(1e-4))
-    counted["inner step"] = _Counted.counts
-    print(json.dumps(counted))
+    print(json.dumps({"kinds": _Counted.counts, "evaluations": evaluations}))
+
+
+def _count_evaluations(plants: int = 32, periods: int = 5) -> float:
+    """Right-hand sides per plant and control period, from the start of the square wave on."""
+    plain: Callable[..., Any] = equations.derivatives
+    calls = 0
+
+    def derivatives(s: Any, c: Any, voltage: float) -> Any:
+        nonlocal calls
+        calls += 1
+        return plain(s, c, voltage)
+
+    with mock.patch.object(kernel, "derivatives", derivatives):
+        run = BareKernel(plants, 1)
+        calls = 0
+        for _ in range(periods):
+            run.advance()
+    return calls / (plants * periods)

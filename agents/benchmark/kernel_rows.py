@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from agents.benchmark.kernel_access import BareKernel, operations, total
+from agents.benchmark.kernel_access import BareKernel, counted_work, total
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, fresh_process, rate
 
@@ -33,8 +33,8 @@ def peak(threads: int) -> float:
 
 def kernel_cases(extent: Extent) -> list[Case]:
     """The integrator alone."""
-    counted = operations()
-    per_step = total(counted["inner step"])
+    work = counted_work()
+    operations = total(work.kinds)
     peaks: dict[int, float] = {}
     cases = []
     thread_counts = [1, 2] if (os.cpu_count() or 1) > 1 else [1]
@@ -43,19 +43,13 @@ def kernel_cases(extent: Extent) -> list[Case]:
     for threads in thread_counts:
         for count in extent.kernel_sizes:
             if count >= 16 * threads or threads == 1:
-                cases.append(_kernel_case(count, threads, per_step, peaks, extent))
-    flops = total(counted["right-hand side"])
-    cases.append(
-        Case(
-            (
-                Row("operations of a right-hand side", "1", note=_spelled(counted["right-hand side"])),
-                Row("operations of an inner step", "1", note=_spelled(counted["inner step"])),
-                Row("inner steps of a control period", "1", note="mean of 64 drawn plants under ±1 V, 5 Hz"),
-            ),
-            lambda run: (flops, per_step, BareKernel(64, 1).inner_steps()),
-            1,
-        )
+                cases.append(_kernel_case(count, threads, operations * work.evaluations, peaks, extent))
+    remark = "mean of 32 drawn plants in the first 25 ms under 1 V, counted"
+    rows = (
+        Row("operations of a right-hand side", "1", note=_spelled(work.kinds)),
+        Row("right-hand sides of a control period", "1", note=remark),
     )
+    cases.append(Case(rows, lambda run: (operations, work.evaluations), 1))
     return cases
 
 
@@ -73,19 +67,19 @@ def _peak_case(threads: int, peaks: dict[int, float], extent: Extent) -> Case:
     return Case((Row(name, "GFLOP/s", note=note),), measure, extent.runs)
 
 
-def _kernel_case(count: int, threads: int, per_step: int, peaks: dict[int, float], extent: Extent) -> Case:
+def _kernel_case(count: int, threads: int, per_period: float, peaks: dict[int, float], extent: Extent) -> Case:
     name = f"{count:,} plant{'s' if count > 1 else ''}, {threads} thread{'s' if threads > 1 else ''}"
     against = f"{count:,} plants, 1 thread" if threads > 1 else ""
     rows = [Row(name, "plant periods/s", against)]
     if count == SHARE_SIZE:
-        rows.append(Row(f"{name}: share of the peak", "%", note="of the operations above; a DGEMM has no division"))
+        rows.append(Row(f"{name}: share of the peak", "%", note="right-hand sides alone; a DGEMM has no division"))
 
     def measure(run: int) -> Sequence[float]:
         kernel = BareKernel(count, threads)
         periods = rate(kernel.advance, extent.seconds)
         values = [periods]
         if len(rows) > 1:
-            values.append(100.0 * periods * kernel.inner_steps() * per_step / (1e9 * peaks[threads]))
+            values.append(100.0 * periods * per_period / (1e9 * peaks[threads]))
         kernel.close()
         return values
 

@@ -22,7 +22,7 @@ PERIOD = 5e-3  # s
 METHODS = ("LSODA", "RK45", "Radau")
 TOLERANCES = tuple(math.pow(10.0, -0.5 * half) for half in range(3, 21))  # relative, loosest first
 SIZES = np.array(
-    [0.1, 0.1, 50e5, 50e5, 1.0, 10.0, 1.0, 50e5, 5e-4]
+    [0.1, 0.1, 50e5, 50e5, 1.0, 10.0, 1.0, 50e5, 5e-4, 1e-5]
 )  # of the states; the absolute tolerance is relative × size
 
 

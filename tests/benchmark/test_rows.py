@@ -8,7 +8,7 @@ import pytest
 
 from agents.benchmark.environment_rows import single_cases, single_rate, vector_rate
 from agents.benchmark.hand_written import right_hand_side
-from agents.benchmark.kernel_access import BareKernel, operations, total
+from agents.benchmark.kernel_access import BareKernel, counted_work, total
 from agents.benchmark.profile_rows import profile_cases
 from agents.benchmark.resource_rows import array_bytes, inference_cases, memory_cases
 from agents.benchmark.solver_rows import error_of, matching_tolerance, solver_cases
@@ -18,7 +18,7 @@ from agents.benchmark.training_rows import Stopwatch, default_study, validation_
 from agents.controllers.base import ObservationLayout
 from agents.controllers.pid import PID
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
-from hydro_env.plant.simulate import coefficient_array, derivative_array
+from hydro_env.plant.arrays import coefficient_array, derivative_array
 
 TINY = dataclasses.replace(
     QUICK, runs=1, seconds=0.005, kernel_sizes=(1, 16), vector_sizes=(2,), cost_sizes=(2,), solver_periods=2, calls=200
@@ -50,6 +50,7 @@ def test_plant_written_by_hand_is_the_projects(rig):
                 generator.normal(),
                 generator.uniform(50e5, 80e5),
                 generator.uniform(1e-4, 9e-4),
+                0.0,
             ]
         )
         voltage = generator.uniform(-10.0, 10.0)
@@ -57,11 +58,10 @@ def test_plant_written_by_hand_is_the_projects(rig):
 
 
 def test_operations_are_counted():
-    counted = operations()
-    one, step = total(counted["right-hand side"]), total(counted["inner step"])
-    assert 50 < one < 500
-    assert counted["right-hand side"]["square roots"] >= 10  # two in each of five smooth roots, opening, friction
-    assert step > one
+    work = counted_work()
+    assert 50 < total(work.kinds) < 500
+    assert work.kinds["square roots"] >= 10  # two in each of four edges, opening, friction
+    assert 4.0 < work.evaluations < 500.0
 
 
 def test_bare_kernel_advances_and_restarts():
@@ -69,7 +69,7 @@ def test_bare_kernel_advances_and_restarts():
     first = kernel.state.copy()
     assert kernel.advance() == 16
     assert not np.array_equal(kernel.state, first)
-    assert kernel.inner_steps(2) >= 1.0
+    kernel.restart()
     np.testing.assert_array_equal(kernel.state, first)
     kernel.close()
 
