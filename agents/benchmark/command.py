@@ -117,7 +117,7 @@ def measure_group(
                             result.note = " ".join(str(error).split())
                 done += 1
                 display.update(group, done, total, case.rows[0].name)
-            keep()
+                keep()
     except BaseException:
         for result in own_without_values(own):
             results.remove(result)
