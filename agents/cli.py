@@ -153,6 +153,33 @@ def reproduce(
 
 
 @app.command()
+def benchmark(
+    output: Output = Path("results/benchmark"),
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only",
+            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, training, "
+            "beating, memory, start, inference, profile. Without it all.",
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, to try it.")] = False,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure speed, memory and start-up on this machine, with other environments and solvers in turn.
+
+    Leaves one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. About a quarter
+    of an hour on two quiet cores, `--quick` a few minutes. Ctrl-C keeps what is measured, `--resume` goes on.
+    """
+    from agents.benchmark.command import benchmark_to_folder
+
+    with _stoppable(True):
+        for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, _command_line()):
+            typer.echo(file)
+
+
+@app.command()
 def train(
     what: Annotated[
         Trainable, typer.Argument(help="ppo, head (the leakage head) or pid (its gains, by an optimiser).")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from bisect import bisect_left
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 Observation = NDArray[np.float32]
 REWARD_TERMS = ("tracking", "effort", "failure")
 _COLUMN = {name: index for index, name in enumerate(Record._fields)}
+_LEAK, _POSITION, _REFERENCE, _VELOCITY = (_COLUMN[name] for name in ("leak_flow", "position", "reference", "velocity"))
+_FAMILY, _FAILURE, _COST = (_COLUMN[name] for name in ("reference_family", "failure", "cost_tracking"))
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
@@ -122,6 +125,7 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._reward = np.zeros(1)
         self._terminated = np.zeros(1, dtype=np.bool_)
         self._truncated = np.zeros(1, dtype=np.bool_)
+        self._class_bounds = [bound * (1 + 1e-9) for bound in self.config.leakage.class_bounds]
         self._seeded = False
         self._begun = False
         self._spec: EnvSpec | None = None
@@ -203,25 +207,27 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _info(self) -> dict[str, Any]:
         row = self._axes.record[0].tolist()
-        flow, position, reference = row[_COLUMN["leak_flow"]], row[_COLUMN["position"]], row[_COLUMN["reference"]]
-        bounds = self.config.leakage.class_bounds
-        cost = _COLUMN["cost_tracking"]
+        flow, position, reference = row[_LEAK], row[_POSITION], row[_REFERENCE]
         return {
             "leakage_resistance": resistance_from_flow(flow),
             "leakage_flow_lpm": flow,
-            "leakage_class": sum(flow > bound * (1 + 1e-9) for bound in bounds),
+            "leakage_class": bisect_left(self._class_bounds, flow),
             "position": position,
-            "velocity": row[_COLUMN["velocity"]],
+            "velocity": row[_VELOCITY],
             "reference": reference,
             "tracking_error": reference - position,
-            "reference_family": REFERENCE_FAMILIES[int(row[_COLUMN["reference_family"]])],
-            "failure": failure_name(row[_COLUMN["failure"]]),
-            "reward_terms": {name: -row[cost + index] for index, name in enumerate(REWARD_TERMS)},
+            "reference_family": REFERENCE_FAMILIES[int(row[_FAMILY])],
+            "failure": failure_name(row[_FAILURE]),
+            "reward_terms": {
+                "tracking": -row[_COST],
+                "effort": -row[_COST + 1],
+                "failure": -row[_COST + 2],
+            },
         }
 
     def _note_history(self) -> None:
         row = self._axes.record[0]
-        self._history.append((row[_COLUMN["position"]], row[_COLUMN["reference"]]))
+        self._history.append((row[_POSITION], row[_REFERENCE]))
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the axis: an image (height, width, 3) with ``"rgb_array"``, a window with ``"human"``."""

@@ -41,7 +41,7 @@ def assert_one_clear_line(result, *parts):
         assert part in lines[0]
 
 
-@pytest.mark.parametrize("command", ["simulate", "check-rig", "train", "evaluate", "study"])
+@pytest.mark.parametrize("command", ["simulate", "check-rig", "benchmark", "train", "evaluate", "study"])
 def test_help_teaches(command):
     assert command in hydro("--help").stdout
     result = hydro(command, "--help")
@@ -229,3 +229,9 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
     assert judged.returncode == 0, judged.stderr
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
     assert_one_clear_line(other, "is of another seed or other settings")
+
+
+def test_benchmark_refuses_an_unknown_group(tmp_path):
+    result = hydro("benchmark", "--only", "speed", "--output", tmp_path / "new")
+    assert_one_clear_line(result, "--only speed: unknown group", "kernel, single")
+    assert not (tmp_path / "new").exists()

@@ -115,9 +115,16 @@ class PID:
 
 def _interpolate(time: Any, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Each row of ``values`` (N, times) at ``time`` (one, or one per row), linear, constant beyond the ends."""
-    at = np.clip(np.broadcast_to(np.asarray(time, dtype=np.float64), (len(values),)), times[0], times[-1])
+    result: NDArray[np.float64]
+    if np.ndim(time) == 0:  # one set of gains for all axes: two columns
+        one = min(max(float(time), float(times[0])), float(times[-1]))
+        column = min(max(int(np.searchsorted(times, one)), 1), len(times) - 1)
+        weight = (one - times[column - 1]) / (times[column] - times[column - 1])
+        result = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
+        return result
+    at = np.clip(np.asarray(time, dtype=np.float64), times[0], times[-1])
     right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
     share = (at - times[right - 1]) / (times[right] - times[right - 1])
     rows = np.arange(len(values))
-    result: NDArray[np.float64] = values[rows, right - 1] * (1.0 - share) + values[rows, right] * share
+    result = values[rows, right - 1] * (1.0 - share) + values[rows, right] * share
     return result

@@ -121,6 +121,7 @@ class _Callback(BaseCallback):
         progress: Callable[[Progress], None] | None,
         checkpoint_seconds: float,
         stop: Callable[[], bool] | None,
+        check: Callable[[PPO, float], bool] | None,
     ) -> None:
         super().__init__()
         self._settings = settings
@@ -128,10 +129,20 @@ class _Callback(BaseCallback):
         self._report = progress
         self._every = checkpoint_seconds
         self._stop = stop
+        self._check = check
+        self._checking = 0.0
+        self._ended = False
         self._begun = self._last = time.monotonic()
 
     def _on_step(self) -> bool:
-        return not (self._stop is not None and self._stop())
+        return not (self._ended or (self._stop is not None and self._stop()))
+
+    def _on_rollout_start(self) -> None:
+        if self._check is not None:
+            assert isinstance(self.model, PPO)
+            now = time.monotonic()
+            self._ended = self._check(self.model, now - self._begun - self._checking)
+            self._checking += time.monotonic() - now
 
     def _on_rollout_end(self) -> None:
         settings = self._settings
@@ -160,6 +171,7 @@ def train_ppo(
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
     stop: Callable[[], bool] | None = None,
+    check: Callable[[PolicyController, int, float], bool] | None = None,
 ) -> PolicyController:
     """Train a policy from nothing, or go on from a checkpoint.
 
@@ -173,6 +185,8 @@ def train_ppo(
         progress: called after every rollout.
         checkpoint_seconds: time between checkpoints.
         stop: asked at every step; true ends the training early.
+        check: called between rollouts with the policy as it stands, the steps done and the seconds that they took
+            (its own not counted); true ends the training early.
 
     Returns:
         The trained policy.
@@ -213,7 +227,13 @@ def train_ppo(
             _save_checkpoint(current, checkpoint, settings, config, seed)
 
     _set_exploration(model, settings, min(done / settings.total_steps, 1.0))
-    callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop)
+
+    def check_policy(current: PPO, seconds: float) -> bool:
+        assert check is not None
+        return check(PolicyController.from_model(current, features, {}), int(current.num_timesteps), seconds)
+
+    watching = check_policy if check is not None else None
+    callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop, watching)
     began = time.monotonic()
     try:
         if done < settings.total_steps:

@@ -42,6 +42,23 @@ def test_policy_controller_acts_as_the_model_does():
     np.testing.assert_allclose(command, features.command(output, env._state), atol=1e-6)
 
 
+def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
+    seen = []
+
+    def check(policy, steps, seconds):
+        seen.append((steps, seconds, weights_of(policy)))
+        return steps >= 512
+
+    plain = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), GAINS, seed=1, check=lambda *_: False)
+    reference = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), GAINS, seed=1)
+    np.testing.assert_array_equal(weights_of(plain), weights_of(reference))
+    policy = train_ppo(CONFIG, SETTINGS, GAINS, seed=1, check=check)
+    assert [steps for steps, _, _ in seen] == [0, 256, 512]
+    assert all(second >= 0.0 for _, second, _ in seen)
+    assert not np.array_equal(seen[0][2], seen[1][2])
+    assert policy.training["steps"] < 1024
+
+
 @pytest.mark.parametrize("residual", [True, False])
 def test_weights_round_trip(tmp_path, residual):
     settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256})

@@ -1,0 +1,105 @@
+"""The plant as a user would write it by hand: plain Python from the equations of docs/model.md, for SciPy's solvers.
+
+A peer of the compiled right-hand side, not used by anything else; a test holds the two to each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import inf, pi, sqrt
+
+from hydro_env import ConfigurationError, PlantParameters
+
+RightHandSide = Callable[[float, Sequence[float], float], list[float]]
+
+ATMOSPHERE = 101_325.0  # Pa
+VAPOUR = -0.9e5  # Pa, gauge
+
+
+def right_hand_side(parameters: PlantParameters) -> RightHandSide:
+    """f(t, y, u): derivative of the states y (order of ``STATE_NAMES``, SI) at the voltage u (V).
+
+    The valve with its drive, friction without bristles, supply constant or with accumulator.
+
+    Raises:
+        ConfigurationError: the rig is modelled otherwise.
+    """
+    kinds = parameters.valve.model, parameters.friction.model, parameters.supply.model
+    if kinds[0] != "drive" or kinds[1] == "lugre" or kinds[2] == "pump":
+        raise ConfigurationError(f"the plant written by hand has no model {' / '.join(kinds)}")
+    cylinder, valve, fluid = parameters.cylinder, parameters.valve, parameters.fluid
+    load, friction, supply, leakage = parameters.load, parameters.friction, parameters.supply, parameters.leakage
+    area_a = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter_a**2)
+    area_b = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter**2)
+    half = cylinder.stroke / 2
+    mass = load.mass + cylinder.piston_mass
+    gain = valve.rated_flow / sqrt(valve.rated_pressure_drop / 2)
+    omega, zeta, slew = valve.natural_frequency, valve.damping_ratio, valve.slew_limit
+    external = 0.0 if leakage.external_resistance == inf else 1 / leakage.external_resistance
+    coulomb = 0.0 if friction.model == "none" else friction.coulomb_force
+    stribeck = friction.breakaway_force - friction.coulomb_force if friction.model == "stribeck" else 0.0
+
+    def root(drop: float) -> float:  # S(Δp)
+        return drop / sqrt(sqrt(drop**2 + valve.transition_pressure**2))
+
+    def modulus(pressure: float) -> float:  # β_eff
+        absolute = max(pressure, VAPOUR) + ATMOSPHERE
+        air = fluid.air_fraction * ATMOSPHERE
+        return 1 / (1 / fluid.bulk_modulus + air / (((1 - fluid.air_fraction) * absolute + air) * absolute))
+
+    def f(t: float, y: Sequence[float], u: float) -> list[float]:
+        del t
+        x, v, p_a, p_b, spool, spool_speed, current, p_s, gas, _ = y
+        # valve drive, spool with its limits
+        current_rate = (valve.amplifier_gain * u - valve.coil_resistance * current) / valve.coil_inductance
+        spool_rate = min(max(spool_speed, -slew), slew)
+        if (spool >= 1 and spool_rate > 0) or (spool <= -1 and spool_rate < 0):
+            spool_rate = 0.0
+        spool_acceleration = omega**2 * (valve.spool_gain * current - spool) - 2 * zeta * omega * spool_speed
+        if (spool_speed >= slew and spool_acceleration > 0) or (spool_speed <= -slew and spool_acceleration < 0):
+            spool_acceleration = 0.0
+        # four edges, leakage
+        width = sqrt(spool**2 + valve.underlap**2)
+        forward, backward = (width + spool) / 2, (width - spool) / 2
+        into_a, out_of_a = gain * forward * root(p_s - p_a), gain * backward * root(p_a - supply.tank_pressure)
+        out_of_b, into_b = gain * forward * root(p_b - supply.tank_pressure), gain * backward * root(p_s - p_b)
+        leak = (p_a - p_b) / leakage.internal_resistance + leakage.orifice_gain * root(p_a - p_b)
+        # chambers
+        volume_a = cylinder.dead_volume + area_a * (half + x)
+        volume_b = cylinder.dead_volume + area_b * (half - x)
+        rate_a = modulus(p_a) / volume_a * (into_a - out_of_a - area_a * v - leak)
+        rate_b = modulus(p_b) / volume_b * (into_b - out_of_b + area_b * v + leak - external * p_b)
+        if p_a <= VAPOUR:
+            rate_a = max(rate_a, 0.0)
+        if p_b <= VAPOUR:
+            rate_b = max(rate_b, 0.0)
+        # load
+        lubrication = coulomb + stribeck / (1 + (v / friction.stribeck_velocity) ** 2)
+        ratio = v / friction.transition_velocity
+        force = p_a * area_a - p_b * area_b - load.spring_stiffness * x - load.viscous_damping * v
+        force -= lubrication * ratio / sqrt(1 + ratio**2) + load.external_force
+        if x > half:
+            force -= max(cylinder.end_stop_stiffness * (x - half) + cylinder.end_stop_damping * v, 0.0)
+        elif x < -half:
+            force += max(cylinder.end_stop_stiffness * (-x - half) - cylinder.end_stop_damping * v, 0.0)
+        # supply
+        supply_rate = gas_rate = 0.0
+        if supply.model == "accumulator":
+            relief = supply.relief_slope * max(p_s - supply.pressure, 0.0)
+            surplus = supply.pump_flow - into_a - into_b - relief
+            supply_rate = supply.polytropic_index * (p_s + ATMOSPHERE) / gas * surplus
+            gas_rate = -surplus
+        return [
+            v,
+            force / mass,
+            rate_a,
+            rate_b,
+            spool_rate,
+            spool_acceleration,
+            current_rate,
+            supply_rate,
+            gas_rate,
+            0.0,
+        ]
+
+    return f

@@ -1,0 +1,220 @@
+"""Rows of training with stable-baselines3: speed of PPO, where its time goes, and how soon it beats the PID."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any
+from unittest import mock
+
+import gymnasium as gym
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
+
+from agents.benchmark.table import Case, Row
+from agents.benchmark.timing import Extent
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID
+from agents.evaluation.metrics import rollout_metrics
+from agents.learning.policy import PolicyController
+from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
+from agents.learning.vec_env import AxisVecEnv
+from agents.paths import config_folder
+from agents.rollout import Cases, run_cases
+from agents.splits import VALIDATION_SEEDS
+from agents.study import StudySettings
+from hydro_env import ENVIRONMENT_ID
+from hydro_env.task.configuration import task_config
+
+SINGLE_AXES = 16  # that stable-baselines3's own vector environments run
+NATIVE_ROW = "PPO, native vector environment"
+CHECK_EVERY = 50_000  # steps
+MARGIN = 0.01
+"""How far below the PID's error the policy's must be: an untrained correction differs from the PID by less."""
+
+IN_A_ROW = 3
+"""Checks in a row that must be below the PID, so that one lucky check does not count."""
+
+
+def default_study() -> StudySettings:
+    """The study of ``make study``."""
+    return StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
+
+
+class Stopwatch:
+    """Seconds that calls of some functions took, by name; puts the functions back at the end of its context."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Stopwatch:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def wrap(self, owner: Any, function: str, name: str) -> None:
+        """Note the time of a function or method of ``owner`` under a name."""
+        plain = getattr(owner, function)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return plain(*args, **kwargs)
+            finally:
+                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
+
+        self._stack.enter_context(mock.patch.object(owner, function, timed))
+
+
+def native_model(settings: StudySettings, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
+    """PPO as the study trains it, on the native vector environment."""
+    torch.set_num_threads(ppo.torch_threads)
+    features = make_features(settings.task, ppo, settings.base_pid or settings.pid)
+    task = task_config(settings.task, **ppo.practice)
+    env = AxisVecEnv(task, ppo.axes, features, 0, ppo.reward_scale, ppo.residual and ppo.paired)
+    return make_model(env, ppo, 0), env
+
+
+def watched_training(model: PPO, env: VecEnv, steps: int) -> tuple[float, dict[str, float]]:
+    """Train for some steps; returns wall time (s), and of it the time in environment, inference and update."""
+    with Stopwatch() as watch:
+        watch.wrap(env, "step", "environment")
+        watch.wrap(model.policy, "forward", "inference")
+        watch.wrap(model, "train", "update")
+        began = time.perf_counter()
+        model.learn(steps)
+        return time.perf_counter() - began, watch.seconds
+
+
+def training_cases(extent: Extent) -> list[Case]:
+    """Speed of PPO on the native vector environment, and on stable-baselines3's own over single axes."""
+    settings = default_study()
+    ppo = settings.ppo
+
+    def native(run: int, threads: int = ppo.torch_threads, share: int = 1) -> Sequence[float]:
+        model, env = native_model(settings, ppo.model_copy(update={"torch_threads": threads}))
+        model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
+        return _speed_and_shares(model, env, extent.training_steps // share)
+
+    paired = ", each with its twin under the PID" if ppo.residual and ppo.paired else ""
+    size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
+    cases = [Case((Row(NATIVE_ROW, "steps/s", note=size), *_share_rows(NATIVE_ROW)), native, extent.training_runs)]
+    other = 2 if ppo.torch_threads == 1 else 1
+    waiting = "fewer steps: where another process holds a core, torch's threads wait for each other"
+    row = Row(f"{NATIVE_ROW}, torch threads: {other}", "steps/s", NATIVE_ROW, waiting)
+    cases.append(Case((row, *_share_rows(row.name)), lambda run: native(run, other, 8), extent.training_runs))
+    for kind in (DummyVecEnv, SubprocVecEnv):
+        name = f"PPO, {kind.__name__}"
+
+        def single(run: int, kind: type[VecEnv] = kind) -> Sequence[float]:
+            model, env = _single_model(kind, ppo, extent)
+            return _speed_and_shares(model, env, extent.single_training_steps)
+
+        row = Row(name, "steps/s", NATIVE_ROW, f"{SINGLE_AXES} single axes, plain observation, same updates per step")
+        cases.append(Case((row, *_share_rows(name)), single, extent.training_runs))
+    return cases
+
+
+def _share_rows(name: str) -> list[Row]:
+    return [Row(f"{name}: {part}", "% of time") for part in ("environment", "inference", "update", "rest")]
+
+
+def _speed_and_shares(model: PPO, env: VecEnv, steps: int) -> Sequence[float]:
+    seconds, parts = watched_training(model, env, steps)
+    done = model.num_timesteps  # of this call: ``learn`` counts anew
+    env.close()
+    shares = [100.0 * parts[name] / seconds for name in ("environment", "inference", "update")]
+    return done / seconds, *shares, 100.0 - sum(shares)
+
+
+def _single_model(kind: type[VecEnv], ppo: PPOSettings, extent: Extent) -> tuple[PPO, VecEnv]:
+    torch.set_num_threads(ppo.torch_threads)
+    makers = [_single_axis] * SINGLE_AXES
+    env = SubprocVecEnv(makers, start_method="spawn") if kind is SubprocVecEnv else DummyVecEnv(makers)
+    rollout = min(ppo.axes * ppo.steps_per_rollout, extent.single_training_steps)
+    model = PPO(
+        "MlpPolicy",
+        env,
+        n_steps=rollout // SINGLE_AXES,
+        batch_size=rollout // ppo.minibatches,
+        n_epochs=ppo.epochs,
+        policy_kwargs={"net_arch": {"pi": list(ppo.hidden_sizes), "vf": list(ppo.hidden_sizes)}},
+        seed=0,
+        device="cpu",
+    )
+    return model, env
+
+
+def _single_axis() -> gym.Env[Any, Any]:
+    import hydro_env  # noqa: F401  (registers, in a process of its own)
+
+    return gym.make(ENVIRONMENT_ID)
+
+
+# Time until PPO beats the PID ---------------------------------------------------------------------------------------
+
+
+def validation_error(settings: StudySettings, controller: Controller, plants: int) -> float:
+    """Mean absolute error in mm over all leak levels and kinds of reference, on validation plants."""
+    levels, families = settings.evaluation.leak_levels, settings.evaluation.families
+    grid = [(level, family, plant) for level in levels for family in families for plant in range(plants)]
+    seeds = np.array([VALIDATION_SEEDS.start + 1000 * families.index(family) + plant for _, family, plant in grid])
+    cases = Cases(seeds, np.array([level for level, _, _ in grid]), np.array([family for _, family, _ in grid]))
+    rollout = run_cases(settings.task, controller, cases)
+    assert cases.families is not None
+    return float(rollout_metrics(rollout, cases.families, settings.task.control_period)["mean_error_mm"].mean())
+
+
+def time_to_beat_pid(settings: StudySettings, seed: int, plants: int) -> tuple[float, int, float]:
+    """Train until the policy's validation error is 1 % below the PID's at three checks in a row.
+
+    Returns:
+        Training time (s, checks not counted) and steps at the first of these checks, and the time the checks took (s).
+
+    Raises:
+        RuntimeError: it never happened in a whole training.
+    """
+    layout = ObservationLayout.of(settings.task)
+    bar = (1.0 - MARGIN) * validation_error(settings, PID(settings.pid, layout), plants)
+    below: list[tuple[float, int]] = []
+    checking, next_check = 0.0, 0
+
+    def check(policy: PolicyController, steps: int, seconds: float) -> bool:
+        nonlocal checking, next_check
+        if steps < next_check:
+            return False
+        next_check = steps + CHECK_EVERY
+        began = time.perf_counter()
+        if validation_error(settings, policy, plants) < bar:
+            below.append((seconds, steps))
+        else:
+            below.clear()
+        checking += time.perf_counter() - began
+        return len(below) >= IN_A_ROW
+
+    train_ppo(settings.task, settings.ppo, settings.base_pid or settings.pid, seed, check=check)
+    if not below:
+        raise RuntimeError("PPO did not get below the PID")
+    return *below[0], checking
+
+
+def beating_cases(extent: Extent) -> list[Case]:
+    """How soon PPO's mean error is below the tuned PID's."""
+    settings = default_study()
+    cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * extent.plants
+    note = f"mean error 1 % lower on {cases} validation cases; checked every {CHECK_EVERY:,} steps, checks not counted"
+
+    def measure(run: int) -> Sequence[float]:
+        return time_to_beat_pid(settings, run, extent.plants)
+
+    rows = (
+        Row("time until PPO beats the tuned PID", "s", note=f"a run is a seed; {note}"),
+        Row("steps until then", "steps"),
+        Row("time of the checks, not counted", "s"),
+    )
+    return [Case(rows, measure, extent.seeds)]

@@ -1,0 +1,146 @@
+"""Rows measure what they say: the hand-written plant is the project's, cheap rows give sane figures."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.benchmark.environment_rows import single_cases, single_rate, vector_rate
+from agents.benchmark.hand_written import right_hand_side
+from agents.benchmark.kernel_access import BareKernel, counted_work, total
+from agents.benchmark.profile_rows import profile_cases
+from agents.benchmark.resource_rows import array_bytes, inference_cases, memory_cases
+from agents.benchmark.solver_rows import error_of, matching_tolerance, solver_cases
+from agents.benchmark.table import UnavailableError
+from agents.benchmark.timing import QUICK, fresh_process, rate
+from agents.benchmark.training_rows import Stopwatch, default_study, validation_error
+from agents.controllers.base import ObservationLayout
+from agents.controllers.pid import PID
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv
+from hydro_env.plant.arrays import coefficient_array, derivative_array
+
+TINY = dataclasses.replace(
+    QUICK, runs=1, seconds=0.005, kernel_sizes=(1, 16), vector_sizes=(2,), cost_sizes=(2,), solver_periods=2, calls=200
+)
+RIGS = (
+    PlantParameters(),
+    PlantParameters().replace(supply={"model": "constant"}, friction={"model": "coulomb"}),
+    PlantParameters().replace(
+        friction={"model": "none"},
+        cylinder={"rod_diameter_a": 0.02},
+        leakage={"internal_resistance": 1e11, "external_resistance": 1e12, "orifice_gain": 1e-8},
+        load={"external_force": 500.0},
+    ),
+)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_plant_written_by_hand_is_the_projects(rig):
+    f, coefficients = right_hand_side(rig), coefficient_array(rig)
+    generator = np.random.default_rng(1)
+    for _ in range(200):
+        state = np.array(
+            [
+                generator.uniform(-0.201, 0.201),
+                generator.normal(),
+                *generator.uniform(-1.0e5, 70e5, 2),
+                generator.uniform(-1.1, 1.1),
+                generator.normal(0.0, 80.0),
+                generator.normal(),
+                generator.uniform(50e5, 80e5),
+                generator.uniform(1e-4, 9e-4),
+                0.0,
+            ]
+        )
+        voltage = generator.uniform(-10.0, 10.0)
+        np.testing.assert_allclose(f(0.0, state, voltage), derivative_array(state, coefficients, voltage), rtol=1e-9)
+
+
+def test_operations_are_counted():
+    work = counted_work()
+    assert 50 < total(work.kinds) < 500
+    assert work.kinds["square roots"] >= 10  # two in each of four edges, opening, friction
+    assert 4.0 < work.evaluations < 500.0
+
+
+def test_bare_kernel_advances_and_restarts():
+    kernel = BareKernel(16, 2)
+    first = kernel.state.copy()
+    assert kernel.advance() == 16
+    assert not np.array_equal(kernel.state, first)
+    kernel.restart()
+    np.testing.assert_array_equal(kernel.state, first)
+    kernel.close()
+
+
+def test_rate_counts_work():
+    assert rate(lambda: 7, 0.01) > 7 / 0.01
+
+
+def test_rates_of_environments():
+    assert single_rate(gym.make("ServoHydraulic-v0"), 0.01, 20) > 100
+    for mode in ("NextStep", "SameStep", "Disabled"):
+        env = gym.make_vec("ServoHydraulic-v0", num_envs=2, autoreset_mode=mode, episode_duration=0.05)
+        assert vector_rate(env, 0.01) > 100
+
+
+def test_absent_peer_says_so(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "gym_electric_motor", None)
+    motor = next(case for case in single_cases(TINY) if "PMSM" in case.rows[0].name)
+    with pytest.raises(UnavailableError, match="not installed"):
+        motor.measure(0)
+
+
+@pytest.mark.parametrize("make", [solver_cases, inference_cases])
+def test_cheap_rows_are_positive(make):
+    for case in make(TINY):
+        values = case.measure(0)
+        assert len(values) == len(case.rows)
+        assert all(np.isfinite(values))
+        assert min(values) > 0.0
+
+
+def test_step_profile_is_positive_and_nested():
+    values = {case.rows[0].name: case.measure(0)[0] for case in profile_cases(TINY)[:-1]}
+    assert min(values.values()) > 0.0
+
+
+def test_memory_of_arrays():
+    env = ServoHydraulicVectorEnv(64)
+    assert array_bytes(env) > 64 * 400 * 8  # at least the reference
+    arrays, _ = memory_cases(dataclasses.replace(TINY, memory_axes=512))
+    assert 3000 < arrays.measure(0)[0] < 20_000
+
+
+def test_matching_tolerance_is_the_loosest_that_suffices():
+    exact = np.array([[0.0], [1.0]])
+    assert matching_tolerance(lambda tolerance: exact + tolerance, exact, 1e-4) == pytest.approx(1e-4)
+    with pytest.raises(UnavailableError):
+        matching_tolerance(lambda tolerance: exact + 1.0, exact, 1e-4)
+    assert error_of(exact, exact) == 0.0
+
+
+def test_fresh_process_tells_its_failure():
+    assert fresh_process("print(7)")[1].strip() == "7"
+    with pytest.raises(RuntimeError, match="ValueError: no"):
+        fresh_process("raise ValueError('no')")
+
+
+def test_stopwatch_puts_functions_back():
+    class Worker:
+        def work(self):
+            return 3
+
+    worker = Worker()
+    with Stopwatch() as watch:
+        watch.wrap(worker, "work", "work")
+        assert worker.work() == 3
+    assert watch.seconds["work"] >= 0.0
+    assert "work" not in vars(worker)
+
+
+def test_validation_error_of_the_pid():
+    settings = default_study()
+    error = validation_error(settings, PID(settings.pid, ObservationLayout.of(settings.task)), 1)
+    assert 0.05 < error < 1.0  # mm

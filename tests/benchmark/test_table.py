@@ -1,0 +1,126 @@
+"""The table of the benchmark: medians, ratios within a round, files, going on, refusing."""
+
+import pytest
+import yaml
+
+from agents.benchmark import command
+from agents.benchmark.command import benchmark_to_folder, measure_group
+from agents.benchmark.table import (
+    Case,
+    Result,
+    Row,
+    UnavailableError,
+    markdown_table,
+    ratios,
+    read_csv,
+    shown,
+    write_csv,
+)
+from agents.console import ProgressDisplay
+from hydro_env import ConfigurationError
+
+
+def peer_and_own():
+    peer = Result("g", Row("peer", "steps/s"), [100.0, 200.0, 400.0])
+    return [peer, Result("g", Row("own", "steps/s", "peer", "a note"), [300.0, 400.0, 4000.0])]
+
+
+def test_ratio_is_taken_run_by_run():
+    results = peer_and_own()
+    assert ratios(results[1], results) == [3.0, 2.0, 10.0]
+    assert ratios(results[0], results) == []
+
+
+def test_markdown_holds_median_range_and_ratio():
+    text = markdown_table(peer_and_own(), "g")
+    assert "| own | steps/s | 400 | 300–4,000 | 3 | 3 × peer (2–10) | a note |" in text
+    assert len(text.splitlines()) == 4
+
+
+def test_a_row_without_values_says_why():
+    missing = Result("g", Row("motor", "steps/s"), [], "not installed: no module")
+    assert "| motor | steps/s | – | – | 0 | | not installed: no module |" in markdown_table([missing], "g")
+
+
+def test_csv_returns_every_value(tmp_path):
+    results = peer_and_own()
+    write_csv(tmp_path / "t.csv", results)
+    back = read_csv(tmp_path / "t.csv")
+    assert [r.values for r in back] == [r.values for r in results]
+    assert [r.row for r in back] == [r.row for r in results]
+
+
+def test_a_foreign_csv_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ConfigurationError, match="is not a table of hydro benchmark"):
+        read_csv(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (1e-5, "1.00e-05")]
+)
+def test_figures_are_short(value, text):
+    assert shown(value) == text
+
+
+def groups_of(monkeypatch, **cases):
+    monkeypatch.setattr(command, "GROUPS", {n: command.Group(n, lambda extent, c=c: c) for n, c in cases.items()})
+
+
+def case(name, measure, runs=3):
+    return Case((Row(name, "s"),), measure, runs)
+
+
+def unavailable(run):
+    raise UnavailableError("not installed: nothing there")
+
+
+def test_cases_run_in_turn():
+    order = []
+    cases = [case(name, lambda run, name=name: (order.append(name) or 1.0,)) for name in "ab"]
+    measure_group("g", cases, [], lambda: None, ProgressDisplay())
+    assert "".join(order) == "ababab"
+
+
+def test_command_writes_keeps_and_goes_on(tmp_path, monkeypatch):
+    calls = []
+
+    def stopped(run):
+        calls.append(run)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return (1.0,)
+
+    first = [case("one", lambda run: (run + 1.0,)), case("absent", unavailable)]
+    groups_of(monkeypatch, first=first, second=[case("two", stopped)])
+    with pytest.raises(KeyboardInterrupt):
+        benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
+    kept = {r.row.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0]}
+    assert "## first" in (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
+    first[0] = case("one", lambda run: pytest.fail("measured again"))
+    benchmark_to_folder(tmp_path, [], True, True, False, "hydro benchmark")
+    kept = {r.row.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0, 1.0]}
+    circumstances = yaml.safe_load((tmp_path / "benchmark.yaml").read_text(encoding="utf-8"))
+    assert {"machine", "versions", "threads", "quick"} <= set(circumstances)
+    with pytest.raises(ConfigurationError, match="another 'quick'"):
+        benchmark_to_folder(tmp_path, [], False, True, False, "hydro benchmark")
+
+
+def test_unknown_group_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ConfigurationError) as error:
+        benchmark_to_folder(tmp_path / "new", ["speed"], True, False, False, "hydro benchmark")
+    assert "--only speed: unknown group; known: kernel, single" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "new").exists()
+
+
+def test_help_names_every_group():
+    import inspect
+
+    from agents import cli
+
+    assert all(f"{name}" in inspect.getsource(cli.benchmark) for name in command.GROUPS)
