@@ -24,6 +24,7 @@ from hydro_env.task.record import Record
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 _COLUMN = {name: index for index, name in enumerate(Record._fields)}
+_NO_FAILURE = np.array([failure_name(0)], dtype=object)
 _FAMILY_NAMES = np.array(REFERENCE_FAMILIES, dtype=object)
 
 
@@ -242,34 +243,40 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         if not self._with_info:
             return {}
         everyone = len(axes) == self.num_envs
-        columns = self._axes.record.T.copy() if everyone else np.zeros_like(self._axes.record.T)
         present = self._present
         if not everyone:
-            columns[:, axes] = self._axes.record.T[:, axes]
             present = np.zeros(self.num_envs, dtype=np.bool_)
             present[axes] = True
-        flow = columns[_COLUMN["leak_flow"]]
+
+        def column(row: int) -> NDArray[np.float64]:
+            values = self._axes.record[:, row].copy()
+            if not everyone:
+                values[~present] = 0.0
+            return values
+
+        flow = column(_COLUMN["leak_flow"])
         resistance = np.zeros(self.num_envs)
         with np.errstate(divide="ignore"):  # no leak is an infinite resistance
             np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
-        family = _FAMILY_NAMES[columns[_COLUMN["reference_family"]].astype(np.int64)]
-        failure = _failure_names(columns[_COLUMN["failure"]])
+        family = _FAMILY_NAMES[column(_COLUMN["reference_family"]).astype(np.int64)]
+        failure = _failure_names(column(_COLUMN["failure"]))
         if not everyone:
             family[~present] = None
             failure[~present] = None
         cost = _COLUMN["cost_tracking"]
         terms: dict[str, Any] = {}
         for index, name in enumerate(REWARD_TERMS):
-            terms[name] = -columns[cost + index]
+            terms[name] = -column(cost + index)
             terms[f"_{name}"] = present
+        position, reference = column(_COLUMN["position"]), column(_COLUMN["reference"])
         values: dict[str, Any] = {
             "leakage_resistance": resistance,
             "leakage_flow_lpm": flow,
             "leakage_class": self._axes.leakage_class(flow),
-            "position": columns[_COLUMN["position"]],
-            "velocity": columns[_COLUMN["velocity"]],
-            "reference": columns[_COLUMN["reference"]],
-            "tracking_error": columns[_COLUMN["reference"]] - columns[_COLUMN["position"]],
+            "position": position,
+            "velocity": column(_COLUMN["velocity"]),
+            "reference": reference,
+            "tracking_error": reference - position,
             "reference_family": family,
             "failure": failure,
             "reward_terms": terms,
@@ -286,7 +293,8 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
 
 
 def _failure_names(codes: NDArray[np.float64]) -> NDArray[np.object_]:
-    names = np.full(len(codes), failure_name(0), dtype=object)
-    for axis in np.flatnonzero(codes):
+    failed = np.flatnonzero(codes)
+    names: NDArray[np.object_] = np.repeat(_NO_FAILURE, len(codes))
+    for axis in failed:
         names[axis] = failure_name(codes[axis])
     return names

@@ -21,7 +21,7 @@ KIND = "policy"
 
 
 class PolicyController:
-    """The deterministic policy of PPO: a tanh network from features to a command.
+    """The deterministic policy of PPO: a network of dense layers from features to a command.
 
     Same interface as every controller; see :class:`~agents.controllers.base.Controller`. With
     ``deterministic=False`` Gaussian exploration noise of the trained size is added.
@@ -30,6 +30,7 @@ class PolicyController:
         features: from observation to policy input, from output to command.
         layers: (weight (out, in), bias (out,)) of each layer.
         log_standard_deviation: of the exploration noise.
+        activation: of the hidden layers, ``tanh`` or ``relu``.
         training: how the weights came about (JSON), for the record.
     """
 
@@ -39,11 +40,13 @@ class PolicyController:
         layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
         log_standard_deviation: float = -3.0,
         training: dict[str, Any] | None = None,
+        activation: str = "tanh",
     ) -> None:
         self.features = features
         self.layers = layers
         self.log_standard_deviation = log_standard_deviation
         self.training = training or {}
+        self.activation = activation
         self._generator = np.random.default_rng(0)
 
     def predict(
@@ -58,7 +61,8 @@ class PolicyController:
         inputs, state = self.features(batch, state, episode_start)
         values = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
         for weight, bias in self.layers[:-1]:
-            values = np.tanh(values @ weight.T + bias)
+            values = values @ weight.T + bias
+            values = np.tanh(values, out=values) if self.activation == "tanh" else np.maximum(values, 0.0, out=values)
         weight, bias = self.layers[-1]
         output = values @ weight.T + bias
         if not deterministic:
@@ -74,7 +78,8 @@ class PolicyController:
             (module.weight.detach().cpu().numpy().copy(), module.bias.detach().cpu().numpy().copy())
             for module in [*modules, model.policy.action_net]
         ]
-        return cls(features, layers, float(model.policy.log_std.detach().mean()), training)
+        activation = model.policy.activation_fn.__name__.lower()
+        return cls(features, layers, float(model.policy.log_std.detach().mean()), training, activation)
 
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.weights.save_weights`."""
@@ -86,6 +91,7 @@ class PolicyController:
             "features": self.features.describe(),
             "layer_sizes": [self.features.size, *(len(bias) for _, bias in self.layers)],
             "log_standard_deviation": self.log_standard_deviation,
+            "activation": self.activation,
             "training": self.training,
         }
         return save_weights(path, KIND, tensors, settings)
@@ -110,6 +116,7 @@ class PolicyController:
             sizes = [int(size) for size in settings["layer_sizes"]]
             deviation = float(settings["log_standard_deviation"])
             history = described["history_signals"], described["history_lags"]
+            activation = settings.get("activation", "tanh")
         except (KeyError, TypeError, ValueError) as error:
             raise ConfigurationError(f"{path}: its JSON lacks or mistypes {error}") from None
         if history != (list(HISTORY_SIGNALS), list(HISTORY_LAGS)):
@@ -119,8 +126,10 @@ class PolicyController:
         for number, (inputs, outputs) in enumerate(pairwise(sizes)):
             shapes[f"layer{number}.weight"] = (outputs, inputs)
             shapes[f"layer{number}.bias"] = (outputs,)
+        if activation not in ("tanh", "relu"):
+            raise ConfigurationError(f"{path}: activation = {activation!r}: must be 'tanh' or 'relu'")
         if sizes[0] != features.size or sizes[-1] != 1:
             raise ConfigurationError(f"{path}: layer_sizes = {sizes}: must begin with {features.size} and end with 1")
         require(tensors, shapes, path)
         layers = [(tensors[f"layer{n}.weight"], tensors[f"layer{n}.bias"]) for n in range(len(sizes) - 1)]
-        return cls(features, layers, deviation, settings.get("training"))
+        return cls(features, layers, deviation, settings.get("training"), activation)

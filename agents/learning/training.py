@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -53,6 +53,9 @@ class PPOSettings(Group):
         -3.0, ge=-10.0, le=2.0, description="reached linearly; left to the gradient it collapses too early"
     )
     hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1)
+    activation: Literal["tanh", "relu"] = Field(
+        "tanh", description="of the hidden layers; relu takes a third less time"
+    )
     reward_scale: float = Field(0.2, gt=0.0)
     torch_threads: int = Field(1, ge=1, le=256)
 
@@ -103,6 +106,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
         policy_kwargs={
             "net_arch": {"pi": list(settings.hidden_sizes), "vf": list(settings.hidden_sizes)},
             "log_std_init": settings.initial_log_standard_deviation,
+            "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
         },
         seed=seed,
         device="cpu",
