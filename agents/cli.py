@@ -159,7 +159,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             "--only",
-            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, training, "
+            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, accuracy, training, "
             "beating, memory, start, inference, profile. Without it all.",
         ),
     ] = None,

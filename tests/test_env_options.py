@@ -135,7 +135,10 @@ WRONG = {
     "parameter text": ({"parameters": {"load": {"mass": "big"}}}, "parameters.load.mass = 'big': must be a number"),
     "parameter infinite": ({"parameters": {"load": {"mass": np.inf}}}, r"load\.mass = inf: .*unit: kg"),
     "geometry": ({"parameters": {"cylinder": {"rod_diameter": 0.045}}}, "rod_diameter = 0.045 m does not fit"),
-    "choice": ({"parameters": {"supply": {"model": "hand pump"}}}, "supply.model = 'hand pump': must be one of constant"),
+    "choice": (
+        {"parameters": {"supply": {"model": "hand pump"}}},
+        "supply.model = 'hand pump': must be one of constant",
+    ),
     "choice by number": ({"parameters": {"supply": {"model": 7}}}, "supply.model = 7: must be one of constant"),
     "precharge above what may be drawn": (
         {"parameters": {"supply": {"precharge_pressure": 65e5}}},

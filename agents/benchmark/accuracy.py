@@ -9,8 +9,7 @@ limits by root finding (:mod:`hydro_env.plant.reference`).
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.kernel import TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -35,8 +35,21 @@ SEED = 777
 LEAST_RANGE = 0.01
 """A state that hardly moves counts as ranging over this part of its size."""
 
-TOLERANCES = (1e-3, 1e-4, 1e-5, 3e-6, 1e-6, 1e-7, 1e-8)
-FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3, 0.05e-3)
+BATCH = 20
+"""Rigs that one run of the benchmark takes."""
+
+SETTINGS: dict[str, dict[str, float]] = {
+    **{
+        f"tolerance {tolerance:g}" + (" (default)" if tolerance == TOLERANCE else ""): {"tolerance": tolerance}
+        for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+    },
+    **{
+        f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step}
+        for step in (0.4e-3, 0.2e-3, 0.1e-3)
+    },
+}
+"""Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
+
 LIMIT = 1e-4
 """Error of any state, in parts of its range, that the default must stay within."""
 
@@ -120,7 +133,7 @@ def references(cases: list[Case], workers: int) -> Iterator[Array]:
         yield from pool.map(reference, cases)
 
 
-def errors(cases: list[Case], exact: list[Array], **options: Any) -> Array:
+def errors(cases: list[Case], exact: Sequence[Any], **options: Any) -> Array:
     """Largest error of each state along each case in parts of its range, shape (cases, N_STATES)."""
     return np.array(
         [
@@ -128,35 +141,6 @@ def errors(cases: list[Case], exact: list[Array], **options: Any) -> Array:
             for case, states in zip(cases, exact, strict=True)
         ]
     )
-
-
-def error_table(cases: list[Case], exact: list[Array]) -> pd.DataFrame:
-    """Error and speed of the integrator at several tolerances, and with steps of fixed length.
-
-    Columns: ``setting``, ``median_error``, ``worst_error`` (of the worst state of each case), ``share_within`` (cases
-    with every state within 1e-4), ``milliseconds_per_second`` (computing time per simulated second, one axis).
-    """
-    settings: list[tuple[str, dict[str, float]]] = [
-        *((f"tolerance {tolerance:g}", {"tolerance": tolerance}) for tolerance in TOLERANCES),
-        *((f"fixed {1e3 * step:g} ms", {"tolerance": math.inf, "maximum_step": step}) for step in FIXED_STEPS),
-    ]
-    rows = []
-    for name, options in settings:
-        worst = errors(cases, exact, **options).max(axis=1)
-        began = time.perf_counter()
-        for case in cases:
-            case.run(**options)
-        seconds = time.perf_counter() - began
-        rows.append(
-            {
-                "setting": name,
-                "median_error": float(np.median(worst)),
-                "worst_error": float(worst.max()),
-                "share_within": float((worst <= LIMIT).mean()),
-                "milliseconds_per_second": 1e3 * seconds / (len(cases) * SAMPLES * SAMPLE_TIME),
-            }
-        )
-    return pd.DataFrame(rows)
 
 
 def convergence_order(steps: tuple[float, ...] = (0.4e-3, 0.2e-3, 0.1e-3)) -> pd.DataFrame:

@@ -11,6 +11,7 @@ import numba
 import torch
 from rich.table import Table
 
+from agents.benchmark.accuracy_rows import accuracy_cases
 from agents.benchmark.environment_rows import cost_cases, single_cases, vector_cases
 from agents.benchmark.kernel_rows import kernel_cases
 from agents.benchmark.profile_rows import profile_cases
@@ -51,6 +52,10 @@ GROUPS: dict[str, Group] = {
     "vector": Group("N axes through `gym.make_vec`, info and restarts included.", vector_cases),
     "cost": Group("Cost of one step of one axis through `gym.make_vec`, `NextStep`, info included.", cost_cases),
     "solvers": Group("The same plant with SciPy's `solve_ivp`, at the accuracy of the integrator.", solver_cases),
+    "accuracy": Group(
+        "Error of the integrator against Radau over drawn rigs, states and inputs, beside its time (one axis).",
+        accuracy_cases,
+    ),
     "training": Group("PPO of stable-baselines3, end to end, and where its time goes.", training_cases),
     "beating": Group("Training until PPO's mean error is below the tuned PID's.", beating_cases),
     "memory": Group("Memory.", memory_cases),

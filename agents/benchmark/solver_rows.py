@@ -15,7 +15,7 @@ from agents.benchmark.hand_written import RightHandSide, right_hand_side
 from agents.benchmark.kernel_access import BareKernel
 from agents.benchmark.table import Case, Row, UnavailableError
 from agents.benchmark.timing import Extent, rate
-from hydro_env import PlantParameters, equilibrium, simulate
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 
 Array = NDArray[np.float64]
 PERIOD = 5e-3  # s
@@ -44,7 +44,30 @@ def solver_cases(extent: Extent) -> list[Case]:
     cases = [Case((Row("hydro_env, one plant", "control periods/s", note=note),), own, extent.runs)]
     for method in METHODS:
         cases.append(_solver_case(method, f, start, voltage, exact, allowed, extent))
+    row = Row(
+        "hydro_env, vector environment, N = 1,024", "axis steps/s", "solve_ivp, LSODA", "sensors, reward, restarts"
+    )
+    cases.append(Case((row,), lambda run: (vector_rate(1024, extent.seconds),), extent.runs))
     return cases
+
+
+def vector_rate(count: int, seconds: float) -> float:
+    """Complete steps of all axes per second, under the same kind of voltage as the solvers' run."""
+    envs = ServoHydraulicVectorEnv(count)
+    envs.reset(seed=0)
+    generator = np.random.default_rng(0)
+    actions = [generator.normal(0.0, 0.15, (count, 1)).clip(-0.5, 0.5) for _ in range(16)]
+    number = 0
+
+    def step() -> int:
+        nonlocal number
+        envs.step(actions[number // 8 % 16])
+        number += 1
+        return count
+
+    found = rate(step, seconds)
+    envs.close()
+    return found
 
 
 def error_of(states: Array, exact: Array) -> float:

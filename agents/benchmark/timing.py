@@ -24,6 +24,7 @@ class Extent:
     vector_sizes: tuple[int, ...] = (16, 64, 256, 1024, 4096, 16_384)
     cost_sizes: tuple[int, ...] = (256, 1024, 4096, 16_384, 65_536)
     solver_periods: int = 40
+    accuracy_rigs: int = 240
     training_steps: int = 1_000_000
     single_training_steps: int = 65_536
     training_runs: int = 3
@@ -41,6 +42,7 @@ QUICK = Extent(
     vector_sizes=(16, 1024),
     cost_sizes=(256, 4096),
     solver_periods=8,
+    accuracy_rigs=40,
     training_steps=131_072,
     single_training_steps=4096,
     training_runs=2,
