@@ -159,8 +159,8 @@ def benchmark(
         list[str] | None,
         typer.Option(
             "--only",
-            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, accuracy, training, "
-            "beating, memory, start, inference, profile. Without it all.",
+            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, accuracy, "
+            "training, beating, memory, start, inference, profile. Without it all.",
         ),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, to try it.")] = False,
