@@ -22,7 +22,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_ve
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
-from hydro_env.task.packing import draw_table, limits_of, observation_layout, sensor_table, settings_of
+from hydro_env.task.packing import draw_table, limits_of, observation_layout, sensor_table, settings_of, step_constants
 from hydro_env.task.record import CANNOT_BE_HELD, FAILURES, Record
 
 AXES_PER_THREAD = 64
@@ -54,7 +54,7 @@ class Axes:
         self._limits = limits_of(config)
         self._sensors = sensor_table(config)
         self._preview = np.array(config.preview_samples, dtype=np.int64)
-        self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
+        self._constants = step_constants(config)
         self._base = to_vector(config.plant)
         self._draws = draw_table(config)
         weights = np.array([config.references.weights.get(name, 0.0) for name in REFERENCE_FAMILIES])
@@ -179,17 +179,11 @@ class Axes:
 
     def _step_range(self, actions: Any, observation: Any, reward: Any, ended: Any, cut: Any, a: int, b: int) -> None:
         task_kernel.step_axes(
-            self._settings,
-            self._sensors,
-            self._preview,
-            self.scale,
-            self.limit,
-            self._durations,
+            self._constants,
             self.state,
             self.coefficient,
             self._voltage,
             self._peaks,
-            self.physical,
             self.record,
             self.reference,
             self._noise_key,

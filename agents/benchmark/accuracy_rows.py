@@ -49,11 +49,11 @@ def accuracy_cases(extent: Extent) -> list[Case]:
         )
         cases.append(Case(rows, _setting(batches, exact, options, simulated), len(batches)))
     order = convergence_order()
-    rows = tuple(
+    orders = tuple(
         Row(f"order, steps of {coarse:g} to {fine:g} ms", "1", note="fixed steps on a smooth run")
         for coarse, fine in zip(order["step_ms"][:-1], order["step_ms"][1:], strict=True)
     )
-    cases.append(Case(rows, lambda run: list(order["order"][1:]), 1))
+    cases.append(Case(orders, lambda run: list(order["order"][1:]), 1))
     return cases
 
 

@@ -16,7 +16,7 @@ from hydro_env.plant.equations import Coefficients, Physical, coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.kernel import IMPACT_SPEED, N_STATES, PEAK_PRESSURE
 from hydro_env.plant.limits import valid_limits
-from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, PARAMETER_PATHS
+from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -33,6 +33,8 @@ from hydro_env.task.random_numbers import (
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
     CANNOT_BE_REACHED,
+    CHANNEL_COLUMNS,
+    CHANNELS,
     DRAW_HIGH,
     DRAW_INDEX,
     DRAW_LOG,
@@ -41,7 +43,9 @@ from hydro_env.task.record import (
     DRAW_PROBABILITY,
     DRAW_TIMES,
     FIRST_INVALID_STATE,
+    FIXED_OBSERVATIONS,
     HIT_END_STOP,
+    N_SETTINGS,
     NO_FAILURE,
     OVERPRESSURE,
     Record,
@@ -76,7 +80,7 @@ C_FAILURE = _column["failure"]
 _LEAKAGE_CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
 _LEAKAGE_ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
 _EXTERNAL_FORCE = Coefficients._fields.index("external_force")
-_ACCUMULATOR_VOLUME = PARAMETER_PATHS.index("supply.accumulator_volume")
+_GAS_VOLUME_WEIGHT = Coefficients._fields.index("gas_volume_weight")
 _USER_FAMILY = 6
 _SINE = 3.0
 _PULSE = 2.0
@@ -85,6 +89,23 @@ _read_settings = compiler.tuple_reader(Settings)
 _read_limits = compiler.tuple_reader(Limits)
 _read_physical = compiler.tuple_reader(Physical)
 _read_coefficients = compiler.tuple_reader(Coefficients)
+
+
+@compiler.inline
+def _unpack(constants, observations):
+    """Views of what :func:`~hydro_env.task.packing.step_constants` packed behind the settings."""
+    previews = observations - FIXED_OBSERVATIONS
+    first = N_SETTINGS + 2
+    scale = first + previews
+    limit = scale + observations
+    channels = limit + observations
+    return (
+        constants[N_SETTINGS:first],
+        constants[first:scale],
+        constants[scale:limit],
+        constants[limit:channels],
+        constants[channels : channels + CHANNELS * CHANNEL_COLUMNS].reshape((CHANNELS, CHANNEL_COLUMNS)),
+    )
 
 
 @compiler.inline
@@ -125,7 +146,7 @@ def _write_observation(observation, row, reference, preview, scale, limit):
     observation[0] = now / scale[0]
     count = preview.shape[0]
     for index in range(count):
-        observation[1 + index] = (reference[step + preview[index]] - now) / scale[1 + index]
+        observation[1 + index] = (reference[step + np.int64(preview[index])] - now) / scale[1 + index]
     observation[1 + count] = row[C_MEASURED] / scale[1 + count]
     observation[2 + count] = row[C_VELOCITY_ESTIMATE] / scale[2 + count]
     observation[3 + count] = row[C_MEASURED + 1] / scale[3 + count]
@@ -315,17 +336,11 @@ def _build(stamp):
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)
 
     def step_axes(
-        settings_array,
-        sensors,
-        preview,
-        scale,
-        limit,
-        durations,
+        constants,
         state,
         coefficient,
         voltage,
         peaks,
-        physical,
         record,
         reference,
         noise_key,
@@ -338,7 +353,8 @@ def _build(stamp):
         last,
     ):
         assert stamp >= 0
-        settings = _read_settings(settings_array)
+        settings = _read_settings(constants)
+        durations, preview, scale, limit, sensors = _unpack(constants, observation.shape[1])
         period = settings.control_period
         # The previous command acts for the latency, the new one for the rest (MODEL 2.7).
         for axis in range(first, last):
@@ -405,7 +421,7 @@ def _build(stamp):
                 coefficient[axis, _AREA_A],
                 coefficient[axis, _AREA_B],
                 coefficient[axis, _SUPPLY_DYNAMICS],
-                physical[axis, _ACCUMULATOR_VOLUME],
+                1.0 / coefficient[axis, _GAS_VOLUME_WEIGHT],
             )
             for index in range(N_STATES):
                 value = state[axis, index]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.configuration import DISTURBANCES, LEAKAGE_SCHEDULES, TaskConfig
-from hydro_env.task.record import Settings
+from hydro_env.task.record import FIXED_OBSERVATIONS, Settings
 from hydro_env.task.reference_signals import Limits
 
 ERROR_INTEGRAL_TIME = 0.5
@@ -133,3 +133,16 @@ def sensor_table(config: TaskConfig) -> Floats:
     sensors = config.sensors
     channels = (sensors.position, sensors.pressure_a, sensors.pressure_b, sensors.spool_position)
     return np.array([(s.noise, s.bias, s.resolution, s.low, s.high) for s in channels])
+
+
+def step_constants(config: TaskConfig) -> Floats:
+    """What a step needs besides the arrays of the axes, as one vector: passing many small arrays costs microseconds.
+
+    Settings, durations of the two commands, preview samples, scales and limits of the observation, table of sensors;
+    ``task.kernel`` unpacks it.
+    """
+    _, _, scale, limit = observation_layout(config)
+    assert len(scale) == FIXED_OBSERVATIONS + len(config.preview_samples)
+    durations = (config.command_latency, config.control_period - config.command_latency)
+    parts = (settings_of(config), durations, config.preview_samples, scale, limit, sensor_table(config).ravel())
+    return np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])

@@ -96,5 +96,12 @@ FAILURES = (
 NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
 CANNOT_BE_HELD, CANNOT_BE_REACHED = len(FAILURES) - 2, len(FAILURES) - 1
 
+N_SETTINGS = len(Settings._fields)
+FIXED_OBSERVATIONS = 9
+"""Observations besides the previews of the reference."""
+
+CHANNELS, CHANNEL_COLUMNS = 4, 5
+"""Shape of the table of sensors: position, both pressures, spool; noise, bias, resolution, low, high."""
+
 DRAW_INDEX, DRAW_LOG, DRAW_LOW, DRAW_HIGH, DRAW_TIMES, DRAW_OTHERWISE, DRAW_PROBABILITY = range(7)
 """Columns of the table of randomised parameters."""
