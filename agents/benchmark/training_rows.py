@@ -44,6 +44,10 @@ def default_study() -> StudySettings:
     return StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
 
 
+PARTS = ("environment", "policy inputs and PIDs", "inference", "update", "rest")
+"""Parts of a training: the axes' steps and restarts; what the adaptor makes of them; networks; stable-baselines3."""
+
+
 class Stopwatch:
     """Seconds that calls of some functions took, by name; puts the functions back at the end of its context."""
 
@@ -81,14 +85,22 @@ def native_model(settings: StudySettings, ppo: PPOSettings) -> tuple[PPO, AxisVe
 
 
 def watched_training(model: PPO, env: VecEnv, steps: int) -> tuple[float, dict[str, float]]:
-    """Train for some steps; returns wall time (s), and of it the time in environment, inference and update."""
+    """Train for some steps; returns wall time (s), and of it the time in each of :data:`PARTS` but the rest."""
     with Stopwatch() as watch:
-        watch.wrap(env, "step", "environment")
+        watch.wrap(env, "step", "collecting")
+        if isinstance(env, AxisVecEnv):
+            for function in ("step", "reset"):
+                watch.wrap(env.env, function, "environment")
         watch.wrap(model.policy, "forward", "inference")
         watch.wrap(model, "train", "update")
         began = time.perf_counter()
         model.learn(steps)
-        return time.perf_counter() - began, watch.seconds
+        seconds = time.perf_counter() - began
+    parts = watch.seconds
+    collecting = parts.pop("collecting")
+    parts.setdefault("environment", collecting)
+    parts["policy inputs and PIDs"] = collecting - parts["environment"]
+    return seconds, parts
 
 
 def training_cases(extent: Extent) -> list[Case]:
@@ -121,14 +133,14 @@ def training_cases(extent: Extent) -> list[Case]:
 
 
 def _share_rows(name: str) -> list[Row]:
-    return [Row(f"{name}: {part}", "% of time") for part in ("environment", "inference", "update", "rest")]
+    return [Row(f"{name}: {part}", "% of time") for part in PARTS]
 
 
 def _speed_and_shares(model: PPO, env: VecEnv, steps: int) -> Sequence[float]:
     seconds, parts = watched_training(model, env, steps)
     done = model.num_timesteps  # of this call: ``learn`` counts anew
     env.close()
-    shares = [100.0 * parts[name] / seconds for name in ("environment", "inference", "update")]
+    shares = [100.0 * parts[name] / seconds for name in PARTS[:-1]]
     return done / seconds, *shares, 100.0 - sum(shares)
 
 
