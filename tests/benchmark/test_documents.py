@@ -8,9 +8,9 @@ from agents.benchmark.command import GROUPS
 from agents.benchmark.table import Result, Row, write_markdown
 
 ROOT = Path(__file__).parents[2]
-spec = importlib.util.spec_from_file_location("benchmark_tables", ROOT / "docs" / "benchmark_tables.py")
-benchmark_tables = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(benchmark_tables)
+spec = importlib.util.spec_from_file_location("put_into_docs", ROOT / "benchmarks" / "put_into_docs.py")
+put_into_docs = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(put_into_docs)
 
 
 def test_page_has_a_place_for_every_group():
@@ -26,7 +26,7 @@ def test_tables_are_put_in_place_again_and_again(tmp_path):
     text = "A\n<!-- benchmark: single -->\nold\n<!-- end -->\nB\n<!-- benchmark: circumstances -->\n<!-- end -->\n"
     page.write_text(text + "<!-- benchmark: kernel -->\nkept\n<!-- end -->\n", encoding="utf-8")
     for _ in range(2):
-        assert benchmark_tables.main(str(source), str(page)) == 0
+        assert put_into_docs.main(str(source), str(page)) == 0
         filled = page.read_text(encoding="utf-8")
         assert filled.count("| one axis | steps/s | 2 | 1–3 | 3 |") == 1
         assert "old" not in filled
@@ -35,5 +35,5 @@ def test_tables_are_put_in_place_again_and_again(tmp_path):
 
 
 def test_a_missing_table_is_one_line(capsys, tmp_path):
-    assert benchmark_tables.main(str(tmp_path / "none.md")) == 2
+    assert put_into_docs.main(str(tmp_path / "none.md")) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,6 +1,6 @@
 """Put the tables of ``hydro benchmark`` into pages, between the markers that name their group.
 
-Run: python docs/benchmark_tables.py [results/benchmark/benchmark.md] [docs/performance.md ...]
+Run: python benchmarks/put_into_docs.py [results/benchmark/benchmark.md] [docs/performance.md ...]
 
 A page holds ``<!-- benchmark: GROUP -->`` and ``<!-- end -->``; what stands between is replaced by the table of the
 group, or for ``circumstances`` by the line that names machine, versions and threads. A group that was not measured
