@@ -20,8 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.probe import state_ranges
 
 Array = NDArray[np.float64]
 
@@ -31,9 +30,6 @@ SAMPLE_TIME = 5e-3
 SAMPLES = 40
 INPUTS = ("held", "noise", "sine")
 SEED = 777
-
-LEAST_RANGE = 0.01
-"""A state that hardly moves counts as ranging over this part of its size."""
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 3e-6, 1e-6, 1e-7, 1e-8)
 FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3, 0.05e-3)
@@ -56,24 +52,7 @@ class Case:
 
     def ranges(self, exact: Array) -> Array:
         """Range of each state along a run, at least 1 % of its size."""
-        c = Coefficients(*coefficient_array(self.parameters))
-        pressure = c.relief_pressure
-        full_current = 10.0 * c.drive_rate / c.coil_rate
-        sizes = {
-            "position": c.end_stop_position,
-            "velocity": 1.0 / c.velocity_weight,
-            "pressure_a": pressure,
-            "pressure_b": pressure,
-            "spool_position": 1.0,
-            "spool_velocity": c.slew_limit,
-            "coil_current": full_current,
-            "supply_pressure": pressure,
-            "gas_volume": self.parameters.supply.accumulator_volume,
-            "bristle_deflection": 1.0 / c.bristle_weight,
-        }
-        least = LEAST_RANGE * np.array([sizes[name] for name in STATE_NAMES])
-        ranges: Array = np.maximum(np.ptp(exact, axis=0), least)
-        return ranges
+        return state_ranges(self.parameters, exact)
 
 
 def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:
