@@ -61,7 +61,7 @@ def paint_friction_scan(figure: Figure, table: pd.DataFrame) -> None:
     axes.set_yticks(shown, [f"{tick:g}" for tick in shown])
     axes.minorticks_off()
     panel_title(axes, "Settling time against friction")
-    legend(axes, title="leak at 100 bar", loc="upper right")
+    legend(axes, title="leak at 100 bar", loc="best")
 
 
 def friction_scan_figure(rig: Rig) -> ReproducedFigure:

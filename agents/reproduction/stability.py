@@ -16,7 +16,7 @@ from agents.reproduction.closed_loop import (
     places,
     settling_time,
 )
-from agents.reproduction.drawing import COLOURS, ReproducedFigure, panel_title, plain
+from agents.reproduction.drawing import COLOURS, ReproducedFigure, millimetres, panel_title, plain
 from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters
 from hydro_env.plant.analysis import linearise
@@ -99,7 +99,7 @@ def paint_stability(figure: Figure, table: pd.DataFrame) -> None:
     for axes, (law, words) in zip(grid[0], LAWS.items(), strict=True):
         for colour, position in zip(COLOURS, positions, strict=False):
             part = table[(table["law"] == law) & (table["position_mm"] == position)]
-            axes.plot(part["leak_lpm"], part["limit_per_m"], color=colour, label=f"{position:+.0f} mm")
+            axes.plot(part["leak_lpm"], part["limit_per_m"], color=colour, label=millimetres(position))
             rule = part["continuous_limit_per_m"]
             axes.plot(part["leak_lpm"], rule, color=colour, linestyle=(0, (2, 2)), linewidth=0.9)
         axes.set(yscale="log")

@@ -60,6 +60,19 @@ def test_a_figure_that_a_rig_cannot_do_is_said_in_its_place(own_folder):
         assert len(pd.read_csv(file.with_suffix(".csv"))) > 3
 
 
+def test_overwriting_removes_what_an_earlier_run_wrote(tmp_path, monkeypatch):
+    """Figures that are no longer made go; what the command did not write stays."""
+    (tmp_path / "page.html").write_text('<section id="gone_figure"></section>', encoding="utf-8")
+    for name in ("gone_figure.png", "gone_figure.svg", "gone_figure.csv", "mine.png"):
+        (tmp_path / name).write_text("old", encoding="utf-8")
+    monkeypatch.setattr(command, "FIGURES", ())
+    with pytest.raises(ConfigurationError, match="--overwrite"):
+        command.reproduce_to_folder(tmp_path, overwrite=False)
+    assert (tmp_path / "gone_figure.png").exists()
+    command.reproduce_to_folder(tmp_path, overwrite=True)
+    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png"}
+
+
 def test_the_page_says_whose_rig_it_is(own_folder):
     page = (own_folder / "page.html").read_text(encoding="utf-8")
     assert "another rig" in page
