@@ -89,6 +89,14 @@ def test_a_slow_axis_gets_more_time():
     assert "ms after the stop" in displacement_figure(heavy).found[2]
 
 
+def test_an_axis_that_is_too_slow_for_the_figures_is_refused():
+    with pytest.raises(ConfigurationError, match=r"load\.mass = 1e\+06 kg: .* 0\.5\d* Hz; .* 3\.25 Hz"):
+        own_rig(PlantParameters().replace(load={"mass": 1e6}), "too slow")
+    slow = own_rig(PlantParameters().replace(load={"mass": 2e4}), "slow")
+    assert slow.sample_time == 1e-3
+    assert slow.sample_time < 1.0 / (20 * 65.0 / slow.stretch)
+
+
 def test_a_light_axis_is_sampled_finer():
     light = own_rig(PlantParameters().replace(load={"mass": 3.0}), "light")
     assert light.sample_time < Rig().sample_time
