@@ -21,6 +21,7 @@ from hydro_env.plant.analysis import (
     closed_port_stiffness,
     fastest_eigenvalue,
     force_limits,
+    leak_at_test_pressure,
     linearise,
     reachable_range,
     softest_position,
@@ -31,7 +32,7 @@ from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.equations import Coefficients, State
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
-from hydro_env.plant.parameters import LITRE_PER_MINUTE, flow_from_resistance
+from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.probe import ENOUGH, PERIOD, probe
 from hydro_env.plant.workable import InnerStep, inner_step, refuse_unworkable, shortest_inner_step
 
@@ -337,7 +338,7 @@ def _summary(parameters: PlantParameters) -> str:
     cylinder = parameters.cylinder
     rods = f"{1e3 * cylinder.rod_diameter:.4g}"
     rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
-    leak = flow_from_resistance(parameters.leakage.internal_resistance)
+    leak = leak_at_test_pressure(parameters)
     return (
         f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
         f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "

@@ -99,8 +99,8 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
         load, least = parameters.load, SLOWEST / LONGEST_STRETCH
         moving = load.mass + parameters.cylinder.piston_mass
         raise ConfigurationError(
-            f"{name}: load.mass = {load.mass:g} kg: it swings on its oil column at {hertz:.2g} Hz; the figures are made "
-            f"for {least:.3g} Hz and above, here up to {moving * (hertz / least) ** 2:.3g} kg with the piston"
+            f"{name}: load.mass = {load.mass:g} kg: it swings on its oil column at {hertz:.2g} Hz; the figures are "
+            f"made for {least:.3g} Hz and above, here up to {moving * (hertz / least) ** 2:.3g} kg with the piston"
         )
     speeds = speed_limits(parameters)
     travel = 0.5 * stretch * max(speeds) / 10.0  # m per V of the longest move

@@ -254,8 +254,8 @@ def _differences(rig: Rig, table: pd.DataFrame, told: pd.DataFrame) -> list[str]
             sentences.append(
                 f"The valve's own null leakage damps as well: without friction it shortens settling with the tight "
                 f"seal from {lapped.loc[low]:.2f} s to {null.loc[low]:.2f} s, so that a leak of {MODERATE:g} l/min "
-                f"divides the settling time by {null.loc[low] / null.loc[MODERATE]:.2f} instead of "
-                f"{lapped.loc[low] / lapped.loc[MODERATE]:.2f}."
+                f"shortens it to {null.loc[MODERATE]:.2f} s from there, instead of from {lapped.loc[low]:.2f} s to "
+                f"{lapped.loc[MODERATE]:.2f} s."
             )
     rising = [
         _rise(row, _times(table, row["law"], row["friction"], row["valve_null_leakage"]))
@@ -278,7 +278,7 @@ def _fate(table: pd.DataFrame, rubbing: pd.Series) -> str:
     if rubbing["moderate_s"] > CLEAR * rubbing["first_s"]:
         return "it takes longer with the leak, which keeps the axis creeping: the paper's trend is reversed."
     weak = free.loc[LEAKS[0]] < CLEAR * free.loc[MODERATE]
-    without = f"without friction too the times differ by a factor of {free.loc[LEAKS[0]] / free.loc[MODERATE]:.2f} only"
+    without = f"without friction too they are {free.loc[LEAKS[0]]:.3f} and {free.loc[MODERATE]:.3f} s"
     if periods < FEW:
         ends = f"friction ends the oscillation within {periods:.1f} periods"
         return f"{ends}; {without}." if weak else f"{ends}, and the paper's trend all but vanishes."

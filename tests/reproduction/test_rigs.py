@@ -11,8 +11,10 @@ from agents.paths import config_folder
 from agents.reproduction import command
 from agents.reproduction.closed_bode import closed_bode_figure
 from agents.reproduction.displacement import displacement_figure, displacement_table
+from agents.reproduction.friction_scan import friction_scan_figure
 from agents.reproduction.page import true_minus
 from agents.reproduction.rig import Rig, own_rig, rig_from
+from agents.reproduction.settling_figure import settling_figure
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -134,3 +136,11 @@ def test_signs():
     assert true_minus("from -0.05 to -0.000 and +0.00, -12 mm, 1e-5, +0.09") == (
         "from −0.05 to 0.000 and 0.00, −12 mm, 1e-5, +0.09"
     )
+
+
+def test_a_stop_too_gentle_to_settle_is_said():
+    """A spool that takes seconds to close: nothing swings, and no figure divides by zero."""
+    slow = own_rig(PlantParameters().replace(valve={"slew_limit": 0.1}), "slow spool")
+    for figure in (settling_figure, friction_scan_figure):
+        with pytest.raises(HydroError, match="nothing to settle"):
+            figure(slow)
