@@ -113,7 +113,9 @@ def _variation(base: PlantParameters, group: str, field: str, value: Any, low: A
 
 
 def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return "∞" if math.isinf(value) else f"{value:.4g}"
+    return str(value)
 
 
 def _changed(base: PlantParameters, group: str, field: str, value: Any) -> PlantParameters | None:
