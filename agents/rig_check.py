@@ -21,6 +21,7 @@ from hydro_env.plant.analysis import (
     closed_port_stiffness,
     fastest_eigenvalue,
     force_limits,
+    leak_at_test_pressure,
     linearise,
     reachable_range,
     softest_position,
@@ -29,10 +30,11 @@ from hydro_env.plant.analysis import (
 from hydro_env.plant.arrays import coefficient_array, equilibrium
 from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.equations import Coefficients, State
-from hydro_env.plant.kernel import MAXIMUM_STEP
+from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
-from hydro_env.plant.parameters import LITRE_PER_MINUTE, flow_from_resistance
-from hydro_env.plant.workable import STEPS_PERIOD, inner_step, refuse_unworkable, shortest_inner_step
+from hydro_env.plant.parameters import LITRE_PER_MINUTE
+from hydro_env.plant.probe import ENOUGH, PERIOD, probe
+from hydro_env.plant.workable import InnerStep, inner_step, refuse_unworkable, shortest_inner_step
 
 CSV_FILE = "check.csv"
 TABLE_FILE = "check.md"
@@ -42,6 +44,10 @@ LEAKS = (0.01, 0.3, 1.0, 4.0)
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 REACH_SHARE = 0.9
 """Part of the reachable range over which the position loop is judged."""
+
+
+UNLIMITED = "unlimited"
+"""Instead of an infinite figure."""
 
 
 class Row(NamedTuple):
@@ -113,6 +119,7 @@ def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
             valve.rated_flow / LITRE_PER_MINUTE,
             "l/min",
         ),
+        Row("valve", "spool at 10 V", "full = 1", min(10.0 * c.drive_rate / c.coil_rate * c.spool_gain, 1.0), "1"),
         Row(
             "valve",
             "no-load flow",
@@ -126,14 +133,17 @@ def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
         ("in", free.retracting, loaded[1], c.area_b),
     ):
         rows += [
-            Row("speed", f"no-load speed {direction}", "±10 V", speed / MILLIMETRE, "mm/s"),
+            Row("speed", f"no-load speed {direction}", "fully open", speed / MILLIMETRE, "mm/s"),
             Row("speed", f"speed {direction}", "2/3 of force limit", slow / MILLIMETRE, "mm/s"),
             Row(
                 "speed", f"flow from the supply {direction}", "no-load speed", speed * area / LITRE_PER_MINUTE, "l/min"
             ),
         ]
-    if supply.model == "accumulator":
+    if supply.model != "constant":
         rows.append(Row("speed", "flow of the pump", "", supply.pump_flow / LITRE_PER_MINUTE, "l/min"))
+        for direction, speed, area in (("out", free.extending, c.area_a), ("in", free.retracting, c.area_b)):
+            fed = min(speed, supply.pump_flow / area) / MILLIMETRE
+            rows.append(Row("speed", f"lasting speed {direction}", "fed by the pump alone", fed, "mm/s"))
     return rows
 
 
@@ -209,30 +219,33 @@ def _loop(parameters: PlantParameters) -> list[Row]:
 def _integration(parameters: PlantParameters) -> list[Row]:
     place = _place(parameters)
     shortest, here = shortest_inner_step(parameters), inner_step(parameters, place)
-    enough = "yes" if shortest.step >= MAXIMUM_STEP * (1 - 1e-9) else "no, shortened"
-    return [
-        Row(
-            "integration",
-            "fastest rate |λ|, at rest",
-            _position(place),
-            _tried(_fastest, parameters, place),
-            "1/s",
-        ),
-        Row("integration", "fastest rate |λ|, bound", _position(place), here.rate, "1/s"),
-        Row(
-            "integration",
-            "fastest rate |λ|, bound",
-            f"whole stroke ({shortest.cause.replace('_', ' ')})",
-            shortest.rate,
-            "1/s",
-        ),
-        Row("integration", "inner step", _position(place), 1e3 * here.step, "ms"),
-        Row("integration", "shortest inner step", "whole stroke", 1e3 * shortest.step, "ms"),
-        Row(
-            "integration", f"most inner steps in {1e3 * STEPS_PERIOD:g} ms", "whole stroke", float(shortest.steps), "1"
-        ),
-        Row("integration", f"is {1e3 * MAXIMUM_STEP:g} ms small enough", "whole stroke", enough, ""),
+    rows = [
+        Row("integration", "fastest rate |λ|, at rest", _position(place), _tried(_fastest, parameters, place), "1/s"),
+        Row("integration", "fastest rate |λ|, bound", f"{_position(place)} ({_cause(here)})", here.rate, "1/s"),
+        Row("integration", "fastest rate |λ|, bound", f"whole stroke ({_cause(shortest)})", shortest.rate, "1/s"),
+        Row("integration", "longest stable step", _position(place), 1e3 * here.stable, "ms"),
+        Row("integration", "longest stable step", "whole stroke", 1e3 * shortest.stable, "ms"),
     ]
+    run = f"±10 V in turn from {_position(place)}"
+    try:
+        done = probe(parameters, place)
+    except HydroError as error:
+        return [*rows, Row("integration", "inner steps", run, str(error), "")]
+    enough = "yes" if done.error <= ENOUGH else "no"
+    period = f"{1e3 * PERIOD:g} ms"
+    worst = done.state.replace("_", " ")
+    return [
+        *rows,
+        Row("integration", f"inner steps in {period}, mean", run, done.mean_steps, "1"),
+        Row("integration", f"inner steps in {period}, most", run, float(done.most_steps), "1"),
+        Row("integration", "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
+        Row("integration", f"estimated error ({worst})", f"tolerance {TOLERANCE:g}", done.error, "of its range"),
+        Row("integration", "is the inner step small enough", f"error ≤ {ENOUGH:g}", enough, ""),
+    ]
+
+
+def _cause(found: InnerStep) -> str:
+    return found.cause.replace("_", " ")
 
 
 def _place(parameters: PlantParameters) -> float:
@@ -248,7 +261,8 @@ def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
 def _tried(figure: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float) -> float | str:
     """A figure, or why there is none."""
     try:
-        return figure(parameters, place)
+        value = figure(parameters, place)
+        return value if math.isfinite(value) else UNLIMITED
     except ArithmeticError:
         return "overdamped"
     except HydroError:
@@ -275,8 +289,11 @@ def _static_stiffness(gain: float, parameters: PlantParameters, place: float) ->
 
 def _worst_gain(parameters: PlantParameters, low: float, high: float) -> float | str:
     places = [low + part * (high - low) / 8 for part in range(9)]
-    gains = [gain for gain in (_tried(_largest_gain, parameters, place) for place in places) if isinstance(gain, float)]
-    return min(gains) if gains else "cannot be held"
+    found = [_tried(_largest_gain, parameters, place) for place in places]
+    gains = [gain for gain in found if isinstance(gain, float)]
+    if gains:
+        return min(gains)
+    return UNLIMITED if UNLIMITED in found else "cannot be held"
 
 
 def _fastest(parameters: PlantParameters, place: float) -> float:
@@ -321,7 +338,7 @@ def _summary(parameters: PlantParameters) -> str:
     cylinder = parameters.cylinder
     rods = f"{1e3 * cylinder.rod_diameter:.4g}"
     rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
-    leak = flow_from_resistance(parameters.leakage.internal_resistance)
+    leak = leak_at_test_pressure(parameters)
     return (
         f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
         f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agents.paths import prepare_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
+from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
@@ -173,7 +174,5 @@ def trajectory_figure(run: Trajectory) -> Figure:
             # Above the panel: inside, it would lie over one of the lines.
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
     axes[-1].set_xlabel("time, s")
-    leak = run.parameters.leakage
-    shown = 1e7 / leak.internal_resistance * flow
-    figure.suptitle(f"internal leakage {shown:.3g} l/min at 100 bar", fontsize=10)
+    figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)
     return figure

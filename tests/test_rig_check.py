@@ -8,6 +8,8 @@ from test_cli import ROOT, assert_one_clear_line, hydro
 
 from agents.rig_check import check_csv, check_markdown, check_rig
 from hydro_env import PlantParameters
+from hydro_env.plant.kernel import STABLE_PRODUCT
+from hydro_env.plant.probe import probe
 
 ROWS = check_rig(PlantParameters())
 
@@ -26,9 +28,12 @@ def figure(quantity, at=""):
         ("gain K of one edge", "fully open", 10 / math.sqrt(35), 1e-9),
         ("rated flow", "70 bar over both edges", 10.0, 1e-9),
         ("no-load flow", "69 bar over both edges", 10 * math.sqrt(69 / 70), 1e-9),
-        ("no-load speed out", "±10 V", 175.6, 1e-3),
+        ("no-load speed out", "fully open", 175.6, 1e-3),
         ("speed out", "2/3 of force limit", 175.6 / math.sqrt(3), 1e-3),
-        ("no-load speed in", "±10 V", 124.1, 1e-3),
+        ("no-load speed in", "fully open", 124.1, 1e-3),
+        ("spool at 10 V", "full = 1", 1.0, 1e-9),
+        ("lasting speed out", "fed by the pump alone", 1e3 * 2.15e-4 / 12.566e-4, 1e-3),
+        ("lasting speed in", "fed by the pump alone", 124.1, 1e-3),
         ("force limit out", "70 bar", 8.732, 1e-3),
         ("reach in", "spring 89 N/mm", -49.0, 1e-3),
         ("oil in chamber a", "mid-stroke", 30 + 12.566 * 20, 1e-3),
@@ -48,6 +53,57 @@ def test_leakage_damps_adds_margin_and_softens():
         assert values == sorted(values)
     stiffness = over_leaks("static stiffness", "half of it, mid-stroke, {} l/min")
     assert stiffness == sorted(stiffness, reverse=True)
+
+
+def rows_of(**changes):
+    rows = check_rig(PlantParameters().replace(**changes))
+    return {(row.quantity, row.at): row.value for row in rows}
+
+
+def test_the_integration_rows_tell_what_the_integrator_did():
+    rows = {(row.quantity, row.at): row.value for row in ROWS if row.group == "integration"}
+    run = "±10 V in turn from mid-stroke"
+    found = probe(PlantParameters())
+    assert rows["longest stable step", "mid-stroke"] == pytest.approx(
+        1e3 * STABLE_PRODUCT / rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
+    )
+    assert rows["fastest rate |λ|, at rest", "mid-stroke"] <= rows["fastest rate |λ|, bound", "mid-stroke (chamber b)"]
+    assert rows["inner steps in 5 ms, mean", run] == found.mean_steps
+    assert rows["inner steps in 5 ms, most", run] == found.most_steps
+    assert rows["mean inner step", run] == pytest.approx(5.0 / found.mean_steps)
+    assert rows["is the inner step small enough", "error ≤ 0.0001"] == "yes"
+    told = next(row for row in ROWS if row.quantity.startswith("estimated error"))
+    assert told.value == found.error
+    assert told.quantity == f"estimated error ({found.state.replace('_', ' ')})"
+
+
+CIRCUITS = {
+    "ideal valve": {"valve": {"model": "ideal"}},
+    "pump": {"supply": {"model": "pump"}},
+    "pump standing": {"supply": {"pump_flow": 0.0}},
+    "line alone": {"supply": {"model": "pump", "pump_flow": 0.0, "relief_slope": 0.0}},
+    "lugre": {"friction": {"model": "lugre"}},
+    "constant supply": {"supply": {"model": "constant"}},
+    "no spring": {"load": {"spring_stiffness": 0.0}},
+    "no leak": {"leakage": {"internal_resistance": math.inf}},
+}
+
+
+@pytest.mark.parametrize("changes", CIRCUITS.values(), ids=CIRCUITS)
+def test_every_circuit_is_checked(changes):
+    rows = rows_of(**changes)
+    assert rows["is the inner step small enough", "error ≤ 0.0001"] == "yes"
+    numbers = [value for value in rows.values() if not isinstance(value, str)]
+    assert all(math.isfinite(value) for value in numbers)
+    pump = rows.get(("flow of the pump", ""))
+    supply = PlantParameters().replace(**changes).supply
+    assert pump == (None if supply.model == "constant" else pytest.approx(supply.pump_flow * 6e4))
+
+
+def test_what_has_no_limit_is_said_in_words():
+    rows = rows_of(valve={"amplifier_gain": 0.625e-2, "rated_flow": 1e-6})
+    assert rows["largest stable gain (5 ms, 1 ms late)", "mid-stroke, 0.01 l/min"] == "unlimited"
+    assert rows["spool at 10 V", "full = 1"] == pytest.approx(0.01)
 
 
 def test_every_number_has_a_unit_and_its_place():

@@ -19,9 +19,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
 from hydro_env.plant.kernel import TOLERANCE
+from hydro_env.plant.probe import state_ranges
 
 Array = NDArray[np.float64]
 
@@ -31,9 +30,6 @@ SAMPLE_TIME = 5e-3
 SAMPLES = 40
 INPUTS = ("held", "noise", "sine")
 SEED = 777
-
-LEAST_RANGE = 0.01
-"""A state that hardly moves counts as ranging over this part of its size."""
 
 BATCH = 20
 """Rigs that one run of the benchmark takes."""
@@ -69,24 +65,7 @@ class Case:
 
     def ranges(self, exact: Array) -> Array:
         """Range of each state along a run, at least 1 % of its size."""
-        c = Coefficients(*coefficient_array(self.parameters))
-        pressure = c.relief_pressure
-        full_current = 10.0 * c.drive_rate / c.coil_rate
-        sizes = {
-            "position": c.end_stop_position,
-            "velocity": 1.0 / c.velocity_weight,
-            "pressure_a": pressure,
-            "pressure_b": pressure,
-            "spool_position": 1.0,
-            "spool_velocity": c.slew_limit,
-            "coil_current": full_current,
-            "supply_pressure": pressure,
-            "gas_volume": self.parameters.supply.accumulator_volume,
-            "bristle_deflection": 1.0 / c.bristle_weight,
-        }
-        least = LEAST_RANGE * np.array([sizes[name] for name in STATE_NAMES])
-        ranges: Array = np.maximum(np.ptp(exact, axis=0), least)
-        return ranges
+        return state_ranges(self.parameters, exact)
 
 
 def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:

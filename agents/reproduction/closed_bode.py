@@ -115,8 +115,8 @@ def closed_bode_figure(rig: Rig) -> ReproducedFigure:
         {
             "leak, l/min at 100 bar": [f"{leak:g}" for leak in told.index],
             "bandwidth, Hz": [f"{value:.2f}" for value in told["bandwidth_hz"]],
-            "largest gain": [f"{value:.3f}" for value in told["peak"]],
-            "at, Hz": [f"{value:.2f}" for value in told["peak_hz"]],
+            "peak": [f"{row['peak']:.3f}" if _has_peak(row) else "none" for _, row in told.iterrows()],
+            "at, Hz": [f"{row['peak_hz']:.2f}" if _has_peak(row) else "–" for _, row in told.iterrows()],
             "hump of the oil column": [f"{value:.3f}" if np.isfinite(value) else "–" for value in told["hump"]],
             "at rest": [f"{value:.4f}" for value in told["at_rest"]],
             "largest stable gain here, 1/m": [f"{value:.4g}" for value in told["largest_gain_per_m"]],
@@ -138,8 +138,12 @@ def closed_bode_figure(rig: Rig) -> ReproducedFigure:
     )
 
 
+def _has_peak(row: pd.Series) -> bool:
+    return bool(row["peak"] >= 1.001 * row["at_rest"])
+
+
 def _peak(row: pd.Series) -> str:
-    if row["peak"] < 1.001 * row["at_rest"]:
+    if not _has_peak(row):
         return "that at rest (no peak)"
     return f"{row['peak']:.2f} at {row['peak_hz']:.1f} Hz"
 

@@ -25,6 +25,9 @@ PLACES = 5
 SETTLED_SHARE = 0.02
 """Part of the final value within which a step response counts as settled."""
 
+LONGEST_SETTLING = 10.0
+"""s; what settles later has no settling time."""
+
 INNER = 1e-3
 """s; period and latency are multiples of it."""
 
@@ -73,7 +76,7 @@ def bandwidth(loop: SampledLoop, gain: float) -> float:
     return float(frequencies[last] * (frequencies[last + 1] / frequencies[last]) ** share)
 
 
-def settling_time(loop: SampledLoop, gain: float, longest: float = 10.0) -> float:
+def settling_time(loop: SampledLoop, gain: float, longest: float = LONGEST_SETTLING) -> float:
     """Time in s after a small step until the linear loop stays within 2 % of its final value; NaN if not in time."""
     response = loop.step_response(gain, round(longest / loop.control_period))
     final = loop.final_value(gain)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -91,6 +92,7 @@ def reproduce_to_folder(
             f"{folder}: holds results already; --overwrite begins anew, --output takes another folder"
         )
     rig = rig_from(rig_file)
+    _remove_earlier(folder)
     equations = equation_table()
     write_whole(folder / EQUATIONS_FILE, equations.to_csv(index=False).encode())
     done = []
@@ -101,6 +103,21 @@ def reproduce_to_folder(
             display.update("figures", number, len(FIGURES), entry.title)
     write_whole(page, render_page(done, equations, command, rig).encode())
     return page
+
+
+def _remove_earlier(folder: Path) -> None:
+    """Remove what an earlier run left, figures that are no longer made as well: its page names them."""
+    page = folder / PAGE_FILE
+    if not page.exists():
+        return
+    try:
+        keys = re.findall(r'<section id="(\w+)">', page.read_text(encoding="utf-8", errors="replace"))
+        page.unlink()
+        for key in keys:
+            for suffix in SUFFIXES:
+                (folder / f"{key}.{suffix}").unlink(missing_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"{folder}: earlier results cannot be removed: {error.strerror}") from None
 
 
 def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:

@@ -72,6 +72,11 @@ def plain(value: float, digits: int = 3) -> str:
     return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
+def millimetres(position: float) -> str:
+    """A position in mm with its sign, for a legend; 0 without."""
+    return f"{position:+.0f} mm".replace("-", "−").replace("+0 ", "0 ").replace("−0 ", "0 ")
+
+
 def panel_title(axes: Axes, text: str) -> None:
     """What one panel shows, above it on the left."""
     axes.set_title(text, loc="left", fontsize=9.5, fontweight="bold")

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
+from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, millimetres, panel_title
 from agents.reproduction.rig import LAWS, Law, Rig, with_leak
 from hydro_env import PlantParameters, equilibrium, simulate
 
@@ -57,7 +57,7 @@ def paint_energy(figure: Figure, table: pd.DataFrame) -> None:
     for law, style in styles.items():
         part = table[table["law"] == law]
         for colour, name in zip(COLOURS, ("first", "second"), strict=False):
-            words = f"{part[f'{name}_place_mm'].iloc[0]:+.0f} mm".replace("+0 ", "0 ")
+            words = millimetres(part[f"{name}_place_mm"].iloc[0])
             left.plot(
                 part["leak_lpm"],
                 part[f"holding_{name}_w"],
@@ -66,15 +66,16 @@ def paint_energy(figure: Figure, table: pd.DataFrame) -> None:
                 label=f"{words}, {law}",
                 marker="o",
                 markersize=3,
+                linewidth=2.8 if name == "first" else 1.2,  # where both are the same, both are seen
             )
         right.plot(
             part["leak_lpm"], part["cycle_j"], color=COLOURS[2], linestyle=style, label=law, marker="o", markersize=3
         )
     for axes in (left, right):
-        axes.set(xscale="log", xlabel="leak, l/min at 100 bar", ylim=(0.0, 1.35 * _largest(table, axes is left)))
+        axes.set(xscale="log", xlabel="leak, l/min at 100 bar", ylim=(0.0, 1.6 * _largest(table, axes is left)))
         axes.set_xticks(LEAKS, [f"{leak:g}" for leak in LEAKS])
         axes.minorticks_off()
-        legend(axes, loc="upper left")
+        legend(axes, loc="upper left", handlelength=3.5)
     left.set_ylabel("power from the supply, W")
     right.set_ylabel("energy from the supply, J")
     panel_title(left, "While holding")

@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
+from agents.reproduction.drawing import COLOURS, ReproducedFigure, panel_title
 from agents.reproduction.rig import LAWS, Law, Rig, simplified, with_leak
 from hydro_env import equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
@@ -117,8 +117,8 @@ def paint_force_rate(figure: Figure, table: pd.DataFrame) -> None:
     ):
         axes.set_ylabel(label)
     figure.align_ylabels(grid[:, 0])
-    legend(grid[0, 1], loc="lower right")
-    legend(grid[1, 1], loc="upper right")
+    handles, labels = grid[0, 1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(handles), fontsize=8.0)
 
 
 def _stacked(axes: Axes, time: np.ndarray, seen: pd.DataFrame) -> None:

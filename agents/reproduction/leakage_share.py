@@ -91,6 +91,13 @@ def leakage_share_figure(rig: Rig) -> ReproducedFigure:
                 f"{low['leakage_share'] / high['leakage_share']:.2g} times that at {_span(high)}, so that leakage is "
                 f"not negligible at low differences only because they are low{slow}."
             )
+    lowest = float(table["difference_low_bar"].min())
+    if lowest > 0.0:
+        differs.append(
+            f"On this rig the difference never comes near zero: fewer than {FEWEST} samples lie below {lowest:.1f} bar "
+            f"at any leak, since areas and load ask for unequal pressures all the time. When the leak would be "
+            f"negligible cannot be told from the difference here."
+        )
     ends = table.groupby(["law", "leak_lpm"])["leakage_share"].agg(["first", "last"])
     ratio = ends["last"] / ends["first"]
     found.append(

@@ -49,7 +49,7 @@ def map_table(rig: Rig) -> pd.DataFrame:
                 }
             )
     table = pd.DataFrame(rows)
-    if table["damping_ratio"].isna().all():
+    if table[table["leak_lpm"] == LEAKS[0]]["damping_ratio"].isna().all():
         raise ArithmeticError("the axis oscillates nowhere: it is overdamped")
     return table
 
@@ -114,9 +114,11 @@ def map_figure(rig: Rig) -> ReproducedFigure:
             f"With a tight seal the natural frequency is lowest, {tight['natural_frequency_hz'].min():.0f} Hz, at "
             f"{slowest:.0f} mm, and highest, {tight['natural_frequency_hz'].max():.0f} Hz, at "
             f"{tight['natural_frequency_hz'].idxmax():.0f} mm.",
-            f"At mid-stroke the damping ratio grows from {tight.loc[middle, 'damping_ratio']:.3f} at {LEAKS[0]:g} "
-            f"l/min to {worst.loc[middle, 'damping_ratio']:.3f} at {LEAKS[-1]:g} l/min.",
-            f"At {LEAKS[-1]:g} l/min it lies between {worst['damping_ratio'].min():.3f} and "
+            f"At mid-stroke the damping ratio is {_ratio(tight.loc[middle, 'damping_ratio'])} at {LEAKS[0]:g} l/min "
+            f"and {_ratio(worst.loc[middle, 'damping_ratio'])} at {LEAKS[-1]:g} l/min.",
+            f"At {LEAKS[-1]:g} l/min it exists nowhere: the axis is overdamped, or cannot be held."
+            if worst["damping_ratio"].isna().all()
+            else f"At {LEAKS[-1]:g} l/min it lies between {worst['damping_ratio'].min():.3f} and "
             f"{worst['damping_ratio'].max():.3f} depending on the place"
             + (
                 ": a settling time tells a leak only when the place is known."
@@ -125,3 +127,7 @@ def map_figure(rig: Rig) -> ReproducedFigure:
             ),
         ],
     )
+
+
+def _ratio(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "none (overdamped, or not to be held)"

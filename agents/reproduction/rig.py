@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from hydro_env import PlantParameters, Trajectory, resistance_from_flow, simulate
+from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
 from hydro_env.plant.equations import smooth_root
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
@@ -22,6 +22,12 @@ LAWS: dict[Law, str] = {"laminar": "laminar leak (10)", "throttle": "throttle in
 
 SLOWEST = 65.0
 """Hz; an axis that oscillates slower is given more time."""
+
+LONGEST_STRETCH = 20.0
+"""Durations over those for the paper's rig, up to which the figures are made: minutes of computing beyond."""
+
+LONG_STRETCH, LONG_SAMPLE_TIME = 10.0, 1e-3
+"""From this stretch on records are sampled more coarsely (s)."""
 
 SAMPLES_PER_PERIOD = 20
 SAMPLE_TIMES = (0.5e-3, 0.25e-3, 0.2e-3, 0.1e-3, 0.05e-3, 0.02e-3)
@@ -80,7 +86,7 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
     """Places and commands for any rig: moves within 40 % of its reach, durations by its oscillation.
 
     Raises:
-        ConfigurationError: the rig cannot work at all.
+        ConfigurationError: the rig cannot work at all, or moves too slowly for the figures.
     """
     refuse_unworkable(parameters, name)
     if parameters == PlantParameters():
@@ -89,9 +95,17 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
     span = high - low
     hertz = closed_port_natural_frequency(parameters, 0.5 * (low + high)) / (2 * math.pi)
     stretch = math.ceil(10.0 * max(1.0, SLOWEST / hertz)) / 10.0
+    if stretch > LONGEST_STRETCH:
+        load, least = parameters.load, SLOWEST / LONGEST_STRETCH
+        moving = load.mass + parameters.cylinder.piston_mass
+        raise ConfigurationError(
+            f"{name}: load.mass = {load.mass:g} kg: it swings on its oil column at {hertz:.2g} Hz; the figures are "
+            f"made for {least:.3g} Hz and above, here up to {moving * (hertz / least) ** 2:.3g} kg with the piston"
+        )
     speeds = speed_limits(parameters)
     travel = 0.5 * stretch * max(speeds) / 10.0  # m per V of the longest move
     fitting = next((step for step in SAMPLE_TIMES if step * hertz * SAMPLES_PER_PERIOD <= 1.0), SAMPLE_TIMES[-1])
+    fitting = LONG_SAMPLE_TIME if stretch > LONG_STRETCH else fitting
     transducer = Sensors().position
     larger = parameters.cylinder.stroke / (transducer.high - transducer.low)
     return Rig(

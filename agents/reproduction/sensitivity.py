@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from agents.reproduction.drawing import ReproducedFigure, plain
 from agents.reproduction.results import FRICTION_SHARE, LEAK, MODERATE, RESULTS, Result, Setting, setting_of
 from agents.reproduction.rig import Rig
-from agents.reproduction.variations import CHANGE, Variation, leak_variation, variations
+from agents.reproduction.variations import CHANGE, Variation, leak_variation, unused_parameters, variations
 from hydro_env import HydroError, PlantParameters
 
 SHOWN = 20
@@ -132,6 +132,7 @@ def sensitivity_figure(rig: Rig) -> ReproducedFigure:
     idle = [_named(name) for name in grid.index[grid.max(axis=1) < 1.0]]
     if idle:
         found.append(f"No result changes by 1 % or more with: {', '.join(idle)}.")
+    unused = [_named(name) for name in unused_parameters(rig)]
     missing = [result.words for result in RESULTS if result.name not in grid.columns]
     special = [row for row in own.drop_duplicates("parameter").itertuples() if not _plain(row.value, row.low_value)]
     others = "; ".join(f"{_named(row.parameter)} {row.value} → {row.low_value}, {row.high_value}" for row in special)
@@ -155,6 +156,7 @@ def sensitivity_figure(rig: Rig) -> ReproducedFigure:
         f"energy {MODERATE:g} l/min), the closed loop a fixed gain; settling is judged with friction at "
         f"{100 * FRICTION_SHARE:g} % of what is assumed, since else friction alone would decide, and the held error "
         f"without friction."
+        + (f" Not used by the models of this rig, and so left out: {', '.join(unused)}." if unused else "")
         + (f" Zero or impossible for this rig, and so left out: {', '.join(missing)}." if missing else ""),
         found=found,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agents.reproduction.oscillation import SETTLED, band_envelope, last_above, swing_envelope
 from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_leak
 from agents.reproduction.signals import recorded_acceleration
-from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow
+from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.analysis import Mode, linearise
 from hydro_env.plant.equations import STATE_NAMES
 
@@ -121,7 +121,11 @@ def healthy_frequency(rig: Rig) -> float:
 
 
 def settling_table(rig: Rig, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
-    """One row per friction, null leakage, law and leak: settling times in s by every method."""
+    """One row per friction, null leakage, law and leak: settling times in s by every method.
+
+    Raises:
+        HydroError: the stop is too gentle.
+    """
     frequency = healthy_frequency(rig)
     rows = []
     for friction in friction_models(rig):
@@ -129,7 +133,21 @@ def settling_table(rig: Rig, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
             plain = simplified(rig.parameters, friction, underlap)
             for law in LAWS:
                 rows += [_row(rig, plain, law, leak, frequency) for leak in leaks]
+                need_a_swing(rows[0]["clean_s"])
     return pd.DataFrame(rows)
+
+
+def need_a_swing(settling_time: float | str | bool) -> None:
+    """Raise where the stop of the tight axis without friction is too gentle for a settling time.
+
+    Raises:
+        HydroError: there is nothing to settle.
+    """
+    if settling_time == 0.0:
+        raise HydroError(
+            f"the valve closes so gently, or so little moves, that no swing after the stop exceeds {SETTLED:g} m/s²: "
+            f"there is nothing to settle"
+        )
 
 
 def _row(rig: Rig, plain: PlantParameters, law: Law, leak: float, frequency: float) -> dict[str, float | str | bool]:

@@ -27,6 +27,12 @@ MODERATE = 1.0
 """l/min at 100 bar; where a moderate leak becomes a severe one."""
 
 TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+FEW = 4.0
+"""Periods of oscillation within which settling has ended at once."""
+
+NOTICEABLE = 0.9
+"""Settling with null leakage over settling without, below which the valve's own damping is worth a word."""
+
 CLEAR = 1.5
 """Settling with a tight seal over settling with the leak, from which on a trend can be called clear."""
 
@@ -54,6 +60,9 @@ def paint_settling(figure: Figure, table: pd.DataFrame) -> None:
             axes.set_xlabel("leakage resistance at 100 bar, Pa s/m³" if row else "")
             axes.set_ylabel("settling time, s" if column == 0 else "")
             _flow_labels(axes)
+    # Room for the labels of the leaks below the lowest line.
+    bottom, top = grid[0, 0].get_ylim()
+    grid[0, 0].set_ylim(bottom * (bottom / top) ** 0.06, top)
     handles = [
         Line2D([], [], color="#222222", label="noise-free"),
         Line2D([], [], color="#222222", marker="o", mfc="white", linestyle="none", label="from the accelerometer"),
@@ -165,7 +174,7 @@ def settling_figure(rig: Rig) -> ReproducedFigure:
     for _, row in rubbing.drop_duplicates("friction", keep="last").iterrows():
         if row["first_s"] > CLEAR * row["moderate_s"]:
             found.append(
-                f"With {friction_words(row['friction'])} as assumed the paper's trend comes out as well: "
+                f"With {friction_words(row['friction'])} {_forces(rig)} the paper's trend comes out as well: "
                 f"{row['first_s']:.3f} s with the tight seal, {row['moderate_s']:.3f} s at {MODERATE:g} l/min "
                 f"(throttle)."
             )
@@ -227,19 +236,9 @@ def _differences(rig: Rig, table: pd.DataFrame, told: pd.DataFrame) -> list[str]
         if model == "none" or rubbing["first_s"] > CLEAR * rubbing["moderate_s"]:
             continue
         sentences.append(
-            f"With {friction_words(model)} as assumed the axis settles in {rubbing['first_s']:.3f} s with the tight "
-            f"seal and in {rubbing['moderate_s']:.3f} s at {MODERATE:g} l/min (throttle): "
-            + (
-                "it takes longer with the leak, which keeps the axis creeping: the paper's trend is reversed."
-                if rubbing["moderate_s"] > CLEAR * rubbing["first_s"]
-                else "friction ends the oscillation within a few periods, and the paper's trend all but vanishes."
-            )
-            + (
-                " That the paper saw a clear trend suggests that its rig rubbed less than assumed here (it gives no "
-                "friction)."
-                if rig.is_paper
-                else ""
-            )
+            f"With {friction_words(model)} {_forces(rig)} the axis settles in {rubbing['first_s']:.3f} s with the "
+            f"tight seal and in {rubbing['moderate_s']:.3f} s at {MODERATE:g} l/min (throttle): {_fate(table, rubbing)}"
+            f"{_suggestion(told) if rig.is_paper else ''}"
         )
         omega = _times(table, "laminar", "none", False, "natural_frequency_rad_s").loc[low]
         if model in ("coulomb", "stribeck"):
@@ -251,12 +250,12 @@ def _differences(rig: Rig, table: pd.DataFrame, told: pd.DataFrame) -> list[str]
             )
     if table["valve_null_leakage"].any():
         lapped, null = (_times(table, "laminar", "none", underlap) for underlap in (False, True))
-        if null.loc[low] < lapped.loc[low]:
+        if null.loc[low] < NOTICEABLE * lapped.loc[low]:
             sentences.append(
                 f"The valve's own null leakage damps as well: without friction it shortens settling with the tight "
                 f"seal from {lapped.loc[low]:.2f} s to {null.loc[low]:.2f} s, so that a leak of {MODERATE:g} l/min "
-                f"divides the settling time by {null.loc[low] / null.loc[MODERATE]:.2f} instead of "
-                f"{lapped.loc[low] / lapped.loc[MODERATE]:.2f}."
+                f"shortens it to {null.loc[MODERATE]:.2f} s from there, instead of from {lapped.loc[low]:.2f} s to "
+                f"{lapped.loc[MODERATE]:.2f} s."
             )
     rising = [
         _rise(row, _times(table, row["law"], row["friction"], row["valve_null_leakage"]))
@@ -265,6 +264,37 @@ def _differences(rig: Rig, table: pd.DataFrame, told: pd.DataFrame) -> list[str]
     if rising:
         sentences.append(f"Noise-free settling does not fall at every step with: {'; '.join(rising)}.")
     return sentences
+
+
+def _forces(rig: Rig) -> str:
+    return "as assumed" if rig.is_paper else "and the forces of this rig"
+
+
+def _fate(table: pd.DataFrame, rubbing: pd.Series) -> str:
+    """What friction does to the trend of one model, from its settling times and those without friction."""
+    part = _part(table, "throttle", "none", bool(rubbing["valve_null_leakage"])).set_index("leak_lpm")
+    free = part["clean_s"]
+    periods = rubbing["first_s"] * part["natural_frequency_rad_s"].loc[LEAKS[0]] / (2.0 * np.pi)
+    if rubbing["moderate_s"] > CLEAR * rubbing["first_s"]:
+        return "it takes longer with the leak, which keeps the axis creeping: the paper's trend is reversed."
+    weak = free.loc[LEAKS[0]] < CLEAR * free.loc[MODERATE]
+    without = f"without friction too they are {free.loc[LEAKS[0]]:.3f} and {free.loc[MODERATE]:.3f} s"
+    if periods < FEW:
+        ends = f"friction ends the oscillation within {periods:.1f} periods"
+        return f"{ends}; {without}." if weak else f"{ends}, and the paper's trend all but vanishes."
+    ratio = f"the leak divides the time by {rubbing['first_s'] / rubbing['moderate_s']:.2f}"
+    return f"{ratio}; {without}." if weak else f"{ratio}, so that the paper's trend is weak."
+
+
+def _suggestion(told: pd.DataFrame) -> str:
+    """What the paper's clear trend says of the friction on its rig."""
+    clean = told[(told["method"] == "clean_s") & (told["law"] == "throttle") & (told["friction"] != "none")]
+    shows = clean[clean["first_s"] > CLEAR * clean["moderate_s"]].drop_duplicates("friction")
+    other = "".join(f", or rubbed as the {friction_words(model)} here" for model in shows["friction"])
+    return (
+        f" That the paper saw a clear trend suggests that its rig rubbed less than assumed here{other} (it gives no "
+        f"friction)."
+    )
 
 
 def _rise(row: pd.Series, times: pd.Series) -> str:

@@ -10,13 +10,14 @@ from matplotlib.figure import Figure
 
 from agents.reproduction.closed_loop import (
     GAIN_MARGIN,
+    LONGEST_SETTLING,
     TIMING,
     bandwidth,
     loop_at,
     places,
     settling_time,
 )
-from agents.reproduction.drawing import COLOURS, ReproducedFigure, panel_title, plain
+from agents.reproduction.drawing import COLOURS, ReproducedFigure, millimetres, panel_title, plain
 from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters
 from hydro_env.plant.analysis import linearise
@@ -99,7 +100,7 @@ def paint_stability(figure: Figure, table: pd.DataFrame) -> None:
     for axes, (law, words) in zip(grid[0], LAWS.items(), strict=True):
         for colour, position in zip(COLOURS, positions, strict=False):
             part = table[(table["law"] == law) & (table["position_mm"] == position)]
-            axes.plot(part["leak_lpm"], part["limit_per_m"], color=colour, label=f"{position:+.0f} mm")
+            axes.plot(part["leak_lpm"], part["limit_per_m"], color=colour, label=millimetres(position))
             rule = part["continuous_limit_per_m"]
             axes.plot(part["leak_lpm"], rule, color=colour, linestyle=(0, (2, 2)), linewidth=0.9)
         axes.set(yscale="log")
@@ -154,9 +155,9 @@ def stability_figure(rig: Rig) -> ReproducedFigure:
         f"One gain for the whole reach: the limit is {new['limit_per_m']:.4g} per metre with the new seal and "
         f"{worn['limit_per_m']:.4g} at {LEAKS[-1]:g} l/min laminar, {growth:.2f} times as much "
         f"({ends['throttle'][1]['limit_per_m'] / ends['throttle'][0]['limit_per_m']:.2f} times with a throttle).",
-        f"In speed, at 1/{GAIN_MARGIN:g} of the limit: bandwidth {new['bandwidth_hz']:.1f} Hz new and "
-        f"{worn['bandwidth_hz']:.1f} Hz worn, settling {1e3 * new['settling_s']:.0f} ms and "
-        f"{1e3 * worn['settling_s']:.0f} ms, velocity gain {new['velocity_gain_per_s']:.1f} and "
+        f"In speed, at 1/{GAIN_MARGIN:g} of the limit: bandwidth {_hertz(new)} new and "
+        f"{_hertz(worn)} worn, settling {_settling(new)} and {_settling(worn)}, "
+        f"velocity gain {new['velocity_gain_per_s']:.1f} and "
         f"{worn['velocity_gain_per_s']:.1f} 1/s: " + _verdict(new, worn),
         f"Place by place the limit changes between new and worn by factors of {single.min():.2f} to "
         f"{single.max():.2f}.",
@@ -214,6 +215,16 @@ def _growth_by_place(table: pd.DataFrame) -> pd.Series:
     return ends["last"] / ends["first"]
 
 
+def _hertz(row: pd.Series, digits: int = 1) -> str:
+    hertz = float(row["bandwidth_hz"])
+    return f"{hertz:.{digits}f} Hz" if math.isfinite(hertz) else "none"
+
+
+def _settling(row: pd.Series) -> str:
+    seconds = float(row["settling_s"])
+    return f"{1e3 * seconds:.0f} ms" if math.isfinite(seconds) else f"more than {LONGEST_SETTLING:g} s"
+
+
 def _summary(told: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
@@ -221,8 +232,8 @@ def _summary(told: pd.DataFrame) -> pd.DataFrame:
             "l/min at 100 bar": [f"{value:g}" for value in told["leak_lpm"]],
             "largest stable gain, 1/m": [f"{value:.4g}" for value in told["limit_per_m"]],
             "gain used, 1/m": [f"{value:.4g}" for value in told["gain_per_m"]],
-            "bandwidth, Hz": [f"{value:.2f}" for value in told["bandwidth_hz"]],
-            "settling to 2 %, ms": [f"{1e3 * value:.0f}" for value in told["settling_s"]],
+            "bandwidth": [_hertz(row, 2) for _, row in told.iterrows()],
+            "settling to 2 %": [_settling(row) for _, row in told.iterrows()],
             "velocity gain, 1/s": [f"{value:.1f}" for value in told["velocity_gain_per_s"]],
         }
     )

@@ -45,13 +45,14 @@ def assumed_parameters(base: PlantParameters) -> dict[str, Any]:
 def variations(rig: Rig) -> list[Variation]:
     """Every assumed parameter ±20 %; those that are zero, infinite or a choice by what else they might be.
 
-    The internal leak is varied by the results themselves, see :func:`leak_variation`. Friction is left out of a rig
-    that has none.
+    The internal leak is varied by the results themselves, see :func:`leak_variation`. What the rig's models do not
+    use (:func:`unused_parameters`) is left out.
     """
     base, found = rig.parameters, []
+    unused = unused_parameters(rig)
     for name, value in assumed_parameters(base).items():
         group, field = name.split(".")
-        if group == "friction" and not rig.has_friction:
+        if name in unused:
             continue
         if name == "leakage.internal_resistance":
             continue
@@ -63,6 +64,35 @@ def variations(rig: Rig) -> list[Variation]:
         else:  # nobody has said what else it might be; it stands in the table without an effect
             found.append(Variation(name, _shown(value), "–", "–", None, None))
     return found
+
+
+_USED_WITH = {
+    "valve.coil_inductance": ("valve", ("drive",)),
+    "valve.natural_frequency": ("valve", ("drive", "spool")),
+    "valve.damping_ratio": ("valve", ("drive", "spool")),
+    "valve.slew_limit": ("valve", ("drive", "spool")),
+    "friction.breakaway_force": ("friction", ("stribeck", "lugre")),
+    "friction.stribeck_velocity": ("friction", ("stribeck", "lugre")),
+    "friction.transition_velocity": ("friction", ("coulomb", "stribeck")),
+    "friction.bristle_stiffness": ("friction", ("lugre",)),
+    "friction.bristle_damping": ("friction", ("lugre",)),
+    "supply.relief_slope": ("supply", ("accumulator", "pump")),
+    "supply.line_volume": ("supply", ("pump",)),
+    "supply.precharge_pressure": ("supply", ("accumulator",)),
+    "supply.polytropic_index": ("supply", ("accumulator",)),
+}
+"""Parameters that only some models of their group use."""
+
+
+def unused_parameters(rig: Rig) -> list[str]:
+    """Assumed parameters that the models of a rig do not use."""
+    base = rig.parameters
+    unused = []
+    for name in assumed_parameters(base):
+        group, models = _USED_WITH.get(name, (name.split(".")[0], ()))
+        if (group == "friction" and not rig.has_friction) or (models and getattr(base, group).model not in models):
+            unused.append(name)
+    return unused
 
 
 def leak_variation(leak: float) -> Variation:
@@ -83,7 +113,9 @@ def _variation(base: PlantParameters, group: str, field: str, value: Any, low: A
 
 
 def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return "∞" if math.isinf(value) else f"{value:.4g}"
+    return str(value)
 
 
 def _changed(base: PlantParameters, group: str, field: str, value: Any) -> PlantParameters | None:
@@ -116,8 +148,8 @@ def _orifice_gain(base: PlantParameters) -> Variation:
 
 def _friction_model(base: PlantParameters) -> Variation:
     known = [model for model in get_args(Friction.model_fields["model"].annotation) if model != base.friction.model]
-    others = [model for model in known if model != "none"]
-    return _variation(base, "friction", "model", base.friction.model, "none", others[0])
+    other = "lugre" if "lugre" in known else "stribeck"
+    return _variation(base, "friction", "model", base.friction.model, "none", other)
 
 
 def _air_fraction(base: PlantParameters) -> Variation:

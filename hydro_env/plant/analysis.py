@@ -20,7 +20,7 @@ from hydro_env.plant.equations import (
     internal_leakage,
     pressure_rate,
 )
-from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, PlantParameters
 from hydro_env.plant.simulate import Trajectory
 
 Array = NDArray[np.float64]
@@ -63,6 +63,13 @@ def softest_position(parameters: PlantParameters) -> float:
     ratio = (c.area_a / c.area_b) ** 1.5
     position = (ratio * c.volume_b0 - c.volume_a0) / (c.area_a + ratio * c.area_b)
     return float(min(max(position, -c.end_stop_position), c.end_stop_position))
+
+
+def leak_at_test_pressure(parameters: PlantParameters) -> float:
+    """Internal leakage in l/min at 100 bar across the piston: seal and throttle together."""
+    c = Coefficients(*coefficient_array(parameters))
+    at = State(0.0, 0.0, LEAKAGE_TEST_PRESSURE, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    return float(internal_leakage(at, c)) / LITRE_PER_MINUTE
 
 
 class ForceLimits(NamedTuple):

@@ -383,7 +383,7 @@ def rates(s, c):
 
 @inline
 def fastest_rate(s, c):
-    """Upper estimate of the fastest rate |λ| in 1/s near a state, which bounds the inner step."""
+    """Upper estimate of the fastest rate |λ| in 1/s near a state, which bounds a stable inner step (``workable``)."""
     r = rates(s, c)
     slower = max(max(r.friction, r.oil_column), max(r.end_stop, max(r.valve, r.supply_line)))
     return max(max(r.chamber_a, r.chamber_b), slower)

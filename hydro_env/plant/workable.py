@@ -5,15 +5,21 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hydro_env.plant.analysis import force_limits
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import Coefficients, Rates, State, rates
-from hydro_env.plant.errors import ConfigurationError
+import numpy as np
+
+from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
+from hydro_env.plant.arrays import DERIVED_NAMES, coefficient_array, derived_array, equilibrium
+from hydro_env.plant.equations import STATE_NAMES, Coefficients, Rates, State, rates
+from hydro_env.plant.errors import ConfigurationError, HydroError
 from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
-from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.parameters import LITRE_PER_MINUTE, PlantParameters
+from hydro_env.plant.simulate import valid_ranges
 
 LEAST_TRAVEL = 1e-3
 """m; a rig that cannot move this far from where its spring is free is no servo axis."""
+
+LEAST_OPENING = 0.01
+"""Spool position that 10 V must reach."""
 
 MOST_STEPS = 4000
 """Inner steps in 5 ms beyond which the rig's own numbers are at fault."""
@@ -31,24 +37,43 @@ CAUSES = {
     "supply_line": "supply.line_volume: pump and relief valve act on the oil in it",
 }
 
+LUGRE_CAUSES = {
+    "friction": "friction.bristle_stiffness for this coulomb_force, or bristle_damping for this load.mass: it brakes",
+    "oil_column": "friction.bristle_stiffness on this load.mass: they swing",
+}
+"""What is at fault instead with LuGre friction."""
+
+PLACES = 5
+"""Positions over the reach of which at least one must be held."""
+
 
 class InnerStep(NamedTuple):
-    """How finely an explicit integration must work to be stable, whatever its accuracy."""
+    """How finely the integrator must work to be stable, whatever its accuracy."""
 
     rate: float  # 1/s, upper estimate of the fastest |λ|
     cause: str  # field of :class:`~hydro_env.plant.equations.Rates`
     steps: int  # in STEPS_PERIOD
-    step: float  # s
+    step: float  # s, no longer than the integrator's longest
+
+    @property
+    def stable(self) -> float:
+        """Longest stable step, s."""
+        return STABLE_PRODUCT / self.rate
 
 
 def inner_step(parameters: PlantParameters, position: float = 0.0) -> InnerStep:
     """Fastest rate, what causes it, and the longest stable inner step at a position (m).
 
     The integrator's method is stable to h·|λ| = 3.2; no step is longer than 2 ms. Most steps are shorter, by the
-    tolerance of the integration.
+    tolerance of the integration (:mod:`hydro_env.plant.probe`). LuGre friction relaxes the faster, the faster the
+    piston slides: it is judged at the speed without load.
     """
     zeros = dict.fromkeys(State._fields, 0.0)
-    found = rates(State(**{**zeros, "position": position}), Coefficients(*coefficient_array(parameters)))
+    at = {
+        "position": position,
+        "velocity": max(speed_limits(parameters)) if parameters.friction.model == "lugre" else 0.0,
+    }
+    found = rates(State(**(zeros | at)), Coefficients(*coefficient_array(parameters)))
     cause = max(Rates._fields, key=lambda name: getattr(found, name))
     rate = float(getattr(found, cause))
     steps = max(
@@ -64,7 +89,7 @@ def shortest_inner_step(parameters: PlantParameters) -> InnerStep:
 
 
 def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
-    """Refuse a rig that no command can move, or that no reasonable step can integrate.
+    """Refuse a rig that no command can move, that rests nowhere, or that no reasonable step can integrate.
 
     What is impossible by itself (a rod that fills the bore, a supply below tank, an accumulator that stays empty)
     :class:`~hydro_env.plant.parameters.PlantParameters` has refused already.
@@ -93,13 +118,111 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
                 f"{source}: load.spring_stiffness = {load.spring_stiffness:g} N/m: {where}, which does not move it "
                 f"{1e3 * LEAST_TRAVEL:g} mm; the limit is {force / LEAST_TRAVEL:.4g} N/m"
             )
+    rubbing, weaker = _largest_friction(parameters), min(out, back)
+    if rubbing >= weaker - least:
+        name = "coulomb_force" if parameters.friction.model == "coulomb" else "breakaway_force"
+        raise ConfigurationError(
+            f"{source}: friction.{name} = {rubbing:g} N: {supply.pressure / 1e5:g} bar give {weaker:.4g} N "
+            f"{'out' if out < back else 'in'}, which does not move it {1e3 * LEAST_TRAVEL:g} mm; the limit is "
+            f"{weaker - least:.4g} N"
+        )
+    _refuse_valve_and_pump(parameters, source)
     shortest = shortest_inner_step(parameters)
     if shortest.steps > MOST_STEPS:
+        causes = CAUSES | LUGRE_CAUSES if parameters.friction.model == "lugre" else CAUSES
         raise ConfigurationError(
-            f"{source}: {CAUSES[shortest.cause]} at {shortest.rate:.3g} 1/s, which asks for {shortest.steps:,} inner "
+            f"{source}: {causes[shortest.cause]} at {shortest.rate:.3g} 1/s, which asks for {shortest.steps:,} inner "
             f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
+    if not _can_rest(parameters):
+        raise ConfigurationError(f"{source}: {_why_no_rest(parameters)}")
+
+
+def _largest_friction(parameters: PlantParameters) -> float:
+    friction = parameters.friction
+    if friction.model == "none":
+        return 0.0
+    return friction.coulomb_force if friction.model == "coulomb" else friction.breakaway_force
+
+
+def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
+    """A valve that 10 V hardly opens, a coil that they burn, a relief valve that hardly relieves."""
+    valve, supply = parameters.valve, parameters.supply
+    current = 10.0 * valve.amplifier_gain / valve.coil_resistance
+    limits = dict(zip(STATE_NAMES, zip(*valid_ranges(parameters), strict=True), strict=True))
+    if current > limits["coil_current"][1]:
+        raise ConfigurationError(
+            f"{source}: valve.amplifier_gain = {valve.amplifier_gain:g} V/V: 10 V drive {current:.3g} A through the "
+            f"coil; the limit is {limits['coil_current'][1] * valve.coil_resistance / 10.0:.4g} V/V"
+        )
+    if current * valve.spool_gain < LEAST_OPENING:
+        raise ConfigurationError(
+            f"{source}: valve.amplifier_gain = {valve.amplifier_gain:g} V/V, coil_resistance = "
+            f"{valve.coil_resistance:g} Ω, spool_gain = {valve.spool_gain:g} 1/A: 10 V open the valve by "
+            f"{100.0 * current * valve.spool_gain:.3g} %; it must be at least {100.0 * LEAST_OPENING:g} %"
+        )
+    highest = limits["supply_pressure"][1]
+    regulated = supply.model != "constant" and supply.pump_flow > 0.0
+    if regulated and supply.pressure + supply.pump_flow / supply.relief_slope > highest:
+        raise ConfigurationError(
+            f"{source}: supply.relief_slope = {supply.relief_slope:g} m³/(s Pa): a pump of {supply.pump_flow:g} m³/s "
+            f"raises the supply above {highest / 1e5:g} bar; it must be at least "
+            f"{supply.pump_flow / (highest - supply.pressure):.3g}"
+        )
+
+
+def _rest(parameters: PlantParameters) -> dict[str, float] | None:
+    """The first state at rest that is found over the reach."""
+    low, high = (0.9 * end for end in reachable_range(parameters))
+    for number in range(PLACES):
+        try:
+            return equilibrium(parameters, low + (0.5 + 0.5 * number) % 1.0 * (high - low))[0]
+        except HydroError:
+            continue
+    return None
+
+
+def _can_rest(parameters: PlantParameters) -> bool:
+    return _rest(parameters) is not None
+
+
+def _why_no_rest(parameters: PlantParameters) -> str:
+    """The figure for which no position can be held, and its limit."""
+    supply, leakage = parameters.supply, parameters.leakage
+    fed = _rest(parameters.replace(supply={"model": "constant"}))
+    if fed is not None:
+        state = np.array([[fed[name] for name in STATE_NAMES]])
+        flows = dict(zip(DERIVED_NAMES, derived_array(state, coefficient_array(parameters))[0].tolist(), strict=True))
+        pump, drawn = supply.pump_flow / LITRE_PER_MINUTE, flows["supply_flow"] / LITRE_PER_MINUTE
+        return (
+            f"supply.pump_flow = {supply.pump_flow:.3g} m³/s ({pump:.3g} l/min): at rest valve and leaks draw "
+            f"{flows['supply_flow']:.3g} m³/s ({drawn:.3g} l/min); it must be more, or supply.model constant"
+        )
+    tight = {"internal_resistance": math.inf, "external_resistance": math.inf, "orifice_gain": 0.0}
+    for name, none in tight.items():
+        if getattr(leakage, name) == none or not _can_rest(parameters.replace(leakage={name: none})):
+            continue
+        unit = "m³/(s √Pa)" if name == "orifice_gain" else "Pa s/m³"
+        bound = "at most" if name == "orifice_gain" else "at least"
+        limit = _leak_limit(parameters, name, getattr(leakage, name))
+        return (
+            f"leakage.{name} = {getattr(leakage, name):.3g} {unit}: more oil leaks than the valve feeds from "
+            f"{supply.pressure / 1e5:g} bar, so that no position can be held; it must be {bound} {limit:.2g}"
+        )
+    return "no position can be held: leaks, forces and supply pressure do not fit together"
+
+
+def _leak_limit(parameters: PlantParameters, name: str, value: float) -> float:
+    """Value of a leak's parameter up to which a position can be held, to 1 %."""
+    away = 0.1 if name == "orifice_gain" else 10.0
+    good = value * away
+    while not _can_rest(parameters.replace(leakage={name: good})):
+        value, good = good, good * away
+    while abs(math.log(value / good)) > 0.01:
+        middle = math.sqrt(value * good)
+        value, good = (value, middle) if _can_rest(parameters.replace(leakage={name: middle})) else (middle, good)
+    return good
 
 
 def _outward(parameters: PlantParameters) -> float:

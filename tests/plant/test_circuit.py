@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, equilibrium, simulate
-from hydro_env.plant.analysis import linearise
+from hydro_env.plant.analysis import leak_at_test_pressure, linearise
 from hydro_env.plant.equations import ATMOSPHERIC_PRESSURE, STATE_NAMES
 from hydro_env.plant.parameters import from_vector, to_vector
 
@@ -137,6 +137,8 @@ def test_the_throttle_alone_or_with_the_seal():
     assert flows[0] == pytest.approx(-gain * math.sqrt(50e5), rel=1e-3)
     assert flows[1] == pytest.approx(-50e5 / 6e11, rel=1e-12)
     assert flows[2] == pytest.approx(flows[0] + flows[1], rel=1e-12)
+    both = plant.replace(leakage={"internal_resistance": 6e11, "orifice_gain": gain})
+    assert leak_at_test_pressure(both) == pytest.approx(2.0, rel=1e-4)
 
 
 CIRCUITS = {

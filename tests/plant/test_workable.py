@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
@@ -19,6 +20,7 @@ from hydro_env.plant.analysis import (
 )
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.kernel import STABLE_PRODUCT
+from hydro_env.plant.probe import ENOUGH, HELD, PERIOD, probe, state_ranges
 from hydro_env.plant.simulate import valid_ranges
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
 
@@ -102,15 +104,49 @@ def test_reach_ends_where_the_force_does():
     assert reachable_range(rig) == pytest.approx((-back / 89e3, out / 89e3))
 
 
-def test_the_inner_step_is_stable():
+def test_the_longest_stable_step():
     rig = PlantParameters()
     found = inner_step(rig, 0.05)
     state, _ = equilibrium(rig, 0.05)
     assert found.rate == fastest_rate_bound(rig, list(state.values()))
     assert found.step * found.rate <= STABLE_PRODUCT
+    assert found.stable * found.rate == pytest.approx(STABLE_PRODUCT)
     shortest = shortest_inner_step(rig)
     assert shortest.cause == "chamber_a"
     assert shortest.steps == math.ceil(5e-3 * shortest.rate / STABLE_PRODUCT)
+
+
+def test_lugre_friction_is_judged_at_speed():
+    """Sliding at v, bristles relax at σ_0 v / F_c."""
+    rig = PlantParameters().replace(friction={"model": "lugre", "bristle_stiffness": 1e9, "bristle_damping": 0.0})
+    found = inner_step(rig)
+    assert found.cause == "friction"
+    assert found.rate == pytest.approx(1e9 * max(speed_limits(rig)) / 120.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("path", RIGS, ids=lambda path: path.stem)
+def test_the_probe_of_shipped_rigs(path):
+    rig = PlantParameters.from_yaml(path)
+    found = probe(rig)
+    assert found.error < 0.2 * ENOUGH
+    assert 5.0 < found.mean_steps < found.most_steps < 100
+    assert probe(rig, tolerance=1e-3).error > 10.0 * found.error
+
+
+def test_the_probe_estimates_the_true_error():
+    """Against the reference solver instead of a tighter tolerance."""
+    rig = PlantParameters()
+    voltage = np.repeat(10.0 * (-1.0) ** np.arange(len(HELD)), HELD)
+    fast, exact = (simulate(rig, voltage, PERIOD, method=method).states for method in ("fast", "radau"))
+    true = (np.abs(fast - exact).max(axis=0) / state_ranges(rig, exact)).max()
+    assert probe(rig).error == pytest.approx(true, rel=0.02)
+
+
+def test_the_limit_of_a_leak_is_the_limit():
+    rig = PlantParameters().replace(leakage={"internal_resistance": 1e9})
+    with pytest.raises(ConfigurationError, match=r"must be at least 1\.7e\+09$"):
+        refuse_unworkable(rig)
+    refuse_unworkable(rig.replace(leakage={"internal_resistance": 1.75e9}))
 
 
 IMPOSSIBLE = {
@@ -134,6 +170,20 @@ IMPOSSIBLE = {
     "friction": ({"friction": {"transition_velocity": 1e-6}}, r"friction\.transition_velocity .* 2\.86e\+06 1/s"),
     "end stop": ({"cylinder": {"end_stop_damping": 1e7}, "load": {"mass": 0.1}}, r"cylinder\.end_stop_damping"),
     "valve": ({"valve": {"coil_inductance": 1e-6, "coil_resistance": 5.0, "amplifier_gain": 1.25}}, r"coil_inductance"),
+    "bristles": ({"friction": {"model": "lugre", "bristle_stiffness": 1e10}}, r"friction\.bristle_stiffness for this"),
+    "friction beyond the force": (
+        {"friction": {"coulomb_force": 4e3, "breakaway_force": 5e3}},
+        r"friction\.breakaway_force = 5000 N: 70 bar give 4361 N in, .* the limit is 4272 N",
+    ),
+    "leak": ({"leakage": {"internal_resistance": 1e8}}, r"leakage\.internal_resistance = 1e\+08 .* must be at least"),
+    "external leak": ({"leakage": {"external_resistance": 1e8}}, r"leakage\.external_resistance .* must be at least"),
+    "weak pump": (
+        {"supply": {"model": "pump", "pump_flow": 1e-6}},
+        r"supply\.pump_flow = 1e-06 m³/s \(0\.06 l/min\): at rest valve and leaks draw 2\.48e-06",
+    ),
+    "relief valve": ({"supply": {"relief_slope": 1e-14}}, r"supply\.relief_slope .* must be at least 1\.11e-12"),
+    "valve that does not open": ({"valve": {"amplifier_gain": 1e-6}}, r"valve\.amplifier_gain .* at least 1 %"),
+    "coil": ({"valve": {"amplifier_gain": 1e6}}, r"valve\.amplifier_gain .* the limit is 2500 V/V"),
 }
 
 

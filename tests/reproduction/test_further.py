@@ -12,8 +12,9 @@ from agents.reproduction.friction_scan import friction_scan_table
 from agents.reproduction.holding import controllers, held_error
 from agents.reproduction.maps import map_table
 from agents.reproduction.results import RESULTS
-from agents.reproduction.rig import Rig, simplified, with_leak
-from hydro_env import PlantParameters, equilibrium
+from agents.reproduction.rig import Rig, own_rig, simplified, with_leak
+from agents.reproduction.variations import unused_parameters
+from hydro_env import PlantParameters, equilibrium, simulate
 
 
 def test_damping_grows_with_the_leak_everywhere():
@@ -68,6 +69,9 @@ def test_every_assumed_parameter_is_ranked_for_every_result(sensitivity):
         for field, details in settings.annotation.model_fields.items()
         if details.description.startswith("assumed")
     }
+    unused = {"friction.bristle_stiffness", "friction.bristle_damping", "supply.line_volume"}
+    assert set(unused_parameters(Rig())) == unused
+    names -= unused
     assert len(names) >= 29
     assert set(sensitivity["result"]) == {result.name for result in RESULTS}
     for _, part in sensitivity.groupby("result"):
@@ -99,3 +103,23 @@ def test_friction_hides_the_trend_little_by_little():
     assert scan[0.01].is_monotonic_decreasing
     assert scan.loc[0.0, 0.01] > 3.0 * scan.loc[0.0, 1.0]
     assert scan.loc[1.0, 0.01] < 1.5 * scan.loc[1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "unused"),
+    [
+        ({"valve": {"model": "ideal"}}, {"valve.coil_inductance", "valve.natural_frequency", "valve.slew_limit"}),
+        ({"friction": {"model": "lugre"}}, {"friction.transition_velocity", "supply.line_volume"}),
+        ({"supply": {"model": "pump"}}, {"supply.precharge_pressure", "supply.polytropic_index"}),
+    ],
+)
+def test_parameters_that_are_not_used_change_nothing(changes, unused):
+    plant = PlantParameters().replace(**changes)
+    assert unused <= set(unused_parameters(own_rig(plant, "changed")))
+    voltage, start = np.repeat([5.0, -5.0], 20), {"position": 0.0}
+    run = simulate(plant, voltage, 1e-3, start)
+    for path in unused:
+        group, name = path.split(".")
+        value = getattr(getattr(plant, group), name)
+        moved = simulate(plant.replace(**{group: {name: 0.8 * value}}), voltage, 1e-3, start)
+        assert abs(moved.position - run.position).max() < 1e-8

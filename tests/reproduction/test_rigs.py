@@ -11,8 +11,10 @@ from agents.paths import config_folder
 from agents.reproduction import command
 from agents.reproduction.closed_bode import closed_bode_figure
 from agents.reproduction.displacement import displacement_figure, displacement_table
+from agents.reproduction.friction_scan import friction_scan_figure
 from agents.reproduction.page import true_minus
 from agents.reproduction.rig import Rig, own_rig, rig_from
+from agents.reproduction.settling_figure import settling_figure
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -60,6 +62,19 @@ def test_a_figure_that_a_rig_cannot_do_is_said_in_its_place(own_folder):
         assert len(pd.read_csv(file.with_suffix(".csv"))) > 3
 
 
+def test_overwriting_removes_what_an_earlier_run_wrote(tmp_path, monkeypatch):
+    """Figures that are no longer made go; what the command did not write stays."""
+    (tmp_path / "page.html").write_text('<section id="gone_figure"></section>', encoding="utf-8")
+    for name in ("gone_figure.png", "gone_figure.svg", "gone_figure.csv", "mine.png"):
+        (tmp_path / name).write_text("old", encoding="utf-8")
+    monkeypatch.setattr(command, "FIGURES", ())
+    with pytest.raises(ConfigurationError, match="--overwrite"):
+        command.reproduce_to_folder(tmp_path, overwrite=False)
+    assert (tmp_path / "gone_figure.png").exists()
+    command.reproduce_to_folder(tmp_path, overwrite=True)
+    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png"}
+
+
 def test_the_page_says_whose_rig_it_is(own_folder):
     page = (own_folder / "page.html").read_text(encoding="utf-8")
     assert "another rig" in page
@@ -74,6 +89,14 @@ def test_a_slow_axis_gets_more_time():
     heavy = own_rig(PlantParameters().replace(load={"mass": 1200.0}), "heavy")
     assert heavy.stretch > 3.0
     assert "ms after the stop" in displacement_figure(heavy).found[2]
+
+
+def test_an_axis_that_is_too_slow_for_the_figures_is_refused():
+    with pytest.raises(ConfigurationError, match=r"load\.mass = 1e\+06 kg: .* 0\.5\d* Hz; .* 3\.25 Hz"):
+        own_rig(PlantParameters().replace(load={"mass": 1e6}), "too slow")
+    slow = own_rig(PlantParameters().replace(load={"mass": 2e4}), "slow")
+    assert slow.sample_time == 1e-3
+    assert slow.sample_time < 1.0 / (20 * 65.0 / slow.stretch)
 
 
 def test_a_light_axis_is_sampled_finer():
@@ -113,3 +136,11 @@ def test_signs():
     assert true_minus("from -0.05 to -0.000 and +0.00, -12 mm, 1e-5, +0.09") == (
         "from −0.05 to 0.000 and 0.00, −12 mm, 1e-5, +0.09"
     )
+
+
+def test_a_stop_too_gentle_to_settle_is_said():
+    """A spool that takes seconds to close: nothing swings, and no figure divides by zero."""
+    slow = own_rig(PlantParameters().replace(valve={"slew_limit": 0.1}), "slow spool")
+    for figure in (settling_figure, friction_scan_figure):
+        with pytest.raises(HydroError, match="nothing to settle"):
+            figure(slow)

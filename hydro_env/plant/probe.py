@@ -1,0 +1,90 @@
+"""How finely the integrator works on one rig, and how exactly: a short lively run at two tolerances."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.plant import kernel
+from hydro_env.plant.arrays import coefficient_array, equilibrium
+from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.errors import InvalidStateError
+from hydro_env.plant.parameters import PlantParameters
+
+Array = NDArray[np.float64]
+
+PERIOD = 5e-3
+"""s; each voltage is held for whole periods, over which steps are counted."""
+
+HELD = (8, 8, 4, 4, 4, 4, 2, 2, 2, 2)
+"""Periods for which +10 V and −10 V act in turn: 0.2 s in all."""
+
+TIGHTER = 1e-3
+"""Tolerance of the run that counts as exact, in parts of the one judged."""
+
+ENOUGH = 1e-4
+"""Error of any state, in parts of its range, up to which the inner step is small enough."""
+
+LEAST_RANGE = 0.01
+"""A state that hardly moves counts as ranging over this part of its size."""
+
+
+class Probe(NamedTuple):
+    """What the integrator did."""
+
+    mean_steps: float  # in PERIOD, repeated ones included
+    most_steps: int
+    error: float  # largest of any state, in parts of its range
+    state: str  # whose error that is
+
+
+def state_ranges(parameters: PlantParameters, states: Array) -> Array:
+    """Range of each state along a run, states (samples, N_STATES), at least 1 % of its size."""
+    c = Coefficients(*coefficient_array(parameters))
+    sizes = {
+        "position": c.end_stop_position,
+        "velocity": 1.0 / c.velocity_weight,
+        "pressure_a": c.relief_pressure,
+        "pressure_b": c.relief_pressure,
+        "spool_position": 1.0,
+        "spool_velocity": c.slew_limit,
+        "coil_current": 10.0 * c.drive_rate / c.coil_rate,
+        "supply_pressure": c.relief_pressure,
+        "gas_volume": parameters.supply.accumulator_volume,
+        "bristle_deflection": 1.0 / c.bristle_weight,
+    }
+    ranges: Array = np.maximum(np.ptp(states, axis=0), LEAST_RANGE * np.array([sizes[name] for name in STATE_NAMES]))
+    return ranges
+
+
+def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float = kernel.TOLERANCE) -> Probe:
+    """Full voltage to and fro for 0.2 s from rest at a position (m), with ``tolerance`` and a thousandth of it.
+
+    Raises:
+        HydroError: the position cannot be held.
+        InvalidStateError: a state becomes no number.
+    """
+    steps, states = _run(parameters, position, tolerance)
+    _, exact = _run(parameters, position, TIGHTER * tolerance)
+    if not (np.isfinite(states).all() and np.isfinite(exact).all()):
+        raise InvalidStateError("a state becomes no number under full voltage")
+    errors = np.abs(states - exact).max(axis=0) / state_ranges(parameters, exact)
+    worst = int(np.argmax(errors))
+    return Probe(float(steps.mean()), int(steps.max()), float(errors[worst]), STATE_NAMES[worst])
+
+
+def _run(parameters: PlantParameters, position: float, tolerance: float) -> tuple[Array, Array]:
+    """Steps in each period, (periods,), and states at their ends, (periods, N_STATES)."""
+    start, _ = equilibrium(parameters, position)
+    state = np.array([[start[name] for name in STATE_NAMES]])
+    packed, peaks = coefficient_array(parameters)[None], np.empty((1, kernel.N_PEAKS))
+    steps, states = [], []
+    for number, periods in enumerate(HELD):
+        voltage = np.array([[10.0 if number % 2 == 0 else -10.0]])
+        for _ in range(periods):
+            kernel.integrate(state, packed, voltage, np.array([PERIOD]), kernel.MAXIMUM_STEP, tolerance, peaks, 0, 1)
+            steps.append(peaks[0, kernel.STEPS])
+            states.append(state[0].copy())
+    return np.array(steps), np.array(states)
