@@ -16,6 +16,9 @@ from hydro_env.plant.equations import VAPOUR_PRESSURE, State
 FAR = 1e9
 """s; no kink ahead."""
 
+GRAZING = 0.3
+"""A motion that covers 1 / (1 + GRAZING) of the way to a limit before it turns may yet meet it."""
+
 SHORTEST = 1e-6
 """s; kinks are met no more exactly than this."""
 
@@ -42,11 +45,15 @@ def hold_limits(s, c):
 
 @inline
 def _time_to_cover(distance, rate, change):
-    """First time t > 0 with rate t + change t²/2 = distance (≥ 0), s; :data:`FAR` if there is none."""
+    """First time t > 0 with rate t + change t²/2 = distance (≥ 0), s; :data:`FAR` if there is none.
+
+    Where the motion turns back just before, the time of turning: the extrapolation may be wrong by that little.
+    """
     under_root = rate * rate + 2.0 * change * distance
     divisor = rate + math.sqrt(max(under_root, 0.0))
-    reached = under_root >= 0.0 and divisor > 0.0
-    return 2.0 * distance / divisor if reached else FAR
+    grazing = under_root < 0.0 and under_root > -GRAZING * rate * rate and rate > 0.0
+    crossing = 2.0 * distance / divisor if under_root >= 0.0 and divisor > 0.0 else FAR
+    return -rate / change if grazing else crossing
 
 
 @inline
