@@ -29,7 +29,8 @@ SAMPLE_TIME = 5e-3
 
 SAMPLES = 40
 INPUTS = ("held", "noise", "sine")
-SEED = 777
+SEED = 990_001
+"""Not among the seeds with which the integrator was adjusted."""
 
 BATCH = 20
 """Rigs that one run of the benchmark takes."""

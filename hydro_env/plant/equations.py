@@ -156,11 +156,12 @@ def coefficients(p):
         1.0 / p.leakage_internal_resistance,
         p.leakage_orifice_gain,
         1.0 / p.leakage_external_resistance,
-        # Sizes: half the stroke, the speed without load, supply pressure; slew limit and full current ten times, as
-        # errors of the valve die out within milliseconds; the accumulator; the deflection at breakaway.
+        # Sizes: half the stroke; a third of the speed without load and of the supply pressure, which swing about their
+        # mean; slew limit and full current ten times, as errors of the valve die out within milliseconds; the
+        # accumulator; the deflection at breakaway.
         2.0 / p.cylinder_stroke,
-        area_a / (edge_gain * math.sqrt(0.5 * p.supply_pressure)),
-        1.0 / p.supply_pressure,
+        3.0 * area_a / (edge_gain * math.sqrt(0.5 * p.supply_pressure)),
+        3.0 / p.supply_pressure,
         0.1 / p.valve_slew_limit,
         0.1 * p.valve_coil_resistance / (10.0 * p.valve_amplifier_gain),
         1.0 / p.supply_accumulator_volume,

@@ -45,7 +45,7 @@ def state_ranges(parameters: PlantParameters, states: Array) -> Array:
     c = Coefficients(*coefficient_array(parameters))
     sizes = {
         "position": c.end_stop_position,
-        "velocity": 1.0 / c.velocity_weight,
+        "velocity": 3.0 / c.velocity_weight,
         "pressure_a": c.relief_pressure,
         "pressure_b": c.relief_pressure,
         "spool_position": 1.0,
