@@ -78,6 +78,14 @@ class BareKernel:
             last,
         )
 
+    def mean_steps(self, periods: int) -> float:
+        """Inner steps per plant and control period over the coming periods."""
+        counts = []
+        for _ in range(periods):
+            self.advance()
+            counts.append(self._peaks[:, kernel.STEPS].mean())
+        return float(np.mean(counts))
+
     def close(self) -> None:
         """Stop the worker threads."""
         if self._pool is not None:

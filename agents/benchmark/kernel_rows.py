@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-from agents.benchmark.kernel_access import BareKernel, counted_work, total
+from agents.benchmark.kernel_access import HALF_WAVE, BareKernel, counted_work, total
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, fresh_process, rate
 
@@ -73,6 +73,8 @@ def _kernel_case(count: int, threads: int, per_period: float, peaks: dict[int, f
     rows = [Row(name, "plant periods/s", against)]
     if count == SHARE_SIZE:
         rows.append(Row(f"{name}: share of the peak", "%", note="right-hand sides alone; a DGEMM has no division"))
+        if threads == 1:
+            rows.append(Row(f"{name}: inner steps of a period", "1", note="mean of all plants and 40 periods, counted"))
 
     def measure(run: int) -> Sequence[float]:
         kernel = BareKernel(count, threads)
@@ -80,6 +82,8 @@ def _kernel_case(count: int, threads: int, per_period: float, peaks: dict[int, f
         values = [periods]
         if len(rows) > 1:
             values.append(100.0 * periods * per_period / (1e9 * peaks[threads]))
+        if len(rows) > 2:
+            values.append(kernel.mean_steps(2 * HALF_WAVE))
         kernel.close()
         return values
 
