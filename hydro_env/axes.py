@@ -22,11 +22,11 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_ve
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
-from hydro_env.task.packing import draw_table, limits_of, observation_layout, sensor_table, settings_of, step_constants
+from hydro_env.task.packing import draw_table, limits_of, observation_layout, step_constants
 from hydro_env.task.record import CANNOT_BE_HELD, FAILURES, Record
 
-AXES_PER_THREAD = 64
-"""A second thread starts when each has at least this many axes to work on."""
+AXES_PER_THREAD = 256
+"""A second thread starts when each has at least this many axes to work on: it takes a while to wake up."""
 
 Floats = NDArray[np.float64]
 
@@ -50,10 +50,7 @@ class Axes:
         self.observation_space = spaces.Box(-self.limit.astype(np.float32), self.limit.astype(np.float32))
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-        self._settings = settings_of(config)
         self._limits = limits_of(config)
-        self._sensors = sensor_table(config)
-        self._preview = np.array(config.preview_samples, dtype=np.int64)
         self._constants = step_constants(config)
         self._base = to_vector(config.plant)
         self._draws = draw_table(config)
@@ -96,12 +93,8 @@ class Axes:
         self._episodes[axes] += 1
         task_kernel.begin_episodes(
             axes,
-            self._settings,
+            self._constants,
             self._limits,
-            self._sensors,
-            self._preview,
-            self.scale,
-            self.limit,
             self._base,
             self._draws,
             self._family_weights,

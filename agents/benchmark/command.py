@@ -140,7 +140,7 @@ def thread_counts() -> dict[str, Any]:
     return {
         "threads": {
             "cores": os.cpu_count(),
-            "vector environment": "one per 64 axes, as many as cores at most",
+            "vector environment": "one per 256 axes, as many as cores at most",
             "torch, in training": default_study().ppo.torch_threads,
             "torch, elsewhere": torch.get_num_threads(),
             "numba": numba.get_num_threads(),

@@ -175,6 +175,52 @@ def lane_combination(
     return cast("Callable[..., Any]", combine)
 
 
+def tuple_difference(kind: type) -> Callable[..., Any]:
+    """A compiled function ``difference(a, b)`` of two named tuples ``kind`` of float64, element by element."""
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return lambda a, b: kind(*(x - y for x, y in zip(a, b, strict=True)))
+    result = types.NamedUniTuple(types.float64, len(kind._fields), kind)  # type: ignore[attr-defined]
+
+    @intrinsic
+    def difference(typing_context: Any, a: Any, b: Any) -> Any:
+        del typing_context, a, b
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            del signature
+            values = [
+                builder.fsub(builder.extract_value(arguments[0], n), builder.extract_value(arguments[1], n))
+                for n in range(len(result))
+            ]
+            return context.make_tuple(builder, result, values)
+
+        return result(result, result), generate
+
+    return cast("Callable[..., Any]", difference)
+
+
+def tuple_choice(kind: type) -> Callable[..., Any]:
+    """A compiled function ``choice(condition, a, b)``: a or b, two named tuples ``kind`` of float64."""
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return lambda condition, a, b: a if condition else b
+    result = types.NamedUniTuple(types.float64, len(kind._fields), kind)  # type: ignore[attr-defined]
+
+    @intrinsic
+    def choice(typing_context: Any, condition: Any, a: Any, b: Any) -> Any:
+        del typing_context, a, b
+
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            chooses = context.cast(builder, arguments[0], signature.args[0], types.boolean)
+            values = [
+                builder.select(chooses, builder.extract_value(arguments[1], n), builder.extract_value(arguments[2], n))
+                for n in range(len(result))
+            ]
+            return context.make_tuple(builder, result, values)
+
+        return result(condition, result, result), generate
+
+    return cast("Callable[..., Any]", choice)
+
+
 def _lane_of(context: Any, builder: Any, kind: Any, array: Any, lane: Any, lanes: int) -> Callable[[int], Any]:
     """A function that gives the pointer to one lane of a row of an array."""
     elements = make_array(kind)(context, builder, array)

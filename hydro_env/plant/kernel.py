@@ -87,11 +87,17 @@ _SIZES = {
     "proposed": 1,
     "step": 1,
     "repeated": 1,
+    "plant": 1,
+    "interval": 1,
 }
 _ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
 _ROWS = sum(_SIZES.values())
-_COEFFICIENTS, _PEAKS, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED = (
-    LANES * _ROW[name] for name in ("coefficients", "peaks", "voltage", "remaining", "proposed", "step", "repeated")
+_COEFFICIENTS, _PEAKS, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
+    LANES * _ROW[name]
+    for name in (
+        *("coefficients", "peaks", "voltage", "remaining", "proposed"),
+        *("step", "repeated", "plant", "interval"),
+    )
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
 
@@ -138,36 +144,8 @@ def _largest(error, c):
     return max(max(max(p, q), max(r, t)), abs(error.bristle_deflection * c.bristle_weight))
 
 
-@compiler.inline
-def _difference(a, b):
-    return State(
-        a.position - b.position,
-        a.velocity - b.velocity,
-        a.pressure_a - b.pressure_a,
-        a.pressure_b - b.pressure_b,
-        a.spool_position - b.spool_position,
-        a.spool_velocity - b.spool_velocity,
-        a.coil_current - b.coil_current,
-        a.supply_pressure - b.supply_pressure,
-        a.gas_volume - b.gas_volume,
-        a.bristle_deflection - b.bristle_deflection,
-    )
-
-
-@compiler.inline
-def _chosen(condition, a, b):
-    return State(
-        a.position if condition else b.position,
-        a.velocity if condition else b.velocity,
-        a.pressure_a if condition else b.pressure_a,
-        a.pressure_b if condition else b.pressure_b,
-        a.spool_position if condition else b.spool_position,
-        a.spool_velocity if condition else b.spool_velocity,
-        a.coil_current if condition else b.coil_current,
-        a.supply_pressure if condition else b.supply_pressure,
-        a.gas_volume if condition else b.gas_volume,
-        a.bristle_deflection if condition else b.bristle_deflection,
-    )
+_difference = compiler.tuple_difference(State)
+_chosen = compiler.tuple_choice(State)
 
 
 @compiler.inline
@@ -180,7 +158,7 @@ def _choose_step(work):
         halved = 0.5 * remaining if 2.0 * proposed > remaining and proposed < remaining else proposed
         c = _read_coefficients(work, lane)
         kink = time_to_kink(_read_state(work, lane), _read_derivative(work, lane), c)
-        work[_STEP + lane] = min(halved, kink)
+        work[_STEP + lane] = kink if kink < halved else halved  # also where a broken state knows no kink
 
 
 @compiler.inline
@@ -246,10 +224,12 @@ def _build(stamp: int) -> Callable[..., None]:
         assert stamp >= 0  # keys numba's cache
         groups = min(GROUPS, -(-(last - first) // LANES))
         # Aligned to cache lines: a vector that lies across two costs twice.
-        room = np.zeros(groups * _ROWS * LANES + 8)
-        shift = (-(room.ctypes.data // 8)) % 8
-        plant_of = np.full(groups * LANES, -1)
-        interval_of = np.zeros(groups * LANES, np.int64)
+        room = np.empty(groups * _ROWS * LANES + LANES)
+        room = room[(-(room.ctypes.data // 8)) % LANES :]
+        room[:] = 0.0
+        for group in range(groups):
+            for lane in range(LANES):
+                room[group * _ROWS * LANES + _PLANT + lane] = -1.0
         strictness = 1.0 / tolerance
         first_step = min(FIRST_STEP, maximum_step)
         intervals = durations.shape[0]
@@ -261,12 +241,12 @@ def _build(stamp: int) -> Callable[..., None]:
             begun = False
             again = False
             for group in range(groups):
-                work = room[shift + group * _ROWS * LANES :]
+                work = room[group * _ROWS * LANES :]
                 for lane in range(LANES):
                     again = again or work[_REPEATED + lane] > 0.0
                     while work[_REMAINING + lane] == 0.0:
-                        plant = plant_of[group * LANES + lane]
-                        interval = interval_of[group * LANES + lane] + 1
+                        plant = int(work[_PLANT + lane])
+                        interval = int(work[_INTERVAL + lane]) + 1
                         if plant >= 0 and interval == intervals:
                             for row in range(N_STATES):
                                 state[plant, row] = work[row * LANES + lane]
@@ -275,7 +255,8 @@ def _build(stamp: int) -> Callable[..., None]:
                             active -= 1
                             plant = -1
                         if plant < 0:
-                            plant_of[group * LANES + lane] = plant = following if following < last else -1
+                            plant = following if following < last else -1
+                            work[_PLANT + lane] = plant
                             if plant < 0:
                                 break
                             interval = 0
@@ -288,14 +269,14 @@ def _build(stamp: int) -> Callable[..., None]:
                             work[_PRESSURE_PEAK + lane] = -1e300
                             work[_SPEED_PEAK + lane] = 0.0
                             work[_STEP_COUNT + lane] = 0.0
-                        interval_of[group * LANES + lane] = interval
+                        work[_INTERVAL + lane] = interval
                         if durations[interval] > 0.0:
                             _begin_interval(work, lane, voltage[plant, interval], durations[interval], first_step)
                             again = True
             # The first stage is the last one of the step before, unless a lane has begun or repeats its step.
             for stage in range(0 if again else 1, 7):
                 for group in range(groups):
-                    work = room[shift + group * _ROWS * LANES :]
+                    work = room[group * _ROWS * LANES :]
                     if stage == 0:
                         for lane in range(LANES):
                             _write_trial(work, lane, _read_state(work, lane))
@@ -325,13 +306,13 @@ def _build(stamp: int) -> Callable[..., None]:
                             _stage_7(work, lane)
                             _keep_6(work, lane, _read_derivative(work, lane))
                 for group in range(groups):
-                    work = room[shift + group * _ROWS * LANES :]
+                    work = room[group * _ROWS * LANES :]
                     for lane in range(LANES):
                         c = _read_coefficients(work, lane)
                         s = hold_limits(_read_trial(work, lane), c)
                         _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
             for group in range(groups):
-                _judge(room[shift + group * _ROWS * LANES :], strictness, maximum_step)
+                _judge(room[group * _ROWS * LANES :], strictness, maximum_step)
 
     return integrate
 

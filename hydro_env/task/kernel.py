@@ -34,7 +34,6 @@ from hydro_env.task.record import (
     CANNOT_BE_HELD,
     CANNOT_BE_REACHED,
     CHANNEL_COLUMNS,
-    CHANNELS,
     DRAW_HIGH,
     DRAW_INDEX,
     DRAW_LOG,
@@ -104,7 +103,7 @@ def _unpack(constants, observations):
         constants[first:scale],
         constants[scale:limit],
         constants[limit:channels],
-        constants[channels : channels + CHANNELS * CHANNEL_COLUMNS].reshape((CHANNELS, CHANNEL_COLUMNS)),
+        constants[channels:],
     )
 
 
@@ -114,10 +113,14 @@ def _quantised(value, resolution):
 
 
 @compiler.inline
-def _measure(true, bias, noise, sensor):
-    """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps. (5,) row of sensor."""
-    value = min(max(true + bias + sensor[0] * noise, sensor[3]), sensor[4])
-    return min(max(sensor[3] + _quantised(value - sensor[3], sensor[2]), sensor[3]), sensor[4])
+def _measure(true, bias, noise, sensors, first):
+    """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps.
+
+    ``sensors`` from index ``first`` on: noise, bias, resolution, low, high of the channel.
+    """
+    low, high = sensors[first + 3], sensors[first + 4]
+    value = min(max(true + bias + sensors[first] * noise, low), high)
+    return min(max(low + _quantised(value - low, sensors[first + 2]), low), high)
 
 
 @compiler.inline
@@ -132,10 +135,10 @@ def _sample_signals(row, position, spool, noise_key, sensors, settings):
     step = np.int64(row[C_STEP])
     first, second = normal_pair(noise_key, 2 * step)
     third, fourth = normal_pair(noise_key, 2 * step + 1)
-    row[C_MEASURED] = _measure(position, row[C_BIAS], first, sensors[0])
-    row[C_MEASURED + 1] = _measure(row[C_SENSED], row[C_BIAS + 1], second, sensors[1])
-    row[C_MEASURED + 2] = _measure(row[C_SENSED + 1], row[C_BIAS + 2], third, sensors[2])
-    row[C_MEASURED + 3] = _measure(spool, row[C_BIAS + 3], fourth, sensors[3])
+    row[C_MEASURED] = _measure(position, row[C_BIAS], first, sensors, 0)
+    row[C_MEASURED + 1] = _measure(row[C_SENSED], row[C_BIAS + 1], second, sensors, CHANNEL_COLUMNS)
+    row[C_MEASURED + 2] = _measure(row[C_SENSED + 1], row[C_BIAS + 2], third, sensors, 2 * CHANNEL_COLUMNS)
+    row[C_MEASURED + 3] = _measure(spool, row[C_BIAS + 3], fourth, sensors, 3 * CHANNEL_COLUMNS)
 
 
 @compiler.inline
@@ -226,12 +229,8 @@ _integrate = compiler.part(kernel.integrate)
 def _build(stamp):
     def begin_episodes(
         axes,
-        settings_array,
+        constants,
         limits_array,
-        sensors,
-        preview,
-        scale,
-        limit,
         base,
         draws,
         family_weights,
@@ -251,7 +250,8 @@ def _build(stamp):
         observation,
     ):
         assert stamp >= 0  # keys numba's cache
-        settings = _read_settings(settings_array)
+        settings = _read_settings(constants)
+        _, preview, scale, limit, sensors = _unpack(constants, observation.shape[1])
         limits = _read_limits(limits_array)
         for number in range(axes.shape[0]):
             axis = axes[number]
@@ -327,7 +327,9 @@ def _build(stamp):
             noise = source_key(root, episode, NOISE)
             noise_key[axis] = noise
             for channel in range(4):
-                row[C_BIAS + channel] = sensors[channel, 1] * between(noise, 1_000_000_000 + channel, -1.0, 1.0)
+                row[C_BIAS + channel] = sensors[channel * CHANNEL_COLUMNS + 1] * between(
+                    noise, 1_000_000_000 + channel, -1.0, 1.0
+                )
             row[C_TRUE] = row[C_SENSED] = s.pressure_a
             row[C_TRUE + 1] = row[C_SENSED + 1] = s.pressure_b
             row[C_POSITION] = s.position

@@ -76,8 +76,25 @@ def test_only_the_given_plants_move():
     np.testing.assert_array_equal(peaks[:, 0] == -1.0, ~moved)
 
 
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
+def test_a_broken_state_ends_and_harms_no_neighbour(value):
+    count = 20
+    axes = drawn_plants(count)
+    voltage = np.full((count, 2), 3.0)
+    clean, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
+    kernel.integrate(clean, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+    for row in range(kernel.N_STATES):
+        state = axes.state.copy()
+        state[7, row] = value
+        kernel.integrate(state, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+        others = np.arange(count) != 7
+        np.testing.assert_array_equal(state[others], clean[others])
+        assert not (np.abs(state[7] - clean[7]) <= 1e-12).all()
+
+
 def test_threads_do_not_change_a_number():
-    count, steps = 200, 60
+    count, steps = 800, 30
     rng = np.random.default_rng(2)
     actions = rng.uniform(-1, 1, (steps, count, 1)).astype(np.float32)
     runs = []
