@@ -103,48 +103,43 @@ def test_few_python_calls_in_a_step_of_one_axis():
     assert counted["c_call"] <= 40, counted
 
 
+def memory_of(step, count):
+    """Bytes that are held after ``count`` more steps, and the most that were at any time, both beyond the start."""
+    gc.collect()
+    tracemalloc.start()
+    try:
+        for _ in range(10):
+            step()
+        gc.collect()
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(count):
+            step()
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    return after - before, peak - before
+
+
 def test_a_step_leaves_nothing_behind_and_takes_only_what_it_returns():
     envs, actions = begun(1024, info=False)
     for _ in range(3):
         returned = envs.step(actions)
     row = envs._observation.nbytes
     arrays = sum(array.nbytes for array in returned[:4])
-    gc.collect()
-    tracemalloc.start()
-    try:
-        for _ in range(5):
-            envs.step(actions)
-        gc.collect()
-        before = tracemalloc.get_traced_memory()[0]
-        tracemalloc.reset_peak()
-        for _ in range(100):
-            envs.step(actions)
-        after, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert after - before < 4096  # nothing grows with the number of steps
+    growth, peak = memory_of(lambda: envs.step(actions), 100)
+    assert growth < 4096  # nothing grows with the number of steps
     # Besides what is returned: the last observation that is kept, the commands as float64, and small change.
-    assert peak - before < arrays + row + 3 * 8 * 1024 + 8192
+    assert peak < arrays + row + 3 * 8 * 1024 + 8192
 
 
 def test_a_step_of_one_axis_leaves_nothing_behind():
     env = ServoHydraulicEnv()
     env.reset(seed=0)
     action = np.zeros(1, np.float32)
-    gc.collect()
-    tracemalloc.start()
-    try:
-        for _ in range(10):
-            env.step(action)
-        before = tracemalloc.get_traced_memory()[0]
-        tracemalloc.reset_peak()
-        for _ in range(300):
-            env.step(action)
-        after, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert after - before < 2048
-    assert peak - before < 16384  # the integrator's working memory, given back after each step
+    growth, peak = memory_of(lambda: env.step(action), 300)
+    assert growth < 2048
+    assert peak < 16384  # the integrator's working memory, given back after each step
 
 
 COMPILED = """

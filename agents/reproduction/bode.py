@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -60,13 +61,19 @@ def decade_ticks(axis: Axis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def paint_bode(figure: Figure, table: pd.DataFrame) -> None:
-    """Gain above phase."""
+def gain_above_phase(figure: Figure, table: pd.DataFrame, gain_column: str) -> tuple[Axes, Axes]:
+    """Two panels with a line per leak: a column of gains, and ``phase_deg``, over ``frequency_hz``."""
     gain, phase = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.0])
     for colour, leak in zip(LEAK_COLOURS, LEAKS, strict=True):
         part = table[table["leak_lpm"] == leak]
-        gain.plot(part["frequency_hz"], part["gain_mm_per_v"], color=colour, label=f"{leak:g} l/min")
+        gain.plot(part["frequency_hz"], part[gain_column], color=colour, label=f"{leak:g} l/min")
         phase.plot(part["frequency_hz"], part["phase_deg"], color=colour)
+    return gain, phase
+
+
+def paint_bode(figure: Figure, table: pd.DataFrame) -> None:
+    """Gain above phase."""
+    gain, phase = gain_above_phase(figure, table, "gain_mm_per_v")
     gain.set(xscale="log", yscale="log", ylabel="gain, mm per V")
     phase.set(xlabel="frequency, Hz", ylabel="phase, degrees", yticks=[0, -90, -180, -270, -360, -450])
     gain.set_xlim(table["frequency_hz"].min(), table["frequency_hz"].max())

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from agents.reproduction.bode import LEAKS, decade_ticks
+from agents.reproduction.bode import LEAKS, decade_ticks, gain_above_phase
 from agents.reproduction.closed_loop import GAIN_MARGIN, TIGHT, TIMING, bandwidth, sensible_gain
-from agents.reproduction.drawing import LEAK_COLOURS, ReproducedFigure, legend, panel_title, plain
+from agents.reproduction.drawing import ReproducedFigure, legend, panel_title, plain
 from agents.reproduction.rig import Rig, with_leak
 from hydro_env.plant.loop import CONTROL_PERIOD, sampled_loop
 
@@ -67,11 +67,7 @@ def oscillation_peaks(table: pd.DataFrame) -> pd.DataFrame:
 
 def paint_closed_bode(figure: Figure, table: pd.DataFrame) -> None:
     """Gain above phase."""
-    gain, phase = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.0])
-    for colour, leak in zip(LEAK_COLOURS, LEAKS, strict=True):
-        part = table[table["leak_lpm"] == leak]
-        gain.plot(part["frequency_hz"], part["gain"], color=colour, label=f"{leak:g} l/min")
-        phase.plot(part["frequency_hz"], part["phase_deg"], color=colour)
+    gain, phase = gain_above_phase(figure, table, "gain")
     gain.axhline(np.sqrt(0.5), color="#6b6b6b", linewidth=0.7, linestyle=(0, (4, 2)))
     gain.annotate("−3 dB", (FREQUENCIES[0], np.sqrt(0.5)), xytext=(3, -9), textcoords="offset points", fontsize=7.5)
     gain.set(xscale="log", yscale="log", ylabel="gain, mm per mm")

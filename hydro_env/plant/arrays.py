@@ -64,6 +64,14 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     return dict(zip(STATE_NAMES, state, strict=True)), voltage
 
 
+@compiler.inline
+def _array_of(state: Any) -> Array:
+    out = np.empty(len(state))
+    for row, value in enumerate(state):
+        out[row] = value
+    return out
+
+
 def _build(stamp: int) -> tuple[Any, ...]:
     @compiler.compiled
     def coefficients_of(vector: Array) -> Any:
@@ -81,26 +89,17 @@ def _build(stamp: int) -> tuple[Any, ...]:
     @compiler.compiled
     def derivative_of(y: Array, coefficients: Array, voltage: float) -> Array:
         assert stamp >= 0
-        out = np.empty(y.shape[0])
-        for row, value in enumerate(derivatives(_state(y), _coefficient_tuple(coefficients), voltage)):
-            out[row] = value
-        return out
+        return _array_of(derivatives(_state(y), _coefficient_tuple(coefficients), voltage))
 
     @compiler.compiled
     def command_changed_of(y: Array, coefficients: Array, voltage: float) -> Array:
         assert stamp >= 0
-        out = np.empty(y.shape[0])
-        for row, value in enumerate(command_changed(_state(y), _coefficient_tuple(coefficients), voltage)):
-            out[row] = value
-        return out
+        return _array_of(command_changed(_state(y), _coefficient_tuple(coefficients), voltage))
 
     @compiler.compiled
     def hold_limits_of(y: Array, coefficients: Array) -> Array:
         assert stamp >= 0
-        out = np.empty(y.shape[0])
-        for row, value in enumerate(hold_limits(_state(y), _coefficient_tuple(coefficients))):
-            out[row] = value
-        return out
+        return _array_of(hold_limits(_state(y), _coefficient_tuple(coefficients)))
 
     @compiler.compiled
     def derived_of(states: Array, coefficients: Array) -> Array:

@@ -103,15 +103,18 @@ _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in rang
 
 
 def _stage(number: int) -> Callable[..., Any]:
-    """A compiled function that sets the trial state from the derivatives 1 to ``number`` (STAGES)."""
+    """A compiled function that keeps derivative ``number`` of every lane and sets its trial state (STAGES)."""
     rows = [_ROW[f"stage_{kept}"] for kept in range(1, number)] + [_ROW["derivative"]]
     terms = list(zip(STAGES[number - 1], rows, strict=True))
-    return compiler.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
+    combine = compiler.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
+    keep = compiler.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
 
+    def stage(work):
+        for lane in range(LANES):
+            combine(work, lane)
+            keep(work, lane, _read_derivative(work, lane))
 
-def _keep(number: int) -> Callable[..., Any]:
-    """A compiled function that keeps the derivative as that of stage ``number``."""
-    return compiler.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
+    return compiler.inline(stage)
 
 
 def _estimate() -> Callable[..., Any]:
@@ -130,7 +133,6 @@ _write_state, _write_trial, _write_derivative = (
     compiler.lane_writer(_ROW[name], N_STATES, LANES) for name in ("state", "trial", "derivative")
 )
 _stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
-_keep_1, _keep_2, _keep_3, _keep_4, _keep_5, _keep_6 = (_keep(number) for number in range(1, 7))
 _estimate_error = _estimate()
 
 
@@ -282,29 +284,17 @@ def _build(stamp: int) -> Callable[..., None]:
                             _write_trial(work, lane, _read_state(work, lane))
                     elif stage == 1:
                         _choose_step(work)
-                        for lane in range(LANES):
-                            _stage_2(work, lane)
-                            _keep_1(work, lane, _read_derivative(work, lane))
+                        _stage_2(work)
                     elif stage == 2:
-                        for lane in range(LANES):
-                            _stage_3(work, lane)
-                            _keep_2(work, lane, _read_derivative(work, lane))
+                        _stage_3(work)
                     elif stage == 3:
-                        for lane in range(LANES):
-                            _stage_4(work, lane)
-                            _keep_3(work, lane, _read_derivative(work, lane))
+                        _stage_4(work)
                     elif stage == 4:
-                        for lane in range(LANES):
-                            _stage_5(work, lane)
-                            _keep_4(work, lane, _read_derivative(work, lane))
+                        _stage_5(work)
                     elif stage == 5:
-                        for lane in range(LANES):
-                            _stage_6(work, lane)
-                            _keep_5(work, lane, _read_derivative(work, lane))
+                        _stage_6(work)
                     else:
-                        for lane in range(LANES):
-                            _stage_7(work, lane)
-                            _keep_6(work, lane, _read_derivative(work, lane))
+                        _stage_7(work)
                 for group in range(groups):
                     work = room[group * _ROWS * LANES :]
                     for lane in range(LANES):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ def state_ranges(parameters: PlantParameters, states: Array) -> Array:
     c = Coefficients(*coefficient_array(parameters))
     sizes = {
         "position": c.end_stop_position,
-        "velocity": 3.0 / c.velocity_weight,
+        "velocity": c.edge_gain * math.sqrt(0.5 * c.relief_pressure) / c.area_a,  # without load
         "pressure_a": c.relief_pressure,
         "pressure_b": c.relief_pressure,
         "spool_position": 1.0,

@@ -112,16 +112,18 @@ class _Plant:
     def held(self, y: Array, voltage: float) -> Held:
         """Which limits hold a state: it is there, and is pulled further."""
         rate = self.free_rate(y, voltage)
+        vapour = [
+            int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (_PRESSURE_A, _PRESSURE_B)
+        ]
         slew = stroke = 0
-        if self.limits.ideal_spool:
-            pass  # it stands at the command, limit or not
-        elif abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
+        if self.limits.ideal_spool:  # it stands at the command, limit or not
+            return Held(slew, stroke, *vapour)
+        if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
             side = int(np.sign(y[_SPOOL_VELOCITY]))
             slew = side if side * rate[_SPOOL_VELOCITY] > 0.0 else 0
-        if abs(y[_SPOOL]) >= 1.0 - _NEAR and not self.limits.ideal_spool:
+        if abs(y[_SPOOL]) >= 1.0 - _NEAR:
             side = int(np.sign(y[_SPOOL]))
             stroke = side if side * y[_SPOOL_VELOCITY] > 0.0 else 0
-        vapour = [int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (2, 3)]
         return Held(slew, stroke, *vapour)
 
     def rate(self, y: Array, voltage: float, held: Held) -> Array:
