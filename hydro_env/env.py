@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from bisect import bisect_left
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
 from hydro_env.axes import Axes, failure_name
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PlantParameters, resistance_from_flow
+from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
 from hydro_env.task.record import Record
 
@@ -31,7 +29,7 @@ _FAMILY, _FAILURE, _COST = (_COLUMN[name] for name in ("reference_family", "fail
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
-class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
+class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     """A hydraulic cylinder positions a load; its piston seal may leak, and the controller cannot see it.
 
     ## Description
@@ -128,7 +126,6 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._class_bounds = [bound * (1 + 1e-9) for bound in self.config.leakage.class_bounds]
         self._seeded = False
         self._begun = False
-        self._spec: EnvSpec | None = None
         self._history: list[tuple[float, float]] = []
         self._renderer: AxisRenderer | None = None
 
@@ -184,15 +181,6 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             bool(self._truncated[0]),
             self._info(),
         )
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How ``gym.make`` made this environment; ``to_json`` works, however the task was given."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, value: EnvSpec | None) -> None:
-        self._spec = plain_spec(value)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy or a pickle holds: everything but the window or canvas, which a copy makes for itself."""
@@ -279,18 +267,3 @@ class ServoHydraulicEnv(gym.Env[Observation, NDArray[np.float32]]):
             self._renderer.close()
             self._renderer = None
         self._axes.close()
-
-
-def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
-    """A specification whose keywords are plain data, as ``to_json`` needs them: no models, no paths."""
-    if spec is None:
-        return None
-    return dataclasses.replace(spec, kwargs={name: _plain(value) for name, value in spec.kwargs.items()})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, BaseModel):
-        return value.model_dump(mode="json")
-    if isinstance(value, Mapping):
-        return {key: _plain(inner) for key, inner in value.items()}
-    return str(value) if isinstance(value, Path) else value

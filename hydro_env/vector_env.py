@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hydro_env.axes import Axes, failure_name
-from hydro_env.env import REWARD_TERMS, plain_spec
+from hydro_env.env import REWARD_TERMS
 from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_env.reset_options import options_given
+from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
 from hydro_env.task.record import Record
 
@@ -28,7 +28,7 @@ _NO_FAILURE = np.array([failure_name(0)], dtype=object)
 _FAMILY_NAMES = np.array(REFERENCE_FAMILIES, dtype=object)
 
 
-class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
+class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
     """N independent axes of :class:`~hydro_env.env.ServoHydraulicEnv`, which describes spaces, rewards and options.
 
     ``gym.make_vec("ServoHydraulic-v0", num_envs=N)`` makes it. Axis i with seed s + i gives the same numbers, bit for
@@ -96,16 +96,6 @@ class ServoHydraulicVectorEnv(VectorEnv[Observations, NDArray[np.float32], NDArr
         self._seeded = False
         self._begun = False
         self._with_info = info
-        self._spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How ``gym.make_vec`` made this environment; ``to_json`` works, however the task was given."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, value: EnvSpec | None) -> None:
-        self._spec = plain_spec(value)
 
     @property
     def axes(self) -> Axes:

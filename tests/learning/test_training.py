@@ -30,10 +30,11 @@ def test_same_seed_gives_the_same_weights_and_another_does_not():
     assert first.training["steps"] == 1024
 
 
-def test_policy_controller_acts_as_the_model_does():
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+def test_policy_controller_acts_as_the_model_does(activation):
     features = make_features(CONFIG, SETTINGS, GAINS)
     env = AxisVecEnv(CONFIG, 16, features)
-    model = make_model(env, SETTINGS, 0)
+    model = make_model(env, SETTINGS.model_copy(update={"activation": activation}), 0)
     policy = PolicyController.from_model(model, make_features(CONFIG, SETTINGS, GAINS), {})
     inputs = env.reset()
     observation, _ = env.env.reset(seed=list(range(16)))
@@ -65,6 +66,7 @@ def test_weights_round_trip(tmp_path, residual):
     policy = train_ppo(CONFIG, settings, GAINS)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy.safetensors")
+    assert again.activation == policy.activation
     rows = np.random.default_rng(0).standard_normal((20, 3, len(ObservationLayout.of(CONFIG).names)))
     mine, other = None, None
     for row in rows.astype(np.float32):

@@ -1,0 +1,36 @@
+"""How Gymnasium made an environment, kept as plain data so that it can be written as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from gymnasium.envs.registration import EnvSpec
+from pydantic import BaseModel
+
+
+class PlainSpec:
+    """Gives an environment its ``spec``; comes before Gymnasium's class among the bases."""
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How ``gym.make`` or ``gym.make_vec`` made this environment; ``to_json`` works, however the task was given."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, value: EnvSpec | None) -> None:
+        if value is not None:
+            value = dataclasses.replace(value, kwargs=_plain(value.kwargs))
+        self._spec = value
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return str(value) if isinstance(value, Path) else value
