@@ -135,12 +135,14 @@ class Axes:
 
     def _unreachable(self, axis: int) -> str:
         """Which position of a reference asks for more force than the supply gives, and what that force can hold."""
-        c = Coefficients(*self.coefficient[axis])
-        out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure - c.external_force
-        back = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure + c.external_force
-        if c.spring_stiffness <= 0.0:
+        from hydro_env.plant.analysis import force_limits  # loaded only to refuse
+
+        plant = self.parameters(axis)
+        stiffness = plant.load.spring_stiffness
+        if stiffness <= 0.0:
             return "no reference can be reached"
-        low, high = -back / c.spring_stiffness, out / c.spring_stiffness
+        out, back = force_limits(plant)
+        low, high = -back / stiffness, out / stiffness
         row = self.reference[axis]
         farthest = row.max() if row.max() - high > low - row.min() else row.min()
         return (
