@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import repeat
 from typing import Any
 
 import gymnasium as gym
@@ -35,20 +36,23 @@ def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> flo
     return result
 
 
-def vector_rate(env: Any, seconds: float) -> float:
-    """Environment steps per second of a vector environment, restarts included, under fixed small random actions."""
+def vector_rate(env: Any, seconds: float, commands: Iterator[Any] | None = None) -> float:
+    """Environment steps per second of a vector environment, restarts included.
+
+    Under the actions that ``commands`` gives step by step; without it under fixed small random ones.
+    """
     count: int = env.num_envs
     env.reset(seed=0)
-    env.action_space.seed(0)
-    actions = env.action_space.sample()
-    if actions.dtype.kind == "f":
-        actions = (0.1 * actions).astype(np.float32)
+    if commands is None:
+        env.action_space.seed(0)
+        actions = env.action_space.sample()
+        commands = repeat((0.1 * actions).astype(np.float32) if actions.dtype.kind == "f" else actions)
     disabled = str(getattr(env.metadata.get("autoreset_mode"), "value", "")) == "Disabled"
     batch: int = max(1, 1024 // count)
 
     def work() -> int:
         for _ in range(batch):
-            _, _, terminated, truncated, _ = env.step(actions)
+            _, _, terminated, truncated, _ = env.step(next(commands))
             if disabled:
                 ended = terminated | truncated
                 if ended.any():

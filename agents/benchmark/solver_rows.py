@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from agents.benchmark.environment_rows import vector_rate
 from agents.benchmark.hand_written import RightHandSide, right_hand_side
 from agents.benchmark.kernel_access import BareKernel
 from agents.benchmark.table import Case, Row, UnavailableError
@@ -47,27 +49,17 @@ def solver_cases(extent: Extent) -> list[Case]:
     row = Row(
         "hydro_env, vector environment, N = 1,024", "axis steps/s", "solve_ivp, LSODA", "sensors, reward, restarts"
     )
-    cases.append(Case((row,), lambda run: (vector_rate(1024, extent.seconds),), extent.runs))
+    lively = lively_commands(1024)
+    cases.append(
+        Case((row,), lambda run: (vector_rate(ServoHydraulicVectorEnv(1024), extent.seconds, lively),), extent.runs)
+    )
     return cases
 
 
-def vector_rate(count: int, seconds: float) -> float:
-    """Complete steps of all axes per second, under the same kind of voltage as the solvers' run."""
-    envs = ServoHydraulicVectorEnv(count)
-    envs.reset(seed=0)
+def lively_commands(count: int) -> Iterator[Array]:
+    """Actions (count, 1) of the same kind as the voltage of the solvers' run: held for eight control periods each."""
     generator = np.random.default_rng(0)
-    actions = [generator.normal(0.0, 0.15, (count, 1)).clip(-0.5, 0.5) for _ in range(16)]
-    number = 0
-
-    def step() -> int:
-        nonlocal number
-        envs.step(actions[number // 8 % 16])
-        number += 1
-        return count
-
-    found = rate(step, seconds)
-    envs.close()
-    return found
+    return cycle([held for _ in range(16) for held in [generator.normal(0.0, 0.15, (count, 1)).clip(-0.5, 0.5)] * 8])
 
 
 def error_of(states: Array, exact: Array) -> float:
