@@ -123,7 +123,11 @@ def errors(cases: list[Case], exact: Sequence[Any], **options: Any) -> Array:
     )
 
 
-def convergence_order(steps: tuple[float, ...] = (0.4e-3, 0.2e-3, 0.1e-3)) -> pd.DataFrame:
+ORDER_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
+"""s; steps of fixed length between which the order is told."""
+
+
+def convergence_order(steps: tuple[float, ...] = ORDER_STEPS) -> pd.DataFrame:
     """Error of fixed steps on a smooth run of the paper's rig, and the order from one step to the next.
 
     Smooth: no dry friction, small voltages, so that no limit is met and nothing turns sharply. Columns: ``step_ms``,

@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from agents.benchmark.accuracy import (
     BATCH,
     LIMIT,
+    ORDER_STEPS,
     SAMPLE_TIME,
     SAMPLES,
     SETTINGS,
@@ -48,12 +50,11 @@ def accuracy_cases(extent: Extent) -> list[Case]:
             Row(f"{name}: time", "ms per simulated s", REFERENCE_ROW),
         )
         cases.append(Case(rows, _setting(batches, exact, options, simulated), len(batches)))
-    order = convergence_order()
     orders = tuple(
-        Row(f"order, steps of {coarse:g} to {fine:g} ms", "1", note="fixed steps on a smooth run")
-        for coarse, fine in zip(order["step_ms"][:-1], order["step_ms"][1:], strict=True)
+        Row(f"order, steps of {1e3 * coarse:g} to {1e3 * fine:g} ms", "1", note="fixed steps on a smooth run")
+        for coarse, fine in pairwise(ORDER_STEPS)
     )
-    cases.append(Case(orders, lambda run: list(order["order"][1:]), 1))
+    cases.append(Case(orders, lambda run: list(convergence_order()["order"][1:]), 1))
     return cases
 
 
