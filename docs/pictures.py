@@ -13,7 +13,7 @@ from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.paths import config_folder
+from agents.running.folders import config_folder
 from hydro_env import TaskConfig
 
 FOLDER = Path(__file__).parent / "images"

@@ -15,11 +15,12 @@ from hydro_env.version import __version__
 
 if TYPE_CHECKING:
     from hydro_env.env import ServoHydraulicEnv
+    from hydro_env.errors import ConfigurationError, HydroError, InvalidStateError
     from hydro_env.plant.arrays import equilibrium
-    from hydro_env.plant.errors import ConfigurationError, HydroError, InvalidStateError
-    from hydro_env.plant.parameters import PlantParameters, flow_from_resistance, resistance_from_flow
+    from hydro_env.plant.parameters import PlantParameters
     from hydro_env.plant.simulate import Trajectory, simulate
     from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
+    from hydro_env.units import flow_from_resistance, resistance_from_flow
     from hydro_env.vector_env import ServoHydraulicVectorEnv
 
 ENVIRONMENT_ID = "ServoHydraulic-v0"
@@ -32,9 +33,9 @@ if ENVIRONMENT_ID not in _gymnasium.registry:
     )
 
 _HOME = {
-    "ConfigurationError": "plant.errors",
-    "HydroError": "plant.errors",
-    "InvalidStateError": "plant.errors",
+    "ConfigurationError": "errors",
+    "HydroError": "errors",
+    "InvalidStateError": "errors",
     "LEAKAGE_CLASSES": "task.configuration",
     "PlantParameters": "plant.parameters",
     "REFERENCE_FAMILIES": "task.configuration",
@@ -43,8 +44,8 @@ _HOME = {
     "TaskConfig": "task.configuration",
     "Trajectory": "plant.simulate",
     "equilibrium": "plant.arrays",
-    "flow_from_resistance": "plant.parameters",
-    "resistance_from_flow": "plant.parameters",
+    "flow_from_resistance": "units",
+    "resistance_from_flow": "units",
     "simulate": "plant.simulate",
 }
 """Where the public names are defined; each is imported from there at its first use."""

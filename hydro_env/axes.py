@@ -15,9 +15,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
-from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel

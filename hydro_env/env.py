@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.axes import Axes, failure_name
-from hydro_env.plant.errors import ConfigurationError
-from hydro_env.plant.parameters import PlantParameters, resistance_from_flow
+from hydro_env.errors import ConfigurationError
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
 from hydro_env.task.record import Record
+from hydro_env.units import resistance_from_flow
 
 if TYPE_CHECKING:
     from hydro_env.rendering import AxisRenderer

@@ -8,18 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant.errors import ConfigurationError
-from hydro_env.plant.parameters import (
-    MODEL_CODES,
-    PARAMETER_PATHS,
-    PlantParameters,
-    flow_from_resistance,
-    from_vector,
-    to_vector,
-)
+from hydro_env.errors import ConfigurationError
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, REFERENCE_FAMILIES, TaskConfig
 from hydro_env.task.packing import draw_table
 from hydro_env.task.record import DRAW_HIGH, DRAW_INDEX, DRAW_LOW, DRAW_OTHERWISE, DRAW_PROBABILITY, DRAW_TIMES
+from hydro_env.units import flow_from_resistance
 
 USER_FAMILY = REFERENCE_FAMILIES.index("user")
 OPTION_NAMES = (

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from hydro_env.axes import Axes, failure_name
 from hydro_env.env import REWARD_TERMS
-from hydro_env.plant.errors import ConfigurationError
-from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.errors import ConfigurationError
 from hydro_env.reset_options import options_given
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
 from hydro_env.task.record import Record
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]

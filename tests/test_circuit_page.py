@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from hydro_env import PlantParameters, ServoHydraulicEnv, simulate
-from hydro_env.plant.configuration import read_yaml
+from hydro_env.files import read_yaml
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import TaskConfig

@@ -13,20 +13,19 @@ import typer
 import yaml
 
 import hydro_env
-from agents import cli
-from agents.simulation import trajectory_figure
+from agents.commands import application as cli
+from agents.commands.simulation import trajectory_figure
 from hydro_env import PlantParameters, simulate
 
 ROOT = Path(__file__).parents[1]
 
 
-def hydro(*arguments, cwd=None, timeout=240):
+def hydro(*arguments, cwd=None):
     return subprocess.run(
-        [sys.executable, "-m", "agents.cli", *map(str, arguments)],
+        [sys.executable, "-m", "agents.commands.application", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd or ROOT,
-        timeout=timeout,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"},
     )
@@ -183,7 +182,16 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
     study = tmp_path / "study.yaml"
     study.write_text(yaml.safe_dump(TINY))
     folder = tmp_path / "out"
-    command = [sys.executable, "-m", "agents.cli", "study", "--config", str(study), "--output", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "agents.commands.application",
+        "study",
+        "--config",
+        str(study),
+        "--output",
+        str(folder),
+    ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
@@ -194,7 +202,7 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
             break
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=120)
+    _, errors = process.communicate()
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert "--resume" in errors

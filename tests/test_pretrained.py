@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from agents.commands.study import StudySettings
+from agents.commands.training_jobs import load_head, load_policy
 from agents.controllers import PID, ObservationLayout
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.head import SIGNALS
 from agents.leakage.metrics import area_under_roc, detection_rate
-from agents.paths import config_folder
-from agents.rollout import Cases, run_cases
-from agents.splits import VALIDATION_SEEDS
-from agents.study import StudySettings
-from agents.training_jobs import load_head, load_policy
+from agents.running.cases import Cases, run_cases
+from agents.running.folders import config_folder
+from agents.running.seeds import VALIDATION_SEEDS
 
 STUDY = StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
 LAYOUT = ObservationLayout.of(STUDY.task)

@@ -6,7 +6,7 @@ import math
 import pytest
 from test_cli import ROOT, assert_one_clear_line, hydro
 
-from agents.rig_check import check_csv, check_markdown, check_rig
+from agents.commands.rig_check import check_csv, check_markdown, check_rig
 from hydro_env import PlantParameters
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.probe import probe

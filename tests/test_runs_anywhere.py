@@ -51,7 +51,6 @@ def episode_elsewhere(folder=ROOT, **variables):
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=200,
         check=False,
     )
     assert answer.returncode == 0, answer.stderr

@@ -19,7 +19,7 @@ from agents.benchmark.table import Case, Row, UnavailableError
 from agents.benchmark.timing import Extent, fresh_process
 from agents.leakage.head import LeakageHead, MonitoredController
 from agents.learning.policy import PolicyController
-from agents.paths import pretrained_folder
+from agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
 
 _RESIDENT_CODE = """

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydro_env import ConfigurationError
-from hydro_env.plant.configuration import write_whole
+from hydro_env.files import write_whole
 
 COLUMNS = (
     *("group", "row", "unit", "runs", "median", "lowest", "highest"),

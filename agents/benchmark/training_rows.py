@@ -16,16 +16,16 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent
+from agents.commands.study import StudySettings
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID
 from agents.evaluation.metrics import rollout_metrics
 from agents.learning.policy import PolicyController
 from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
 from agents.learning.vec_env import AxisVecEnv
-from agents.paths import config_folder
-from agents.rollout import Cases, run_cases
-from agents.splits import VALIDATION_SEEDS
-from agents.study import StudySettings
+from agents.running.cases import Cases, run_cases
+from agents.running.folders import config_folder
+from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ENVIRONMENT_ID
 from hydro_env.task.configuration import task_config
 

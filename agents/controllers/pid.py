@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch
-from hydro_env.plant.configuration import Group, read_yaml, validate, write_yaml
+from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 
 class PIDGains(Group):

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.rollout import Rollout
+from agents.running.cases import Rollout
 
 Array = NDArray[np.floating]
 

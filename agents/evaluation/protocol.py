@@ -32,10 +32,10 @@ from agents.leakage.metrics import (
     roc_curve,
     threshold_at_false_alarm_rate,
 )
-from agents.rollout import Cases, Rollout, run_cases
-from agents.splits import TEST_SEEDS
+from agents.running.cases import Cases, Rollout, run_cases
+from agents.running.seeds import TEST_SEEDS
 from hydro_env import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
-from hydro_env.plant.configuration import Group
+from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 DETECTION_SEEDS_OFFSET = 500_000

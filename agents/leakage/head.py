@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
-from agents.weights import load_weights, require, save_weights
+from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError
 
 KIND = "leakage head"
@@ -203,7 +203,7 @@ class LeakageHead:
         return LeakageEstimate(1.0 / (1.0 + np.exp(-values[:, 0])), 10.0 ** np.clip(values[:, 1], -4.0, 2.0))
 
     def save(self, path: str | Path) -> Path:
-        """Write weights and settings; see :func:`agents.weights.save_weights`."""
+        """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         settings = {
             "observation_names": list(self.settings.layout.names),
             "observation_scale": list(self.settings.layout.scale),

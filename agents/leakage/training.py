@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from agents.controllers.base import Controller, ObservationLayout
 from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork, channels
 from agents.leakage.metrics import threshold_at_false_alarm_rate
-from agents.rollout import Cases, run_cases
-from agents.splits import TRAINING_SEEDS, VALIDATION_SEEDS
-from agents.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
+from agents.running.cases import Cases, run_cases
+from agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
+from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.plant.configuration import Group
+from hydro_env.files import Group
 
 FALSE_ALARM_RATE = 0.01
 CHECKPOINT_KIND = "leakage head checkpoint"

@@ -13,9 +13,9 @@ from agents.controllers.base import Floats, ObservationLayout, as_batch
 from agents.controllers.pid import PIDGains
 from agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
 from agents.learning.vec_env import FEATURE_LIMIT
-from agents.weights import load_weights, require, save_weights
+from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError
-from hydro_env.plant.configuration import validate
+from hydro_env.files import validate
 
 KIND = "policy"
 
@@ -82,7 +82,7 @@ class PolicyController:
         return cls(features, layers, float(model.policy.log_std.detach().mean()), training, activation)
 
     def save(self, path: str | Path) -> Path:
-        """Write weights and settings; see :func:`agents.weights.save_weights`."""
+        """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         tensors: dict[str, NDArray[Any]] = {}
         for number, (weight, bias) in enumerate(self.layers):
             tensors[f"layer{number}.weight"] = weight

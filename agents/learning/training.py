@@ -20,10 +20,10 @@ from agents.controllers.pid import PIDGains
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.vec_env import AxisVecEnv
-from agents.splits import TRAINING_SEEDS
-from agents.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
+from agents.running.seeds import TRAINING_SEEDS
+from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.plant.configuration import Group
+from hydro_env.files import Group
 from hydro_env.task.configuration import task_config
 
 CHECKPOINT_KIND = "PPO checkpoint"

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from agents.controllers.sampled_loop import CONTROL_PERIOD, sampled_loop
 from agents.reproduction.bode import LEAKS, decade_ticks, gain_above_phase
 from agents.reproduction.closed_loop import GAIN_MARGIN, TIGHT, TIMING, bandwidth, sensible_gain
 from agents.reproduction.drawing import ReproducedFigure, legend, panel_title, plain
 from agents.reproduction.rig import Rig, with_leak
-from hydro_env.plant.loop import CONTROL_PERIOD, sampled_loop
 
 NYQUIST = 0.5 / CONTROL_PERIOD
 FREQUENCIES = np.geomspace(1e-3, 0.999, 500) * NYQUIST

@@ -7,12 +7,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from agents.controllers.sampled_loop import CONTROL_PERIOD
 from agents.reproduction.closed_loop import GAIN_MARGIN, INNER, TIGHT, TIMING, closed_loop_run, sensible_gain
 from agents.reproduction.displacement import HELD, LEAKS, MOVES
 from agents.reproduction.drawing import LEAK_COLOURS, ReproducedFigure, legend, panel_title
 from agents.reproduction.rig import Rig, with_leak
 from hydro_env.plant.analysis import speed_limits
-from hydro_env.plant.loop import CONTROL_PERIOD
 
 SETTLE_FIRST = 1.0
 """s; the loop comes to rest before the record begins. Times Rig.stretch, like all times here."""

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from agents.evaluation.canvas import STYLE
+from agents.report.canvas import STYLE
 
 WIDTH = 8.6
 """inches"""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from agents.controllers.sampled_loop import FULL_COMMAND, sampled_loop
 from agents.reproduction.closed_loop import bandwidth, sensible_gain
 from agents.reproduction.displacement import FIRST_STOP, HELD
 from agents.reproduction.energy import cycle_energy
@@ -16,7 +17,6 @@ from agents.reproduction.rig import Law, Rig, quick_stop, simplified, with_leak
 from agents.reproduction.settling import healthy_frequency, settling_of
 from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.plant.analysis import linearise
-from hydro_env.plant.loop import FULL_COMMAND, sampled_loop
 
 LEAK = 0.3
 """l/min at 100 bar; of all results that do not name another."""

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from agents.controllers.sampled_loop import speed_per_command
 from agents.reproduction.closed_loop import (
     GAIN_MARGIN,
     LONGEST_SETTLING,
@@ -21,7 +22,6 @@ from agents.reproduction.drawing import COLOURS, ReproducedFigure, millimetres, 
 from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters
 from hydro_env.plant.analysis import linearise
-from hydro_env.plant.loop import speed_per_command
 
 LEAKS = (0.01, 0.03, 0.1, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0)
 """l/min at 100 bar."""

@@ -20,8 +20,9 @@ from hydro_env.plant.equations import (
     internal_leakage,
     pressure_rate,
 )
-from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, PlantParameters
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.simulate import Trajectory
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Array = NDArray[np.float64]
 

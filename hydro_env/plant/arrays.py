@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant import compiler, equations
+import hydro_env.compiling as compiling
+from hydro_env.errors import HydroError
+from hydro_env.plant import equations
 from hydro_env.plant.equations import (
     STATE_NAMES,
     Physical,
@@ -20,7 +22,6 @@ from hydro_env.plant.equations import (
     internal_leakage,
 )
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.errors import HydroError
 from hydro_env.plant.limits import hold_limits
 from hydro_env.plant.parameters import PlantParameters, to_vector
 
@@ -64,7 +65,7 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     return dict(zip(STATE_NAMES, state, strict=True)), voltage
 
 
-@compiler.inline
+@compiling.inline
 def _array_of(state: Any) -> Array:
     out = np.empty(len(state))
     for row, value in enumerate(state):
@@ -73,12 +74,12 @@ def _array_of(state: Any) -> Array:
 
 
 def _build(stamp: int) -> tuple[Any, ...]:
-    @compiler.compiled
+    @compiling.compiled
     def coefficients_of(vector: Array) -> Any:
         assert stamp >= 0  # keys numba's cache
         return equations.coefficients(_physical(vector))
 
-    @compiler.compiled
+    @compiling.compiled
     def equilibrium_of(position: float, vector: Array) -> Any:
         assert stamp >= 0
         p = _physical(vector)
@@ -86,22 +87,22 @@ def _build(stamp: int) -> tuple[Any, ...]:
         state, voltage, found = equilibrium_state(position, p, c)
         return state, voltage, found > 0.0
 
-    @compiler.compiled
+    @compiling.compiled
     def derivative_of(y: Array, coefficients: Array, voltage: float) -> Array:
         assert stamp >= 0
         return _array_of(derivatives(_state(y), _coefficient_tuple(coefficients), voltage))
 
-    @compiler.compiled
+    @compiling.compiled
     def command_changed_of(y: Array, coefficients: Array, voltage: float) -> Array:
         assert stamp >= 0
         return _array_of(command_changed(_state(y), _coefficient_tuple(coefficients), voltage))
 
-    @compiler.compiled
+    @compiling.compiled
     def hold_limits_of(y: Array, coefficients: Array) -> Array:
         assert stamp >= 0
         return _array_of(hold_limits(_state(y), _coefficient_tuple(coefficients)))
 
-    @compiler.compiled
+    @compiling.compiled
     def derived_of(states: Array, coefficients: Array) -> Array:
         assert stamp >= 0
         c = _coefficient_tuple(coefficients)
@@ -122,9 +123,9 @@ def _build(stamp: int) -> tuple[Any, ...]:
     return coefficients_of, equilibrium_of, derivative_of, command_changed_of, hold_limits_of, derived_of
 
 
-_physical = compiler.tuple_reader(Physical)
-_state = compiler.tuple_reader(State)
-_coefficient_tuple = compiler.tuple_reader(equations.Coefficients)
+_physical = compiling.tuple_reader(Physical)
+_state = compiling.tuple_reader(State)
+_coefficient_tuple = compiling.tuple_reader(equations.Coefficients)
 _coefficients, _equilibrium, derivative_array, command_changed_array, hold_limits_array, derived_array = _build(
-    compiler.source_stamp("plant/equations.py", "plant/equilibrium.py", "plant/limits.py")
+    compiling.source_stamp("plant/equations.py", "plant/equilibrium.py", "plant/limits.py")
 )

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_env.plant.compiler import inline
+from hydro_env.compiling import inline
 from hydro_env.plant.parameters import PARAMETER_PATHS
 
 ATMOSPHERIC_PRESSURE = 101_325.0

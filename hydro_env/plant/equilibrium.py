@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hydro_env.plant.compiler import inline
+from hydro_env.compiling import inline
 from hydro_env.plant.equations import ATMOSPHERIC_PRESSURE, State, smooth_root
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12

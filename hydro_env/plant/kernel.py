@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant import compiler
+import hydro_env.compiling as compiling
 from hydro_env.plant.equations import (
     Coefficients,
     State,
@@ -106,37 +106,37 @@ def _stage(number: int) -> Callable[..., Any]:
     """A compiled function that keeps derivative ``number`` of every lane and sets its trial state (STAGES)."""
     rows = [_ROW[f"stage_{kept}"] for kept in range(1, number)] + [_ROW["derivative"]]
     terms = list(zip(STAGES[number - 1], rows, strict=True))
-    combine = compiler.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
-    keep = compiler.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
+    combine = compiling.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
+    keep = compiling.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
 
     def stage(work):
         for lane in range(LANES):
             combine(work, lane)
             keep(work, lane, _read_derivative(work, lane))
 
-    return compiler.inline(stage)
+    return compiling.inline(stage)
 
 
 def _estimate() -> Callable[..., Any]:
     """A compiled function that sets the estimated error of a step (ERROR)."""
     rows = [_ROW[f"stage_{kept}"] for kept in range(1, len(STAGES) + 1)] + [_ROW["derivative"]]
     terms = list(zip(ERROR, rows, strict=True))
-    return compiler.lane_combination(_ROW["error"], terms, N_STATES, LANES, factor=_ROW["step"])
+    return compiling.lane_combination(_ROW["error"], terms, N_STATES, LANES, factor=_ROW["step"])
 
 
-_read_state = compiler.lane_reader(State, _ROW["state"], LANES)
-_read_coefficients = compiler.lane_reader(Coefficients, _ROW["coefficients"], LANES)
-_read_trial = compiler.lane_reader(State, _ROW["trial"], LANES)
-_read_derivative = compiler.lane_reader(State, _ROW["derivative"], LANES)
-_read_error = compiler.lane_reader(State, _ROW["error"], LANES)
+_read_state = compiling.lane_reader(State, _ROW["state"], LANES)
+_read_coefficients = compiling.lane_reader(Coefficients, _ROW["coefficients"], LANES)
+_read_trial = compiling.lane_reader(State, _ROW["trial"], LANES)
+_read_derivative = compiling.lane_reader(State, _ROW["derivative"], LANES)
+_read_error = compiling.lane_reader(State, _ROW["error"], LANES)
 _write_state, _write_trial, _write_derivative = (
-    compiler.lane_writer(_ROW[name], N_STATES, LANES) for name in ("state", "trial", "derivative")
+    compiling.lane_writer(_ROW[name], N_STATES, LANES) for name in ("state", "trial", "derivative")
 )
 _stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
 _estimate_error = _estimate()
 
 
-@compiler.inline
+@compiling.inline
 def _largest(error, c):
     """Largest error of a state in parts of its size; NaN if one is."""
     p = max(abs(error.position * c.position_weight), abs(error.velocity * c.velocity_weight))
@@ -146,11 +146,11 @@ def _largest(error, c):
     return max(max(max(p, q), max(r, t)), abs(error.bristle_deflection * c.bristle_weight))
 
 
-_difference = compiler.tuple_difference(State)
-_chosen = compiler.tuple_choice(State)
+_difference = compiling.tuple_difference(State)
+_chosen = compiling.tuple_choice(State)
 
 
-@compiler.inline
+@compiling.inline
 def _choose_step(work):
     """Each lane's next step: as proposed, but no further than the interval's end or the next kink."""
     for lane in range(LANES):
@@ -163,7 +163,7 @@ def _choose_step(work):
         work[_STEP + lane] = kink if kink < halved else halved  # also where a broken state knows no kink
 
 
-@compiler.inline
+@compiling.inline
 def _judge(work, strictness, maximum_step):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
     for lane in range(LANES):
@@ -201,7 +201,7 @@ def _judge(work, strictness, maximum_step):
         work[_STEP_COUNT + lane] += 1.0 if moving else 0.0
 
 
-@compiler.inline
+@compiling.inline
 def _begin_interval(work, lane, voltage, duration, first_step):
     """Let a new command act in one lane."""
     s = command_changed(_read_state(work, lane), _read_coefficients(work, lane), voltage)
@@ -307,7 +307,7 @@ def _build(stamp: int) -> Callable[..., None]:
     return integrate
 
 
-integrate = compiler.compiled(_build(compiler.source_stamp("plant/equations.py", "plant/limits.py")))
+integrate = compiling.compiled(_build(compiling.source_stamp("plant/equations.py", "plant/limits.py")))
 """Advance plants in place through consecutive hold intervals.
 
 Args:

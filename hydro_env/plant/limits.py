@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from hydro_env.plant.compiler import inline
+from hydro_env.compiling import inline
 from hydro_env.plant.equations import VAPOUR_PRESSURE, State
 
 FAR = 1e9

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
 
-from hydro_env.plant.configuration import Group, read_yaml, validate, write_yaml
-from hydro_env.plant.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError
+from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 
 def _no_truth_value(value: object) -> object:
@@ -257,20 +257,3 @@ def from_vector(vector: NDArray[np.float64]) -> PlantParameters:
         group, field = path.split(".")
         values.setdefault(group, {})[field] = MODEL_CODES[path][int(value)] if path in MODEL_CODES else value
     return PlantParameters.from_dict(values)
-
-
-LITRE_PER_MINUTE = 1e-3 / 60
-"""One litre per minute in m³/s."""
-
-LEAKAGE_TEST_PRESSURE = 100e5
-"""Pressure difference (Pa) at which practice quotes a leak: 100 bar across the piston."""
-
-
-def resistance_from_flow(flow_lpm: float) -> float:
-    """Leakage resistance R_i in Pa s/m³ of a leak quoted in l/min at 100 bar; 0 gives infinity (10)."""
-    return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE) if flow_lpm > 0 else np.inf
-
-
-def flow_from_resistance(resistance: float) -> float:
-    """Leakage in l/min at 100 bar of a resistance in Pa s/m³; the inverse of :func:`resistance_from_flow`."""
-    return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.errors import InvalidStateError
 from hydro_env.plant import kernel
 from hydro_env.plant.arrays import coefficient_array, equilibrium
 from hydro_env.plant.equations import STATE_NAMES, Coefficients
-from hydro_env.plant.errors import InvalidStateError
 from hydro_env.plant.parameters import PlantParameters
 
 Array = NDArray[np.float64]

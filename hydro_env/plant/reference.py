@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from hydro_env.errors import InvalidStateError
 from hydro_env.plant.arrays import TYPICAL_SIZE, command_changed_array, derivative_array, hold_limits_array
 from hydro_env.plant.equations import STATE_NAMES, VAPOUR_PRESSURE, Coefficients
-from hydro_env.plant.errors import InvalidStateError
 
 Array = NDArray[np.float64]
 

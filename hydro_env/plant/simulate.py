@@ -9,10 +9,10 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hydro_env.errors import HydroError, InvalidStateError
 from hydro_env.plant import equations, kernel
 from hydro_env.plant.arrays import DERIVED_NAMES, DERIVED_UNITS, coefficient_array, derived_array, equilibrium
 from hydro_env.plant.equations import STATE_NAMES, STATE_UNITS
-from hydro_env.plant.errors import HydroError, InvalidStateError
 from hydro_env.plant.limits import valid_limits
 from hydro_env.plant.parameters import PlantParameters
 

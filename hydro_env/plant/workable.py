@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydro_env.errors import ConfigurationError, HydroError
 from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.plant.arrays import DERIVED_NAMES, coefficient_array, derived_array, equilibrium
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, Rates, State, rates
-from hydro_env.plant.errors import ConfigurationError, HydroError
 from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
-from hydro_env.plant.parameters import LITRE_PER_MINUTE, PlantParameters
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.simulate import valid_ranges
+from hydro_env.units import LITRE_PER_MINUTE
 
 LEAST_TRAVEL = 1e-3
 """m; a rig that cannot move this far from where its spring is free is no servo axis."""

@@ -12,8 +12,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from hydro_env.plant.configuration import Group, read_yaml, validate, write_yaml
-from hydro_env.plant.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError
+from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
 
 REFERENCE_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop", "user")

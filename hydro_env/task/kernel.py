@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-from hydro_env.plant import compiler, kernel
+import hydro_env.compiling as compiling
+from hydro_env.plant import kernel
 from hydro_env.plant.equations import Coefficients, Physical, coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.kernel import IMPACT_SPEED, N_STATES, PEAK_PRESSURE
 from hydro_env.plant.limits import valid_limits
-from hydro_env.plant.parameters import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -51,6 +51,7 @@ from hydro_env.task.record import (
     Settings,
 )
 from hydro_env.task.reference_signals import Limits, feasible, fill_reference
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 _column = {name: index for index, name in enumerate(Record._fields)}
 C_STEP = _column["step"]
@@ -84,13 +85,13 @@ _USER_FAMILY = 6
 _SINE = 3.0
 _PULSE = 2.0
 
-_read_settings = compiler.tuple_reader(Settings)
-_read_limits = compiler.tuple_reader(Limits)
-_read_physical = compiler.tuple_reader(Physical)
-_read_coefficients = compiler.tuple_reader(Coefficients)
+_read_settings = compiling.tuple_reader(Settings)
+_read_limits = compiling.tuple_reader(Limits)
+_read_physical = compiling.tuple_reader(Physical)
+_read_coefficients = compiling.tuple_reader(Coefficients)
 
 
-@compiler.inline
+@compiling.inline
 def _unpack(constants, observations):
     """Views of what :func:`~hydro_env.task.packing.step_constants` packed behind the settings."""
     previews = observations - FIXED_OBSERVATIONS
@@ -107,12 +108,12 @@ def _unpack(constants, observations):
     )
 
 
-@compiler.inline
+@compiling.inline
 def _quantised(value, resolution):
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
 
 
-@compiler.inline
+@compiling.inline
 def _measure(true, bias, noise, sensors, first):
     """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps.
 
@@ -123,7 +124,7 @@ def _measure(true, bias, noise, sensors, first):
     return min(max(low + _quantised(value - low, sensors[first + 2]), low), high)
 
 
-@compiler.inline
+@compiling.inline
 def _sample_signals(row, position, spool, noise_key, sensors, settings):
     """Read the four transducers at this instant into the record."""
     if settings.sensors_enabled == 0.0:
@@ -141,7 +142,7 @@ def _sample_signals(row, position, spool, noise_key, sensors, settings):
     row[C_MEASURED + 3] = _measure(spool, row[C_BIAS + 3], fourth, sensors, 3 * CHANNEL_COLUMNS)
 
 
-@compiler.inline
+@compiling.inline
 def _write_observation(observation, row, reference, preview, scale, limit):
     """One row of the observation: physical values over their fixed scale, inside the bounds of the Box."""
     step = np.int64(row[C_STEP])
@@ -162,7 +163,7 @@ def _write_observation(observation, row, reference, preview, scale, limit):
         observation[index] = min(max(observation[index], -limit[index]), limit[index])
 
 
-@compiler.inline
+@compiling.inline
 def _leak_flow(row, time, settings):
     """Leakage of the schedule at a time, l/min at 100 bar: constant, sudden onset, or log-linear growth."""
     start, target, begin = row[C_LEAK_START], row[C_LEAK_TARGET], row[C_LEAK_TIME]
@@ -177,7 +178,7 @@ def _leak_flow(row, time, settings):
     return start * (target / start) ** share
 
 
-@compiler.inline
+@compiling.inline
 def _set_leak(row, coefficient, flow, settings):
     row[C_LEAK] = flow
     if settings.orifice_law == 0.0:
@@ -188,7 +189,7 @@ def _set_leak(row, coefficient, flow, settings):
         coefficient[_LEAKAGE_ORIFICE_GAIN] = flow * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
 
 
-@compiler.inline
+@compiling.inline
 def _external_force(row, time, settings):
     """External force in N of the configured disturbance, besides the plant's own."""
     after = time - row[C_FORCE_TIME]
@@ -202,7 +203,7 @@ def _external_force(row, time, settings):
     return row[C_FORCE_BASE] + force
 
 
-@compiler.inline
+@compiling.inline
 def _draw_plant(physical, key, base, draws, override):
     """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
     for index in range(base.shape[0]):
@@ -223,7 +224,7 @@ def _draw_plant(physical, key, base, draws, override):
 
 
 # Compiled with its caller. A global: as a closure variable it would be a new cache key in every process.
-_integrate = compiler.part(kernel.integrate)
+_integrate = compiling.part(kernel.integrate)
 
 
 def _build(stamp):
@@ -439,7 +440,7 @@ def _build(stamp):
             truncated[axis] = step >= last_step
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)
 
-    return compiler.compiled(begin_episodes), compiler.compiled(step_axes)
+    return compiling.compiled(begin_episodes), compiling.compiled(step_axes)
 
 
 _AREA_A = Coefficients._fields.index("area_a")
@@ -450,7 +451,7 @@ _SLEW_LIMIT = Coefficients._fields.index("slew_limit")
 _SUPPLY_DYNAMICS = Coefficients._fields.index("supply_dynamics")
 
 begin_episodes, step_axes = _build(
-    compiler.source_stamp(
+    compiling.source_stamp(
         "plant/equations.py",
         "plant/kernel.py",
         "plant/limits.py",

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.configuration import DISTURBANCES, LEAKAGE_SCHEDULES, TaskConfig
 from hydro_env.task.record import FIXED_OBSERVATIONS, Settings

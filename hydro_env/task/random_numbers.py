@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from hydro_env.plant.compiler import inline
+from hydro_env.compiling import inline
 
 PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE = range(6)
 """Sources of randomness; each has a key of its own in every episode."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hydro_env.plant.compiler import inline
+from hydro_env.compiling import inline
 from hydro_env.task.random_numbers import between, log_between, uniform
 
 

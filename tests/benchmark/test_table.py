@@ -3,8 +3,6 @@
 import pytest
 import yaml
 
-from agents.benchmark import command
-from agents.benchmark.command import benchmark_to_folder, measure_group
 from agents.benchmark.table import (
     Case,
     Result,
@@ -16,7 +14,9 @@ from agents.benchmark.table import (
     shown,
     write_csv,
 )
-from agents.console import ProgressDisplay
+from agents.commands import benchmark as command
+from agents.commands.benchmark import benchmark_to_folder, measure_group
+from agents.running.console import ProgressDisplay
 from hydro_env import ConfigurationError
 
 
@@ -121,6 +121,6 @@ def test_unknown_group_is_refused_in_one_line(tmp_path):
 def test_help_names_every_group():
     import inspect
 
-    from agents import cli
+    from agents.commands import application as cli
 
     assert all(f"{name}" in inspect.getsource(cli.benchmark) for name in command.GROUPS)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.paths import config_folder
-from agents.rollout import Cases, run_cases
+from agents.running.cases import Cases, run_cases
+from agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()

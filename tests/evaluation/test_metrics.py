@@ -15,7 +15,7 @@ from agents.evaluation.metrics import (
     settling_time,
     standstills,
 )
-from agents.rollout import Rollout
+from agents.running.cases import Rollout
 
 PERIOD = 1e-4
 SIZE = 0.02  # m

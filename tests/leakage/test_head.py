@@ -9,7 +9,7 @@ from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.leakage.head import SIGNALS, LeakageHead, MonitoredController
 from agents.leakage.metrics import area_under_roc
 from agents.leakage.training import HeadTrainingSettings, make_dataset, train_head
-from agents.splits import TRAINING_SEEDS
+from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)

@@ -19,7 +19,6 @@ def test_a_few_drawn_rigs_are_within_the_limit():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(3000)
 def test_two_hundred_and_forty_drawn_rigs_are_within_the_limit():
     cases = random_cases(240)
     exact = list(references(cases, workers=2))

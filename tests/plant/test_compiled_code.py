@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import hydro_env
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, compiling, simulate
 from hydro_env.axes import Axes
-from hydro_env.plant import compiler, kernel
+from hydro_env.plant import kernel
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import task_config
 
@@ -76,7 +76,6 @@ def test_only_the_given_plants_move():
     np.testing.assert_array_equal(peaks[:, 0] == -1.0, ~moved)
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300])
 def test_a_broken_state_ends_and_harms_no_neighbour(value):
     count = 20
@@ -130,9 +129,7 @@ json.dump({"states": run.states.tolist(), "observations": rows}, sys.stdout)
 
 def test_the_same_source_uncompiled_gives_the_same_numbers():
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    answer = subprocess.run(
-        [sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True, timeout=120
-    )
+    answer = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, text=True, check=True)
     uncompiled = json.loads(answer.stdout)
     run = simulate(PlantParameters(), np.repeat([4.0, -3.0, 10.0], 5), 5e-3)
     size = np.maximum(np.abs(run.states).max(axis=0), 1e-9)
@@ -147,20 +144,20 @@ def test_source_stamp_changes_with_the_source(tmp_path, monkeypatch):
     (tmp_path / "plant").mkdir()
     source = tmp_path / "plant" / "equations.py"
     other = tmp_path / "plant" / "kernel.py"
-    monkeypatch.setattr(compiler, "__file__", str(tmp_path / "plant" / "compiler.py"))
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiling.py"))
     source.write_text("a = 1\n")
     other.write_text("b = 1\n")
-    stamp = compiler.source_stamp("plant/equations.py")
-    both = compiler.source_stamp("plant/equations.py", "plant/kernel.py")
-    assert stamp == compiler.source_stamp("plant/equations.py")
+    stamp = compiling.source_stamp("plant/equations.py")
+    both = compiling.source_stamp("plant/equations.py", "plant/kernel.py")
+    assert stamp == compiling.source_stamp("plant/equations.py")
     assert 0 <= stamp < 2**63
     assert stamp != both
     source.write_text("a = 2\n")
-    assert compiler.source_stamp("plant/equations.py") != stamp
+    assert compiling.source_stamp("plant/equations.py") != stamp
     source.write_text("a = 1\n")
-    assert compiler.source_stamp("plant/equations.py") == stamp
+    assert compiling.source_stamp("plant/equations.py") == stamp
     other.write_text("b = 2\n")
-    assert compiler.source_stamp("plant/equations.py", "plant/kernel.py") != both
+    assert compiling.source_stamp("plant/equations.py", "plant/kernel.py") != both
 
 
 @pytest.mark.parametrize("function", [task_kernel.begin_episodes, task_kernel.step_axes, kernel.integrate])

@@ -2,7 +2,10 @@
 
 With a constant bulk modulus the model carries oil at the density of the chamber: V exp(P/β) is conserved but for flow,
 and U = β V (exp(P/β) − 1) − P V is its energy: dU = −P dV + h(P) Q dt with h(P) = β (exp(P/β) − 1), which rises with P.
-Both hold exactly in the continuous model.
+Both hold exactly in the continuous model as long as no chamber cavitates: a void counts no oil.
+
+The examples are not the same on every machine: Hypothesis also takes constants from the modules of the project that
+happen to be loaded. So each property must hold for whatever case is drawn, and excludes what it does not cover.
 """
 
 import numpy as np
@@ -52,6 +55,14 @@ def volumes(run):
     )
 
 
+def run_without_cavitation(case, voltages):
+    """The run of a case; Hypothesis draws another case where a chamber falls to a gauge pressure of zero."""
+    parameters, start = case
+    run = simulate(parameters, voltages, SAMPLE_TIME, start)
+    assume(min(run.pressure_a.min(), run.pressure_b.min()) > 0.0)
+    return run
+
+
 def gained(rate):
     return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * SAMPLE_TIME)])
 
@@ -74,10 +85,8 @@ def head(run, pressure):
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(cases(underlap=0.0))
 def test_a_closed_valve_with_a_leak_conserves_oil(case):
-    parameters, start = case
-    run = simulate(parameters, np.zeros(400), SAMPLE_TIME, start)
-    assume(min(run.pressure_a.min(), run.pressure_b.min()) > 0.0)  # a void counts no oil
-    beta = parameters.fluid.bulk_modulus
+    run = run_without_cavitation(case, np.zeros(400))
+    beta = run.parameters.fluid.bulk_modulus
     for volume, pressure, flow in zip(
         volumes(run), (run.pressure_a, run.pressure_b), (-run.leakage_flow, run.leakage_flow), strict=True
     ):
@@ -90,12 +99,11 @@ def test_a_closed_valve_with_a_leak_conserves_oil(case):
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(cases(underlap=0.0))
 def test_a_closed_valve_only_loses_energy(case):
-    parameters, start = case
-    run = simulate(parameters, np.zeros(400), SAMPLE_TIME, start)
+    run = run_without_cavitation(case, np.zeros(400))
     stored = energy(run)
     lost = (
         run.leakage_flow * (head(run, run.pressure_a) - head(run, run.pressure_b))
-        + parameters.load.viscous_damping * run.velocity**2
+        + run.parameters.load.viscous_damping * run.velocity**2
         + run.friction_force * run.velocity
     )
     assert (lost >= 0.0).all()
@@ -107,11 +115,10 @@ def test_a_closed_valve_only_loses_energy(case):
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(cases(underlap=0.015), st.lists(st.floats(-10, 10), min_size=4, max_size=4))
 def test_the_supply_is_the_only_source_of_energy(case, levels):
-    parameters, start = case
-    run = simulate(parameters, np.repeat(levels, 100), SAMPLE_TIME, start)
+    run = run_without_cavitation(case, np.repeat(levels, 100))
     returned = run.supply_flow - run.flow_a + run.flow_b
     work = gained(
-        run.supply_flow * head(run, run.supply_pressure) - returned * head(run, parameters.supply.tank_pressure)
+        run.supply_flow * head(run, run.supply_pressure) - returned * head(run, run.parameters.supply.tank_pressure)
     )
     brought = energy(run) - energy(run)[0]
     assert (brought <= work + 2e-3 * np.abs(work).max() + 1e-6 * energy(run).max()).all()

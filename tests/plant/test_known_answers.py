@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env.errors import HydroError, InvalidStateError
 from hydro_env.plant.analysis import (
     closed_port_natural_frequency,
     force_rate_terms,
@@ -14,8 +15,7 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.equations import STATE_NAMES
-from hydro_env.plant.errors import HydroError, InvalidStateError
-from hydro_env.plant.parameters import LITRE_PER_MINUTE
+from hydro_env.units import LITRE_PER_MINUTE
 
 CLOSED_VALVE = {"underlap": 0.0}
 TIGHT = {"internal_resistance": math.inf}

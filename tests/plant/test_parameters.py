@@ -7,9 +7,9 @@ import pydantic
 import pytest
 
 from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import Coefficients
-from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, from_vector, to_vector
 from hydro_env.task.configuration import task_config
 

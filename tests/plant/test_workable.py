@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from hydro_env import PlantParameters, equilibrium, simulate
+from hydro_env.errors import ConfigurationError
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -18,7 +19,6 @@ from hydro_env.plant.analysis import (
     softest_position,
     speed_limits,
 )
-from hydro_env.plant.errors import ConfigurationError
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.probe import ENOUGH, HELD, PERIOD, probe, state_ranges
 from hydro_env.plant.simulate import valid_ranges

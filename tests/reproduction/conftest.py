@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.reproduction import command
+from agents.commands import reproduce as command
 
 
 @pytest.fixture(scope="package")

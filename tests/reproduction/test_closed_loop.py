@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from agents.controllers.sampled_loop import CONTROL_PERIOD, SampledLoop, sampled_loop, speed_per_command
 from agents.reproduction.closed_bode import closed_bode_table
 from agents.reproduction.closed_loop import (
     GAIN_MARGIN,
@@ -18,7 +19,6 @@ from agents.reproduction.closed_moves import closed_moves_table, told_by
 from agents.reproduction.rig import Rig, simplified, with_leak
 from agents.reproduction.stability import LEAKS, achievable, limit_table
 from hydro_env import PlantParameters, equilibrium, simulate
-from hydro_env.plant.loop import CONTROL_PERIOD, SampledLoop, sampled_loop, speed_per_command
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s
 

@@ -5,8 +5,8 @@ import re
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.reproduction import command
+from agents.commands import reproduce as command
+from agents.commands.application import main
 from agents.reproduction.displacement import displacement_figure, displacement_table
 from agents.reproduction.rig import Rig
 from hydro_env import ConfigurationError

@@ -6,15 +6,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.cli import main
-from agents.paths import config_folder
-from agents.reproduction import command
+from agents.commands import reproduce as command
+from agents.commands.application import main
 from agents.reproduction.closed_bode import closed_bode_figure
 from agents.reproduction.displacement import displacement_figure, displacement_table
 from agents.reproduction.friction_scan import friction_scan_figure
 from agents.reproduction.page import true_minus
 from agents.reproduction.rig import Rig, own_rig, rig_from
 from agents.reproduction.settling_figure import settling_figure
+from agents.running.folders import config_folder
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -106,7 +106,7 @@ def test_a_light_axis_is_sampled_finer():
 
 
 def test_a_rig_without_a_stable_gain_says_so(monkeypatch):
-    monkeypatch.setattr("hydro_env.plant.loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
+    monkeypatch.setattr("agents.controllers.sampled_loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
     with pytest.raises(HydroError, match="no sensible gain"):
         closed_bode_figure(own_rig(PlantParameters().replace(load={"mass": 61.0}), "unlimited"))
 

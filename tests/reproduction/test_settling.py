@@ -21,8 +21,8 @@ from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
 from hydro_env.plant.arrays import coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, internal_leakage
-from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.task.configuration import Sensors
+from hydro_env.units import LITRE_PER_MINUTE
 
 LEAKS = (0.01, 0.1, 0.5, 2.0)
 SAMPLE_TIME = Rig().sample_time

@@ -12,14 +12,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from agents.paths import prepare_folder
+from agents.running.folders import prepare_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
+from hydro_env.files import write_whole
 from hydro_env.plant.analysis import leak_at_test_pressure
-from hydro_env.plant.configuration import write_whole
-from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.units import LITRE_PER_MINUTE
 
 CSV_FILE = "trajectory.csv"
 PICTURE_FILE = "trajectory.png"

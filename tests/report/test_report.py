@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.evaluation.canvas import controllers_of, looks_of
-from agents.evaluation.findings import caution, failures, findings, interval_text, number, verdict
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from agents.evaluation.report import Example, StudyRecord, duration, render_report, write_report, write_tables
 from agents.evaluation.statistics import Interval
 from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
+from agents.report.canvas import controllers_of, looks_of
+from agents.report.findings import caution, failures, findings, interval_text, number, verdict
+from agents.report.report import Example, StudyRecord, duration, render_report, write_report, write_tables
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)

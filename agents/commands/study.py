@@ -20,20 +20,20 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from agents.console import ProgressDisplay
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from agents.evaluation.report import Example, StudyRecord, write_report, write_tables
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import HeadTrainingSettings, train_head
 from agents.learning.policy import PolicyController
 from agents.learning.training import PPOSettings, Progress, train_ppo
-from agents.paths import prepare_folder
-from agents.rollout import Cases, run_cases
-from agents.splits import TEST_SEEDS
+from agents.report.report import Example, StudyRecord, write_report, write_tables
+from agents.running.cases import Cases, run_cases
+from agents.running.console import ProgressDisplay
+from agents.running.folders import prepare_folder
+from agents.running.seeds import TEST_SEEDS
 from hydro_env import ConfigurationError, TaskConfig, __version__
-from hydro_env.plant.configuration import Group, read_yaml, validate, write_whole, write_yaml
+from hydro_env.files import Group, read_yaml, validate, write_whole, write_yaml
 
 POLICY_FILE = "policy"
 HEAD_FILE = "leakage_head"

@@ -8,7 +8,7 @@ import sys
 def main() -> None:
     """Run the command line, or say in one line that the extra ``agents`` is needed."""
     try:
-        from agents.cli import main as command
+        from agents.commands.application import main as command
     except ModuleNotFoundError as error:
         print(
             f"hydro: {error.name} is not installed; install the extra: pip install 'hydro_env[agents]'", file=sys.stderr

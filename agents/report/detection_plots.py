@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from agents.evaluation.canvas import (
+from agents.report.canvas import (
     GREY,
     INK,
     Array,

@@ -17,9 +17,12 @@ import pandas as pd
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from agents.evaluation.canvas import controllers_of, looks_of
-from agents.evaluation.detection_plots import detection_plots
-from agents.evaluation.findings import (
+from agents.evaluation.metrics import METRICS
+from agents.evaluation.protocol import Evaluation
+from agents.evaluation.statistics import RESAMPLES, Interval
+from agents.report.canvas import controllers_of, looks_of
+from agents.report.detection_plots import detection_plots
+from agents.report.findings import (
     caution,
     decimals_for,
     failures,
@@ -33,12 +36,9 @@ from agents.evaluation.findings import (
     row_interval,
     verdict,
 )
-from agents.evaluation.metrics import METRICS
-from agents.evaluation.plots import example_plot, tracking_plots, training_plot
-from agents.evaluation.protocol import Evaluation
-from agents.evaluation.statistics import RESAMPLES, Interval
-from agents.splits import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_env.plant.configuration import write_whole
+from agents.report.plots import example_plot, tracking_plots, training_plot
+from agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
+from hydro_env.files import write_whole
 
 Array = NDArray[np.floating[Any]]
 
@@ -93,7 +93,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    source = files("agents.evaluation").joinpath("report.html.j2").read_text(encoding="utf-8")
+    source = files("agents.report").joinpath("report.html.j2").read_text(encoding="utf-8")
     looks = looks_of(controllers_of(evaluation))
     return environment.from_string(source).render(
         record=record,

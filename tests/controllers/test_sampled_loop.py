@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from agents.controllers.sampled_loop import sampled_loop
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
+from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import linearise
 from hydro_env.plant.equations import STATE_NAMES
-from hydro_env.plant.errors import HydroError
-from hydro_env.plant.loop import sampled_loop
 
 
 def leaking(flow, **groups):
@@ -110,7 +110,7 @@ def test_impossible_loops_are_refused():
 
 
 def test_timing_is_that_of_the_task():
-    from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD
+    from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD
     from hydro_env.task.configuration import TaskConfig
 
     task = TaskConfig()

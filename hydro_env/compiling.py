@@ -56,7 +56,7 @@ def compiled(function: Function) -> Function:
 
 def source_stamp(*sources: str) -> int:
     """A number that changes whenever one of the source files (paths inside the package) changes."""
-    package = Path(__file__).parents[1]
+    package = Path(__file__).parent
     digest = hashlib.sha256()
     for source in sources:
         digest.update((package / source).read_bytes())

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_env.plant.configuration import validate
+from hydro_env.files import validate
 
 # Typer brings its own copy of click, or uses click, depending on its version; this finds either.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
@@ -101,7 +101,7 @@ def simulate(
     `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
     `--leakage 0.01` with `--leakage 4`: with the leak the oscillation dies out sooner.
     """
-    from agents.simulation import simulate_to_folder
+    from agents.commands.simulation import simulate_to_folder
 
     files = simulate_to_folder(
         output, rig, signal.value, voltage, input_file, duration, sample_time, leakage, position, overwrite
@@ -126,7 +126,7 @@ def check_rig(
     Areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional gain of the
     sampled position loop with a tight and a leaking seal, and how finely the rig must be integrated.
     """
-    from agents.rig_check import check_to_console
+    from agents.commands.rig_check import check_to_console
 
     for file in check_to_console(rig, output, overwrite):
         typer.echo(file)
@@ -147,7 +147,7 @@ def reproduce(
     each beside what the paper says and tells where it does not come out. With `--rig` the same for a rig of your own;
     a figure that it cannot do is left out, and the page says why.
     """
-    from agents.reproduction.command import reproduce_to_folder
+    from agents.commands.reproduce import reproduce_to_folder
 
     typer.echo(reproduce_to_folder(output, overwrite, _command_line(), rig))
 
@@ -172,7 +172,7 @@ def benchmark(
     Leaves one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. About a quarter
     of an hour on two quiet cores, `--quick` a few minutes. Ctrl-C keeps what is measured, `--resume` goes on.
     """
-    from agents.benchmark.command import benchmark_to_folder
+    from agents.commands.benchmark import benchmark_to_folder
 
     with _stoppable(True):
         for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, _command_line()):
@@ -196,7 +196,7 @@ def train(
     overwrite: Overwrite = False,
 ) -> None:
     """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` goes on from it."""
-    from agents import training_jobs
+    from agents.commands import training_jobs
 
     settings = _study(config)
     seed = settings.seed if seed is None else seed
@@ -225,7 +225,7 @@ def evaluate(
 
     Writes CSV tables with every number and a report, and prints the main figures.
     """
-    from agents import training_jobs
+    from agents.commands import training_jobs
 
     settings = _study(config)
     if plants is not None:
@@ -248,7 +248,7 @@ def study(
     Leaves in the output folder: `report.html` (self-contained), `tables/*.csv` (every number), the weights, and
     `study.yaml` (the configuration used).
     """
-    from agents import training_jobs
+    from agents.commands import training_jobs
 
     settings = _study(config)
     seed = settings.seed if seed is None else seed
@@ -268,8 +268,8 @@ def _stoppable(resumable: bool) -> Iterator[None]:
 
 
 def _study(config: Path | None) -> Any:
-    from agents.paths import config_folder
-    from agents.study import StudySettings
+    from agents.commands.study import StudySettings
+    from agents.running.folders import config_folder
 
     return StudySettings.from_yaml(config if config is not None else config_folder() / "studies" / "default.yaml")
 

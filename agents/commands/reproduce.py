@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from agents.console import ProgressDisplay
 from agents.reproduction.bode import bode_figure
 from agents.reproduction.closed_bode import closed_bode_figure
 from agents.reproduction.closed_moves import closed_moves_figure
@@ -25,8 +24,9 @@ from agents.reproduction.rig import Rig, rig_from
 from agents.reproduction.sensitivity import sensitivity_figure
 from agents.reproduction.settling_figure import settling_figure
 from agents.reproduction.stability import stability_figure
+from agents.running.console import ProgressDisplay
 from hydro_env import ConfigurationError, HydroError
-from hydro_env.plant.configuration import write_whole
+from hydro_env.files import write_whole
 
 PAGE_FILE = "page.html"
 EQUATIONS_FILE = "equations.csv"

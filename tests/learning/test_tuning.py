@@ -1,6 +1,6 @@
 """The search for gains lowers the cost and is reproducible."""
 
-from agents.tuning import tune_pid
+from agents.learning.tuning import tune_pid
 from hydro_env import TaskConfig
 
 

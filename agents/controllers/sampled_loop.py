@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import linearise
 from hydro_env.plant.arrays import TYPICAL_SIZE, coefficient_array
 from hydro_env.plant.equations import STATE_NAMES, Coefficients
-from hydro_env.plant.errors import HydroError
 from hydro_env.plant.parameters import PlantParameters
 
 Array = NDArray[np.float64]

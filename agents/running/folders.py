@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hydro_env.plant.configuration import write_whole
-from hydro_env.plant.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError
+from hydro_env.files import write_whole
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def config_folder() -> Path:

@@ -13,8 +13,10 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.table import Table
 
-from agents.paths import prepare_folder
+from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
+from agents.running.folders import prepare_folder
 from hydro_env import HydroError, PlantParameters, resistance_from_flow
+from hydro_env.files import write_whole
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -28,13 +30,11 @@ from hydro_env.plant.analysis import (
     speed_limits,
 )
 from hydro_env.plant.arrays import coefficient_array, equilibrium
-from hydro_env.plant.configuration import write_whole
 from hydro_env.plant.equations import Coefficients, State
 from hydro_env.plant.kernel import TOLERANCE
-from hydro_env.plant.loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
-from hydro_env.plant.parameters import LITRE_PER_MINUTE
 from hydro_env.plant.probe import ENOUGH, PERIOD, probe
 from hydro_env.plant.workable import InnerStep, inner_step, refuse_unworkable, shortest_inner_step
+from hydro_env.units import LITRE_PER_MINUTE
 
 CSV_FILE = "check.csv"
 TABLE_FILE = "check.md"

@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 
 from agents.controllers.base import ObservationLayout
 from agents.controllers.pid import PID, PIDGains
-from agents.splits import TRAINING_SEEDS
+from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 
 SEARCH: dict[str, tuple[float, float, bool]] = {

@@ -7,17 +7,7 @@ from pathlib import Path
 import pandas as pd
 from rich.table import Table
 
-from agents.console import ProgressDisplay
-from agents.controllers.base import Controller, ObservationLayout
-from agents.controllers.pid import PID, PIDGains
-from agents.evaluation.protocol import Evaluation, evaluate
-from agents.evaluation.report import StudyRecord, write_report, write_tables
-from agents.leakage.head import LeakageHead
-from agents.leakage.training import train_head
-from agents.learning.policy import PolicyController
-from agents.learning.training import train_ppo
-from agents.paths import prepare_folder, pretrained_folder
-from agents.study import (
+from agents.commands.study import (
     CONFIG_FILE,
     CURVE_FILE,
     HEAD_FILE,
@@ -33,9 +23,19 @@ from agents.study import (
     stored_curve,
     write_curve,
 )
-from agents.tuning import tune_pid
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID, PIDGains
+from agents.evaluation.protocol import Evaluation, evaluate
+from agents.leakage.head import LeakageHead
+from agents.leakage.training import train_head
+from agents.learning.policy import PolicyController
+from agents.learning.training import train_ppo
+from agents.learning.tuning import tune_pid
+from agents.report.report import StudyRecord, write_report, write_tables
+from agents.running.console import ProgressDisplay
+from agents.running.folders import prepare_folder, pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.plant.configuration import write_yaml
+from hydro_env.files import write_yaml
 
 EVALUATION_FILE = "evaluation.yaml"
 

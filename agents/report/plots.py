@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from agents.evaluation.canvas import (
+from agents.report.canvas import (
     FAMILY_NAMES,
     HEIGHT,
     INK,
@@ -32,7 +32,7 @@ from agents.evaluation.canvas import (
 
 if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
-    from agents.evaluation.report import Example
+    from agents.report.report import Example
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 

@@ -28,11 +28,11 @@ from agents.benchmark.table import (
 )
 from agents.benchmark.timing import FULL, QUICK, Extent
 from agents.benchmark.training_rows import beating_cases, default_study, training_cases
-from agents.console import ProgressDisplay
-from agents.paths import prepare_folder
-from agents.study import machine_description, package_versions
+from agents.commands.study import machine_description, package_versions
+from agents.running.console import ProgressDisplay
+from agents.running.folders import prepare_folder
 from hydro_env import ConfigurationError
-from hydro_env.plant.configuration import read_yaml, write_yaml
+from hydro_env.files import read_yaml, write_yaml
 
 CSV_FILE = "benchmark.csv"
 MARKDOWN_FILE = "benchmark.md"

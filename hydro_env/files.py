@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hydro_env.plant.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError
 
 
 class Group(BaseModel):

@@ -14,7 +14,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from hydro_env import ConfigurationError
-from hydro_env.plant.configuration import write_whole
+from hydro_env.files import write_whole
 
 FORMAT_VERSION = 1
 

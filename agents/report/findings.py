@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from agents.evaluation.canvas import FAMILY_NAMES, controllers_of
 from agents.evaluation.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
+from agents.report.canvas import FAMILY_NAMES, controllers_of
 
 if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation

@@ -1,0 +1,1 @@
+"""The command ``hydro``: one short file per command."""

@@ -1,0 +1,1 @@
+"""What is drawn and written from results: figures, numbers, sentences, pages."""
