@@ -19,6 +19,7 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
+from hydro_env.plant.states import N_STATES
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
@@ -58,7 +59,7 @@ class Axes:
         self._family_weights = weights / weights.sum()
 
         samples = config.steps + 1 + max(config.preview_samples, default=0)
-        self.state = np.zeros((count, plant_kernel.N_STATES))
+        self.state = np.zeros((count, N_STATES))
         self.coefficient = np.zeros((count, plant_kernel.N_COEFFICIENTS))
         self._voltage = np.zeros((count, 2))
         self._peaks = np.zeros((count, plant_kernel.N_PEAKS))
