@@ -26,7 +26,6 @@ from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
-    FAILURES,
     FIRST_COEFFICIENT,
     FIRST_PEAK,
     FIRST_VOLTAGE,
@@ -286,8 +285,3 @@ class Axes:
         """External force in N that acts on an axis now, disturbance included."""
         row = Coefficients._fields.index("external_force")
         return float(self.coefficient[axis, row])
-
-
-def failure_name(code: float) -> str:
-    """What ended an episode, in words."""
-    return FAILURES[int(code)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from operator import neg
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.arguments import info_kind, numbers, shown, whole_number
-from hydro_env.axes import COLUMN, Axes, AxesState, failure_name
+from hydro_env.axes import COLUMN, Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.plant.equations import State
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
+from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import resistance_from_flow
@@ -245,11 +245,11 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         if self._info_kind == "flat":
             info["reference_family"] = int(row[_FAMILY])
             info["failure"] = int(row[_FAILURE])
-            info.update(zip(_FLAT_TERMS, map(neg, row[_COSTS]), strict=True))
+            info |= {name: -cost for name, cost in zip(_FLAT_TERMS, row[_COSTS], strict=True)}
         else:
             info["reference_family"] = REFERENCE_FAMILIES[int(row[_FAMILY])]
-            info["failure"] = failure_name(row[_FAILURE])
-            info["reward_terms"] = dict(zip(REWARD_TERMS, map(neg, row[_COSTS]), strict=True))
+            info["failure"] = FAILURES[int(row[_FAILURE])]
+            info["reward_terms"] = {name: -cost for name, cost in zip(REWARD_TERMS, row[_COSTS], strict=True)}
         return info
 
     def _draw_if_asked(self) -> None:

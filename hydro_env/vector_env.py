@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -15,12 +15,12 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hydro_env.arguments import info_kind, numbers, shown, whole_number
-from hydro_env.axes import Axes, AxesState, failure_name
+from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.reset_options import options_given
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
-from hydro_env.task.record import NO_FAILURE
+from hydro_env.task.record import FAILURES, NO_FAILURE
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
@@ -198,9 +198,10 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             )
         self._axes.step(commands[:, 0])
         observation = self._axes.observation
-        reward = self._axes.column("reward").copy()
-        terminated = self._axes.column("failure") != NO_FAILURE
-        truncated = self._axes.column("step") >= self._steps
+        record = self._axes.record
+        reward = record["reward"].copy()
+        terminated = record["failure"] != NO_FAILURE
+        truncated = record["step"] >= self._steps
 
         final: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.NEXT_STEP and self._ended.any():
@@ -262,13 +263,10 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         if not self._begun and len(chosen) < self.num_envs:
             raise ConfigurationError("set_state: call reset first, or give all axes a state")
         self._axes.set_state(state, chosen)
-        if (
-            isinstance(state, AxesState)
-            and state.generator is not None
-            and axes is None
-            and state.count == self.num_envs
-        ):
-            self.np_random.bit_generator.state = deepcopy(state.generator)
+        alike = isinstance(state, AxesState) and axes is None and state.count == self.num_envs
+        generator = getattr(state, "generator", None) if alike else None
+        if generator is not None:
+            self.np_random.bit_generator.state = deepcopy(generator)
         self._ended = self._axes.ended()
         self._seeded = self._begun = True
 
@@ -292,8 +290,10 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             present = np.zeros(self.num_envs, dtype=np.bool_)
             present[axes] = True
 
+        record = self._axes.record
+
         def column(name: str) -> NDArray[Any]:
-            values = self._axes.column(name).copy()
+            values: NDArray[Any] = record[name].copy()
             if not everyone:
                 values[~present] = 0.0
             return values
@@ -318,8 +318,8 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         if self._info_kind == "flat":
             values |= {f"reward_{name}": -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
         else:
-            values["reference_family"] = _names(family, REFERENCE_FAMILIES.__getitem__, present)
-            values["failure"] = _names(failure, failure_name, present)
+            values["reference_family"] = _names(family, REFERENCE_FAMILIES, present)
+            values["failure"] = _names(failure, FAILURES, present)
             terms: dict[str, Any] = {}
             for index, name in enumerate(REWARD_TERMS):
                 terms[name] = -costs[:, index]
@@ -336,12 +336,12 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             axes.close()
 
 
-def _names(codes: NDArray[np.int64], name_of: Callable[[int], str], present: Flags) -> NDArray[np.object_]:
+def _names(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> NDArray[np.object_]:
     """The name of each code, None where an axis is not present.
 
-    Filled code by code: NumPy 2.0 to 2.2.2 crash where two threads repeat or take objects.
+    Filled code by code: NumPy 2.0 to 2.2.2 crash where two threads repeat an array of objects.
     """
-    names = np.full(len(codes), None, dtype=object)
-    for code in np.flatnonzero(np.bincount(codes)):
-        names[(codes == code) & present] = name_of(int(code))
+    names = np.empty(len(codes), dtype=object)
+    for code in np.bincount(codes).nonzero()[0]:
+        names[(codes == code) & present] = known[code]
     return names

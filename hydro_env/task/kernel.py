@@ -13,7 +13,7 @@ import hydro_env.compiling as compiling
 from hydro_env.plant import kernel
 from hydro_env.plant.equations import Coefficients, Physical, State, coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.kernel import IMPACT_SPEED, N_STATES, PEAK_PRESSURE
+from hydro_env.plant.kernel import IMPACT_SPEED, MOST_STEPS_PER_PERIOD, N_STATES, PEAK_PRESSURE, STEPS
 from hydro_env.plant.limits import valid_limits
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
@@ -38,6 +38,7 @@ from hydro_env.task.record import (
     FIRST_VOLTAGE,
     HIT_END_STOP,
     NO_FAILURE,
+    OVER_BUDGET,
     OVERPRESSURE,
 )
 from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_reference
@@ -125,6 +126,8 @@ def _failure(state, peaks, c, settings):
     for index in range(N_STATES):
         if not (low[index] <= state[index] <= high[index]):
             failure = FIRST_INVALID_STATE + index
+    if peaks[STEPS] > MOST_STEPS_PER_PERIOD:
+        failure = OVER_BUDGET
     return failure
 
 
@@ -233,6 +236,7 @@ def _build(stamp):
             peaks,
             first,
             last,
+            MOST_STEPS_PER_PERIOD,
         )
 
         for axis in range(first, last):
