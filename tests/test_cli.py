@@ -13,7 +13,7 @@ import typer
 import yaml
 
 import hydro_env
-from agents.commands import application as cli
+from agents.commands.options import stoppable
 from agents.commands.simulation import trajectory_figure
 from hydro_env import PlantParameters, simulate
 
@@ -162,7 +162,7 @@ def test_without_arguments_the_help_is_shown():
 
 @pytest.mark.parametrize(("resumable", "fate"), [(True, "--resume goes on"), (False, "begins anew")])
 def test_ctrl_c_says_what_becomes_of_the_work(capsys, resumable, fate):
-    with pytest.raises(typer.Exit) as stopped, cli._stoppable(resumable):
+    with pytest.raises(typer.Exit) as stopped, stoppable(resumable):
         raise KeyboardInterrupt
     assert stopped.value.exit_code == 130
     told = capsys.readouterr().err

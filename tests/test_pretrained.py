@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from agents.commands.study import StudySettings
-from agents.commands.training_jobs import load_head, load_policy
 from agents.controllers import PID, ObservationLayout
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.head import SIGNALS
@@ -12,6 +10,8 @@ from agents.leakage.metrics import area_under_roc, detection_rate
 from agents.running.cases import Cases, run_cases
 from agents.running.folders import config_folder
 from agents.running.seeds import VALIDATION_SEEDS
+from agents.study.jobs import load_head, load_policy
+from agents.study.run import StudySettings
 
 STUDY = StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
 LAYOUT = ObservationLayout.of(STUDY.task)

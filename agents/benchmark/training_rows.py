@@ -16,7 +16,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent
-from agents.commands.study import StudySettings
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID
 from agents.evaluation.metrics import rollout_metrics
@@ -26,6 +25,7 @@ from agents.learning.vec_env import AxisVecEnv
 from agents.running.cases import Cases, run_cases
 from agents.running.folders import config_folder
 from agents.running.seeds import VALIDATION_SEEDS
+from agents.study.run import StudySettings
 from hydro_env import ENVIRONMENT_ID
 from hydro_env.task.configuration import task_config
 

@@ -7,7 +7,18 @@ from pathlib import Path
 import pandas as pd
 from rich.table import Table
 
-from agents.commands.study import (
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID, PIDGains
+from agents.evaluation.protocol import Evaluation, evaluate
+from agents.leakage.head import LeakageHead
+from agents.leakage.training import train_head
+from agents.learning.policy import PolicyController
+from agents.learning.training import train_ppo
+from agents.learning.tuning import tune_pid
+from agents.report.report import StudyRecord, write_report, write_tables
+from agents.running.console import ProgressDisplay
+from agents.running.folders import prepare_folder, pretrained_folder
+from agents.study.run import (
     CONFIG_FILE,
     CURVE_FILE,
     HEAD_FILE,
@@ -23,17 +34,6 @@ from agents.commands.study import (
     stored_curve,
     write_curve,
 )
-from agents.controllers.base import Controller, ObservationLayout
-from agents.controllers.pid import PID, PIDGains
-from agents.evaluation.protocol import Evaluation, evaluate
-from agents.leakage.head import LeakageHead
-from agents.leakage.training import train_head
-from agents.learning.policy import PolicyController
-from agents.learning.training import train_ppo
-from agents.learning.tuning import tune_pid
-from agents.report.report import StudyRecord, write_report, write_tables
-from agents.running.console import ProgressDisplay
-from agents.running.folders import prepare_folder, pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_yaml
 
