@@ -12,7 +12,7 @@ from typing import Any, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, UnknownKeyError
 
 
 class Group(BaseModel):
@@ -28,14 +28,17 @@ def validate(model: type[ModelType], values: Mapping[str, Any], source: str) -> 
     """Build ``model`` from ``values``; a wrong one is answered with one line that names ``source`` and the field.
 
     Raises:
-        ConfigurationError: unknown key, wrong type, or a value outside its bounds.
+        UnknownKeyError: unknown key; also a ``TypeError``.
+        ConfigurationError: wrong type, or a value outside its bounds.
     """
     if not isinstance(values, Mapping):
         raise ConfigurationError(f"{source}: a mapping of settings is needed, not {type(values).__name__}")
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise ConfigurationError(_one_line(model, error, source)) from None
+        unknown = error.errors(include_url=False)[0]["type"] == "extra_forbidden"
+        kind = UnknownKeyError if unknown else ConfigurationError
+        raise kind(_one_line(model, error, source)) from None
 
 
 def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> str:
