@@ -241,7 +241,7 @@ class LeakageHead:
         if signals != SIGNALS or not 1 <= width <= 4096:
             raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
         network = LeakageNetwork(width)
-        require(tensors, {name: tuple(value.shape) for name, value in network.state_dict().items()}, path)
+        require(tensors, {name: value.numpy() for name, value in network.state_dict().items()}, path)
         network.load_state_dict({name: torch.from_numpy(tensors[name].copy()) for name in network.state_dict()})
         return cls(network, settings)
 

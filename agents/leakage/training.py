@@ -19,8 +19,9 @@ from agents.controllers.base import Controller, ObservationLayout
 from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork, channels
 from agents.leakage.metrics import threshold_at_false_alarm_rate
 from agents.running.cases import Cases, run_cases
+from agents.running.optimiser import optimiser_tensors, restore_optimiser
 from agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
-from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
+from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
@@ -184,10 +185,10 @@ class _Fit:
         tensors, stored = load_weights(self.checkpoint, CHECKPOINT_KIND)
         if any(stored.get(key) != value for key, value in self._description().items()):
             raise ConfigurationError(f"{self.checkpoint}.json: was made with another seed, settings or task")
-        own = {f"network.{name}": tuple(value.shape) for name, value in self.network.state_dict().items()}
+        own = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
         require(tensors, own, self.checkpoint)
         self.network.load_state_dict({name.removeprefix("network."): torch.from_numpy(tensors[name]) for name in own})
-        restore_optimiser(self._optimiser, tensors)
+        restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
         self.epoch = int(stored["epoch"])
 
     def _save(self) -> None:

@@ -20,8 +20,9 @@ from agents.controllers.pid import PIDGains
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.vec_env import AxisVecEnv
+from agents.running.optimiser import optimiser_tensors, restore_optimiser
 from agents.running.seeds import TRAINING_SEEDS
-from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
+from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import task_config
@@ -112,6 +113,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
         device="cpu",
         verbose=0,
     )
+    model.policy.get_parameter("log_std").requires_grad_(False)  # the exploration follows a schedule
     return model
 
 
@@ -218,6 +220,7 @@ def train_ppo(
         first + done % 1000,
         settings.reward_scale,
         settings.residual and settings.paired,
+        stagger=True,
     )
     model = make_model(env, settings, seed)
     with torch.no_grad():
@@ -234,7 +237,7 @@ def train_ppo(
 
     def check_policy(current: PPO, seconds: float) -> bool:
         assert check is not None
-        return check(PolicyController.from_model(current, features, {}), int(current.num_timesteps), seconds)
+        return check(PolicyController.from_sb3(current, features), int(current.num_timesteps), seconds)
 
     watching = check_policy if check is not None else None
     callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop, watching)
@@ -255,13 +258,12 @@ def train_ppo(
         "seconds": round(time.monotonic() - began, 1),
         "settings": settings.model_dump(mode="json"),
     }
-    return PolicyController.from_model(model, features, record)
+    return PolicyController.from_sb3(model, features, record)
 
 
 def _set_exploration(model: Any, settings: PPOSettings, share: float) -> None:
-    """Set the exploration noise on its straight way from the first to the last value; it is not learned."""
+    """Set the exploration noise on its straight way from the first to the last value."""
     first, last = settings.initial_log_standard_deviation, settings.final_log_standard_deviation
-    model.policy.log_std.requires_grad_(False)
     with torch.no_grad():
         model.policy.log_std.fill_(first + (last - first) * share)
 
@@ -296,6 +298,6 @@ def _save_checkpoint(model: PPO, path: Path, settings: PPOSettings, config: Task
 
 def _restore(model: PPO, tensors: dict[str, Any], path: Path | None) -> None:
     policy = model.policy.state_dict()
-    require(tensors, {f"policy.{name}": tuple(value.shape) for name, value in policy.items()}, str(path))
+    require(tensors, {f"policy.{name}": value.numpy() for name, value in policy.items()}, str(path))
     model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in policy})
-    restore_optimiser(model.policy.optimizer, tensors)
+    restore_optimiser(model.policy.optimizer, tensors, str(path))

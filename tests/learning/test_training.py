@@ -35,7 +35,7 @@ def test_policy_controller_acts_as_the_model_does(activation):
     features = make_features(CONFIG, SETTINGS, GAINS)
     env = AxisVecEnv(CONFIG, 16, features)
     model = make_model(env, SETTINGS.model_copy(update={"activation": activation}), 0)
-    policy = PolicyController.from_model(model, make_features(CONFIG, SETTINGS, GAINS), {})
+    policy = PolicyController.from_sb3(model)
     inputs = env.reset()
     observation, _ = env.env.reset(seed=list(range(16)))
     output, _ = model.predict(inputs, deterministic=True)
