@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+
+from hydro_env import ConfigurationError
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
 Seed = Annotated[
@@ -19,6 +21,15 @@ Seed = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
+Agents = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--agent",
+        metavar="NAME=WHAT",
+        help="A controller: module:attribute (anything with predict, or what makes one from the task), or the path of "
+        "weights. A name of the study replaces that controller. May be given more than once.",
+    ),
+]
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
 ]
@@ -30,19 +41,40 @@ def command_line() -> str:
 
 
 @contextmanager
-def stoppable(resumable: bool) -> Iterator[None]:
-    """Ctrl-C ends the command with one line that says what becomes of the work."""
-    fate = "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
+def stoppable(kept: bool | Callable[[], bool]) -> Iterator[None]:
+    """Ctrl-C ends the command with one line that says what becomes of the work.
+
+    Args:
+        kept: whether ``--resume`` can go on with what was done; asked when Ctrl-C is pressed.
+    """
     try:
         yield
     except KeyboardInterrupt:
+        resumable = kept if isinstance(kept, bool) else kept()
+        fate = (
+            "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
+        )
         print(f"\nhydro: stopped; {fate}", file=sys.stderr)
         raise typer.Exit(130) from None
 
 
-def default_study(config: Path | None) -> Any:
-    """The study of a file, or the default one."""
-    from agents.running.folders import config_folder
-    from agents.study.run import StudySettings
+def checkpoints_in(folder: Path) -> Callable[[], bool]:
+    """Whether a folder, or one below it, holds weights or a checkpoint."""
+    return lambda: any(folder.rglob("*.safetensors"))
 
-    return StudySettings.from_yaml(config if config is not None else config_folder() / "studies" / "default.yaml")
+
+def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
+    """``--agent NAME=WHAT``, by name.
+
+    Raises:
+        ConfigurationError: not of this form, or a name is given twice.
+    """
+    agents: dict[str, str] = {}
+    for text in texts or ():
+        name, _, what = text.partition("=")
+        if not name or not what:
+            raise ConfigurationError(f"--agent {text}: must be NAME=module:attribute or NAME=PATH of weights")
+        if name in agents:
+            raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
+        agents[name] = what
+    return agents
