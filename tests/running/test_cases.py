@@ -185,7 +185,7 @@ def test_the_leak_of_a_failed_axis_is_that_at_its_failure(failing):
     for case in (0, 2):
         env = ServoHydraulicEnv(LONG)
         env.reset(seed=int(cases.seeds[case]), options={"reference": "sine"})
-        for step in range(LONG.steps):
+        for step in range(LONG.steps):  # noqa: B007
             *_, terminated, _, info = env.step([1.0])
             if terminated:
                 break
