@@ -26,7 +26,8 @@ from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import HeadTrainingSettings, train_head
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, Progress, train_ppo
+from agents.learning.progress import Progress
+from agents.learning.training import PPOSettings, train_ppo
 from agents.report.report import Example, StudyRecord, write_report, write_tables
 from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay

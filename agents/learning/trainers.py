@@ -10,7 +10,8 @@ from typing import Any, Protocol
 from agents.controllers.base import Controller
 from agents.controllers.pid import PID
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, Progress, train_ppo
+from agents.learning.progress import Progress
+from agents.learning.training import PPOSettings, train_ppo
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
+from agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError
 
 TENSORS = {"a": np.arange(6, dtype=np.float32).reshape(2, 3)}
