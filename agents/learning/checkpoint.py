@@ -112,7 +112,10 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
         "numpy_generator_position": np.array(generator["state"]["pos"]),
     }
     require(tensors, wanted, where)
-    env.set_state({name: tensors[f"env.{name}"] for name in env.get_state()})
+    try:
+        env.set_state({name.removeprefix("env."): tensors[name] for name in state})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}") from None
     restore_optimiser(model.policy.optimizer, tensors, str(where))
     model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in policy})
     model._last_obs = tensors["observation"].copy()
@@ -122,5 +125,10 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
     model.num_timesteps = checkpoint.steps
     model._n_updates = checkpoint.updates
     generator["state"] = {"key": tensors["numpy_generator"], "pos": int(tensors["numpy_generator_position"])}
-    np.random.set_state(generator)
-    torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
+    try:
+        if not 0 <= generator["state"]["pos"] <= 624:  # NumPy would read beyond its words
+            raise ValueError
+        np.random.set_state(generator)
+        torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
+    except (ValueError, RuntimeError):
+        raise ConfigurationError(f"{where}: numpy_generator or torch_generator holds no state of a generator") from None

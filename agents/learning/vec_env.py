@@ -189,9 +189,13 @@ class AxisVecEnv(VecEnv):
         """Go back to a state of :meth:`get_state`, taken here or in another ``AxisVecEnv`` of the same arguments.
 
         Raises:
-            ConfigurationError: an array is missing.
+            ConfigurationError: the arrays describe no state that an axis can be in.
         """
         axes = self.env.axes
+        step = state["record"][:, 0]
+        in_episode = (step >= 0) & (step <= self.env.config.steps) & (step == np.round(step))
+        if not (in_episode.all() and np.isfinite(state["state"]).all() and np.isfinite(state["record"]).all()):
+            raise ConfigurationError("env.record and env.state hold no state that an axis can be in")
         for name in _AXES:
             getattr(axes, name)[...] = state[name]
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
