@@ -110,7 +110,7 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
     """A logger for ``model.set_logger`` that writes to a folder, or nowhere.
 
     Args:
-        folder: for ``progress.csv`` and the folder ``tensorboard``.
+        folder: for ``progress.csv`` and the event files of TensorBoard.
         steps: that a resumed training has done already.
 
     Raises:
@@ -120,5 +120,5 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
     if folder is not None:
         writers.append(ProgressFile(folder / PROGRESS_FILE, steps))
         with suppress(AssertionError):  # TensorBoard is not installed
-            writers.append(TensorBoardOutputFormat(str(folder / "tensorboard")))
+            writers.append(TensorBoardOutputFormat(str(folder)))
     return Logger(None if folder is None else str(folder), writers)
