@@ -9,5 +9,9 @@ class ConfigurationError(HydroError):
     """A configuration file or keyword is wrong."""
 
 
+class UnknownKeyError(ConfigurationError, TypeError):
+    """A key or keyword does not exist; also a ``TypeError``, as Python raises for an unknown keyword argument."""
+
+
 class InvalidStateError(HydroError, ArithmeticError):
     """A simulated state left the range in which the model is valid."""

@@ -13,7 +13,7 @@ import typer
 import yaml
 
 import hydro_env
-from agents.commands import application as cli
+from agents.commands.options import stoppable
 from agents.commands.simulation import trajectory_figure
 from hydro_env import PlantParameters, simulate
 
@@ -105,10 +105,10 @@ def test_other_mistakes(tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "foreign.json").write_text("{}")
     study = tmp_path / "study.yaml"
-    study.write_text("pdi: {proportional: 1}\n")
+    study.write_text("controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n")
     levels, included, semicolons = tmp_path / "levels.yaml", tmp_path / "included.yaml", tmp_path / "input.csv"
-    levels.write_text("evaluation: {leak_levels: [0.1, -1]}\n")
-    included.write_text("ppo: ppo.yaml\n")
+    levels.write_text("controllers: {PID: {kind: pid}}\nevaluation: {leak_levels: [0.1, -1]}\n")
+    included.write_text("controllers:\n  PID: {kind: pid}\n  PPO: {kind: ppo, settings: ppo.yaml, corrects: PID}\n")
     (tmp_path / "ppo.yaml").write_text("total_steps: -1\n")
     semicolons.write_text("t,v\n0,001;1,5\n")
     for arguments, parts in (
@@ -119,13 +119,13 @@ def test_other_mistakes(tmp_path):
         (["simulate", "--rig", tmp_path / "absent.yaml"], ["absent.yaml: cannot be read: No such file"]),
         (["simulate", "-o", tmp_path / "file" / "below"], ["below", "cannot be written"]),
         (["simulate", "-o", "/proc/nowhere"], ["/proc/nowhere", "cannot be written"]),
-        (["evaluate", "--policy", tmp_path / "foreign", "-o", tmp_path / "a"], ["foreign.json", "not the"]),
+        (["evaluate", "--agent", f"PPO={tmp_path / 'foreign'}", "-o", tmp_path / "a"], ["foreign.json", "not the"]),
         (["evaluate", "--head", tmp_path / "absent", "-o", tmp_path / "a"], ["absent.json: cannot be read"]),
         (["study", "--config", study, "-o", tmp_path / "a"], ["study.yaml", "pdi", "unknown key"]),
         (["study", "--config", levels, "-o", tmp_path / "a"], ["levels.yaml", "leak_levels: -1 l/min"]),
         (["study", "--config", included, "-o", tmp_path / "a"], ["ppo.yaml", "total_steps = -1"]),
         (["simulate", "--input-file", semicolons, "-o", tmp_path / "a"], ["line 2", "separate columns by commas"]),
-        (["train", "ppo", "--resume", "-o", tmp_path / "empty"], ["nothing to resume", "checkpoint.json"]),
+        (["train", "ppo", "--resume", "-o", tmp_path / "empty"], ["nothing to resume", "checkpoint"]),
     ):
         assert_one_clear_line(hydro(*arguments), *parts)
     assert not (tmp_path / "a").exists()
@@ -138,8 +138,8 @@ def test_other_mistakes(tmp_path):
         (["simulate", "--volts", "3"], ["--volts", "--voltage"]),
         (["simulate", "--voltage"], ["--voltage"]),
         (["simulate", "extra"], ["extra", "see hydro simulate --help"]),
-        (["train"], ["ppo, head, pid", "see hydro train --help"]),
-        (["train", "nothing"], ["'nothing'", "'ppo', 'head', 'pid'"]),
+        (["train"], ["'what'", "see hydro train --help"]),
+        (["train", "nothing"], ["'nothing'", "ppo, head, pid"]),
         (["train", "ppo", "--steps", "0"], ["--steps", "greater than or equal to 1"]),
         (["nothing"], ["'nothing'", "see hydro --help"]),
     ],
@@ -162,7 +162,7 @@ def test_without_arguments_the_help_is_shown():
 
 @pytest.mark.parametrize(("resumable", "fate"), [(True, "--resume goes on"), (False, "begins anew")])
 def test_ctrl_c_says_what_becomes_of_the_work(capsys, resumable, fate):
-    with pytest.raises(typer.Exit) as stopped, cli._stoppable(resumable):
+    with pytest.raises(typer.Exit) as stopped, stoppable(resumable):
         raise KeyboardInterrupt
     assert stopped.value.exit_code == 130
     told = capsys.readouterr().err
@@ -172,7 +172,14 @@ def test_ctrl_c_says_what_becomes_of_the_work(capsys, resumable, fate):
 
 TINY = {
     "task": {"episode_duration": 0.4},
-    "ppo": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+    "controllers": {
+        "PID": {"kind": "pid"},
+        "PPO": {
+            "kind": "ppo",
+            "settings": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+            "corrects": "PID",
+        },
+    },
     "leakage_head": {"episodes": 200, "validation_episodes": 200, "epochs": 2, "width": 8, "batch": 64},
     "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 1.0], "families": ["step", "sine"]},
 }
@@ -206,7 +213,7 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
     assert "--resume" in errors
-    assert (folder / "checkpoint.safetensors").exists()
+    assert (folder / "controllers" / "PPO" / "checkpoint.safetensors").exists()
     assert not (folder / "report.html").exists()
 
     refused = hydro("study", "--config", study, "--output", folder)
@@ -219,11 +226,10 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
         assert (folder / "tables" / name).stat().st_size > 100
     cases = list(csv.DictReader((folder / "tables" / "cases.csv").open()))
     assert len(cases) == 2 * 2 * 2 * 3
-    curve = list(csv.DictReader((folder / "training_curve.csv").open()))
-    assert int(float(curve[0]["steps"])) == 64 * 32
-    assert [float(row["seconds"]) for row in curve] == sorted(float(row["seconds"]) for row in curve)
-    into_study = hydro("train", "ppo", "--config", study, "--output", folder, "--overwrite")
-    assert_one_clear_line(into_study, "holds a study")
+    curve = list(csv.DictReader((folder / "controllers" / "PPO" / "progress.csv").open()))
+    assert [int(row["time/total_timesteps"]) for row in curve] == [64 * 32 * (n + 1) for n in range(len(curve))]
+    seconds = [float(row["time/time_elapsed"]) for row in curve]
+    assert seconds == sorted(seconds)
     # What a study leaves can be used again, and what does not concern training may change.
     TINY["title"] = "Another title"
     study.write_text(yaml.safe_dump(TINY))
@@ -231,12 +237,12 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
     assert again.returncode == 0, again.stderr
     assert "already trained" in again.stdout
     judged = hydro(
-        *("evaluate", "--config", folder / "study.yaml", "--policy", folder / "policy"),
+        *("evaluate", "--config", folder / "study.yaml", "--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
         *("--head", folder / "leakage_head", "--output", tmp_path / "judged"),
     )
     assert judged.returncode == 0, judged.stderr
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
-    assert_one_clear_line(other, "is of another seed or other settings")
+    assert_one_clear_line(other, "with another seed or other settings")
 
 
 def test_benchmark_refuses_an_unknown_group(tmp_path):

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from agents.commands.evaluate import evaluate
+from agents.commands.options import Output, Overwrite, Resume, command_line, stoppable
+from agents.commands.study import study
+from agents.commands.train import train
 from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_env.files import validate
 
 # Typer brings its own copy of click, or uses click, depending on its version; this finds either.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
@@ -30,19 +31,6 @@ Begin with `hydro study` (the whole job, about six minutes on two cores), or wit
 `hydro simulate --leakage 1` (one run, a second). Leaks are given as practice does: l/min at 100 bar across the piston.
 Healthy is up to 0.03, severe is 1 to 4.""",
 )
-
-Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
-Seed = Annotated[
-    int | None,
-    typer.Option(
-        "--seed", "-s", min=0, max=2**32 - 1, help="Seed of everything that is drawn, instead of the study's."
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
-Config = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
-]
 
 
 def _print_version(wanted: bool) -> None:
@@ -68,14 +56,6 @@ class InputSignal(StrEnum):
     SINE = "sine"
     SWEEP = "sweep"
     STOP = "stop"
-
-
-class Trainable(StrEnum):
-    """What ``hydro train`` trains."""
-
-    PPO = "ppo"
-    HEAD = "head"
-    PID = "pid"
 
 
 @app.command()
@@ -149,7 +129,7 @@ def reproduce(
     """
     from agents.commands.reproduce import reproduce_to_folder
 
-    typer.echo(reproduce_to_folder(output, overwrite, _command_line(), rig))
+    typer.echo(reproduce_to_folder(output, overwrite, command_line(), rig))
 
 
 @app.command()
@@ -174,108 +154,14 @@ def benchmark(
     """
     from agents.commands.benchmark import benchmark_to_folder
 
-    with _stoppable(True):
-        for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, _command_line()):
+    with stoppable(True):
+        for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, command_line()):
             typer.echo(file)
 
 
-@app.command()
-def train(
-    what: Annotated[
-        Trainable, typer.Argument(help="ppo, head (the leakage head) or pid (its gains, by an optimiser).")
-    ],
-    output: Output = Path("results/train"),
-    config: Config = None,
-    policy: Annotated[
-        Path | None,
-        typer.Option(help="For the head: weights of the policy that makes half of the data; default the shipped one."),
-    ] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
-    seed: Seed = None,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` goes on from it."""
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    seed = settings.seed if seed is None else seed
-    with _stoppable(resumable=what is not Trainable.PID):
-        if what is Trainable.PPO:
-            file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
-        elif what is Trainable.HEAD:
-            file = training_jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
-        else:
-            file = training_jobs.tune_gains(settings, output, seed, overwrite)
-    typer.echo(f"written: {file}")
-
-
-@app.command()
-def evaluate(
-    output: Output = Path("results/evaluate"),
-    config: Config = None,
-    policy: Annotated[Path | None, typer.Option(help="Weights of a policy; default the shipped one.")] = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
-    plants: Annotated[
-        int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Judge PID, policy and leakage head on test plants: the same plants, references and noise for each.
-
-    Writes CSV tables with every number and a report, and prints the main figures.
-    """
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    if plants is not None:
-        changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
-        settings = validate(type(settings), changed, "--plants")
-    with _stoppable(resumable=False):
-        training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
-
-
-@app.command()
-def study(
-    output: Output = Path("results/study"),
-    config: Config = None,
-    seed: Seed = None,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train PPO and the leakage head from nothing, evaluate them beside the PID, write one report.
-
-    Leaves in the output folder: `report.html` (self-contained), `tables/*.csv` (every number), the weights, and
-    `study.yaml` (the configuration used).
-    """
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    seed = settings.seed if seed is None else seed
-    with _stoppable(resumable=True):
-        training_jobs.study_to_folder(settings, output, seed, resume, overwrite, _command_line())
-
-
-@contextmanager
-def _stoppable(resumable: bool) -> Iterator[None]:
-    """Ctrl-C ends the command with one line that says what becomes of the work."""
-    fate = "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(f"\nhydro: stopped; {fate}", file=sys.stderr)
-        raise typer.Exit(130) from None
-
-
-def _study(config: Path | None) -> Any:
-    from agents.commands.study import StudySettings
-    from agents.running.folders import config_folder
-
-    return StudySettings.from_yaml(config if config is not None else config_folder() / "studies" / "default.yaml")
-
-
-def _command_line() -> str:
-    return " ".join(["hydro", *sys.argv[1:]])
+app.command("train")(train)
+app.command("evaluate")(evaluate)
+app.command("study")(study)
 
 
 def main() -> None:

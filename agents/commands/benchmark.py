@@ -28,9 +28,9 @@ from agents.benchmark.table import (
 )
 from agents.benchmark.timing import FULL, QUICK, Extent
 from agents.benchmark.training_rows import beating_cases, default_study, training_cases
-from agents.commands.study import machine_description, package_versions
 from agents.running.console import ProgressDisplay
 from agents.running.folders import prepare_folder
+from agents.running.machine import machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 

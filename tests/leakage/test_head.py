@@ -158,7 +158,9 @@ def test_a_training_that_is_stopped_while_it_simulates_can_be_resumed(small_head
         train_head(CONFIG, [CONTROLLER], SMALL, progress=interrupt, folder=tmp_path)
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["epoch"] == 0
     resumed = train_head(CONFIG, [CONTROLLER], SMALL, folder=tmp_path, resume=True)
-    np.testing.assert_array_equal(resumed.network.output[0].weight.detach(), small_head.network.output[0].weight.detach())
+    np.testing.assert_array_equal(
+        resumed.network.output[0].weight.detach(), small_head.network.output[0].weight.detach()
+    )
 
 
 def test_leaks_to_train_on_must_suit_the_task():
