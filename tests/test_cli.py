@@ -226,9 +226,10 @@ def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
         assert (folder / "tables" / name).stat().st_size > 100
     cases = list(csv.DictReader((folder / "tables" / "cases.csv").open()))
     assert len(cases) == 2 * 2 * 2 * 3
-    curve = list(csv.DictReader((folder / "controllers" / "PPO" / "training_curve.csv").open()))
-    assert int(float(curve[0]["steps"])) == 64 * 32
-    assert [float(row["seconds"]) for row in curve] == sorted(float(row["seconds"]) for row in curve)
+    curve = list(csv.DictReader((folder / "controllers" / "PPO" / "progress.csv").open()))
+    assert [int(row["time/total_timesteps"]) for row in curve] == [64 * 32 * (n + 1) for n in range(len(curve))]
+    seconds = [float(row["time/time_elapsed"]) for row in curve]
+    assert seconds == sorted(seconds)
     # What a study leaves can be used again, and what does not concern training may change.
     TINY["title"] = "Another title"
     study.write_text(yaml.safe_dump(TINY))

@@ -36,7 +36,7 @@ class FeatureState(NamedTuple):
 
     pid: PIDState | None
     history: tuple[NDArray[np.float32], ...]
-    """Signals (N, signals) of the last periods, newest last."""
+    """Signals (N, signals) of the last periods, as many as the longest lag, newest last."""
 
     first: NDArray[np.float32]
     """Signals (N, signals) at the start of each axis' episode."""
@@ -86,22 +86,24 @@ class PolicyFeatures:
         signals = np.asarray(observation[:, self._columns], dtype=np.float32)
         count = len(signals)
         if state is None:
-            state = FeatureState(None, (), signals, np.zeros(count, dtype=np.int64), np.zeros((count, 1), np.float32))
+            ages, commands = np.zeros(count, dtype=np.int64), np.zeros((count, 1), dtype=np.float32)
+            state = FeatureState(None, (signals,) * self._longest, signals, ages, commands)
         first, age = state.first, state.age
         if episode_start is not None and np.any(episode_start):
             first = np.where(episode_start[:, None], signals, first)
             age = np.where(episode_start, 0, age)
-        history = (*state.history[-self._longest :], signals)
-        past = np.stack([history[max(-1 - lag, -len(history))] for lag in HISTORY_LAGS], axis=1)
+        history = (*state.history, signals)
+        past = np.stack([history[-1 - lag] for lag in HISTORY_LAGS], axis=1)
         young = age[:, None] < self._lags
         if young.any():
             past = np.where(young[:, :, None], first[:, None], past)
         changes = (signals[:, None] - past).reshape(count, -1)
         inputs = np.asarray(observation, dtype=np.float32)
+        state = state._replace(history=history[1:], first=first, age=age + 1)
         if self.pid is None:
-            return np.concatenate([inputs, changes], axis=1), state._replace(history=history, first=first, age=age + 1)
+            return np.concatenate([inputs, changes], axis=1), state
         base, pid = self.pid.predict(observation, state.pid, episode_start)
-        return np.concatenate([inputs, base, changes], axis=1), FeatureState(pid, history, first, age + 1, base)
+        return np.concatenate([inputs, base, changes], axis=1), state._replace(pid=pid, base_command=base)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
 from agents.controllers.base import Controller
 from agents.controllers.pid import PID
+from agents.controllers.registry import imported
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, Progress, train_ppo
+from agents.learning.progress import Progress
+from agents.learning.training import PPOSettings, train_ppo
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
@@ -105,15 +106,14 @@ def trainer(kind: str) -> Trainer:
     """
     if kind in TRAINERS:
         return TRAINERS[kind]
-    module, separator, name = kind.partition(":")
-    if not separator:
+    if ":" not in kind:
         raise ConfigurationError(f"trainer '{kind}': unknown; known: {', '.join(TRAINERS)}, or my_module:MyTrainer")
+    found = imported(kind)
     try:
-        found: Any = getattr(import_module(module), name)
         made: Any = found() if isinstance(found, type) else found
-    except Exception as error:  # whatever a module of the user's raises
+    except Exception as error:  # whatever a class of the user's raises
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigurationError(f"trainer '{kind}': cannot be loaded: {reason}") from None
+        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason}") from None
     lacking = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
     if lacking:
         raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(lacking)}")

@@ -16,6 +16,18 @@ from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 Array = NDArray[Any]
+_AXES = (
+    "state",
+    "coefficient",
+    "_voltage",
+    "_peaks",
+    "physical",
+    "record",
+    "reference",
+    "_noise_key",
+    "_roots",
+    "_episodes",
+)
 
 
 class AxisVecEnv(VecEnv):
@@ -159,6 +171,45 @@ class AxisVecEnv(VecEnv):
                 "TimeLimit.truncated": not terminated[axis],
                 "episode": {"r": float(self._returns[axis]), "l": int(self._lengths[axis]), "t": 0.0},
             }
+
+    def get_state(self) -> dict[str, Array]:
+        """Copies of all that the next steps depend on, as named arrays; for :meth:`set_state`."""
+        axes = self.env.axes
+        arrays = {name: getattr(axes, name).copy() for name in _AXES}
+        arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+        if self._state is not None:
+            *_, first, age, command = self._state
+            arrays |= {"history": np.stack(self._state.history), "first": first, "age": age, "base_command": command}
+        for name, pid in (("pid", self._state.pid if self._state is not None else None), ("twin", self._twins)):
+            if pid is not None:
+                arrays |= {f"{name}.{field}": value for field, value in vars(pid).items()}
+        return arrays | {"twin_command": self._twin_commands}
+
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """Go back to a state of :meth:`get_state`, taken here or in another ``AxisVecEnv`` of the same arguments.
+
+        Raises:
+            ConfigurationError: the arrays describe no state that an axis can be in.
+        """
+        axes = self.env.axes
+        step = state["record"][:, 0]
+        in_episode = (step >= 0) & (step <= self.env.config.steps) & (step == np.round(step))
+        if not (in_episode.all() and np.isfinite(state["state"]).all() and np.isfinite(state["record"]).all()):
+            raise ConfigurationError("env.record and env.state hold no state that an axis can be in")
+        for name in _AXES:
+            getattr(axes, name)[...] = state[name]
+        self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
+        self._twin_commands = state["twin_command"]
+
+        def pid(name: str) -> PIDState | None:
+            if f"{name}.integral" not in state:
+                return None
+            return PIDState(*(state[f"{name}.{field}"] for field in ("integral", "velocity", "position")))
+
+        self._twins = pid("twin")
+        if self.features is not None:
+            history = tuple(state["history"])
+            self._state = FeatureState(pid("pid"), history, state["first"], state["age"], state["base_command"])
 
     def close(self) -> None:
         """Stop the worker threads."""

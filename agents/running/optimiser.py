@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.running.weights import Tensors, require
+from hydro_env import ConfigurationError
 
 PREFIX = "optimiser."
 
@@ -41,6 +42,9 @@ def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
                 wanted |= {f"{PREFIX}{index}.{name}": array for name, array in entry.items()}
                 state[index] = {}
         require(stored, wanted, where)
+        unknown = next((name for name in stored if name not in wanted), None)
+        if unknown is not None:
+            raise ConfigurationError(f"{where}: tensor '{unknown}' is no memory of this optimiser")
     for name in wanted:
         _, index_text, key = name.split(".")
         state[int(index_text)][key] = torch.from_numpy(np.array(stored[name]))

@@ -1,4 +1,4 @@
-"""Trains the controllers and the leakage head of a study, with progress on the console and a training curve."""
+"""Trains the controllers and the leakage head of a study, with progress on the console."""
 
 from __future__ import annotations
 
@@ -11,19 +11,16 @@ import pandas as pd
 from agents.controllers.base import Controller
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import train_head
-from agents.learning.training import Progress
+from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from agents.running.console import ProgressDisplay
 from agents.study.settings import StudySettings
-from hydro_env import ConfigurationError
-from hydro_env.files import Group, write_whole
+from hydro_env.files import Group
 
 WEIGHTS = "policy"
 HEAD_WEIGHTS = "leakage_head"
 CHECKPOINTS = "checkpoint*"
 HEAD_CHECKPOINT = "head_checkpoint"
-CURVE_FILE = "training_curve.csv"
-CURVE_COLUMNS = ("steps", "seconds", "mean_reward")
-TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, "progress.csv", "events.out.tfevents.*", CURVE_FILE)
+TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
 """What the training of a controller writes; the checkpoints of a trainer begin with ``checkpoint``."""
 
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", f"{HEAD_CHECKPOINT}.*")
@@ -39,7 +36,7 @@ def train_controller(
     display: ProgressDisplay,
     settings: Group | None = None,
 ) -> Controller:
-    """Train one controller of a study; weights, checkpoints and curve go into the folder.
+    """Train one controller of a study; weights, checkpoints and log go into the folder.
 
     Args:
         study: the study.
@@ -58,47 +55,33 @@ def train_controller(
     settings = settings if settings is not None else study.training_settings(name)
     trainer = study.controllers[name].trainer
     assert trainer is not None
-    rows = read_curve(folder).to_dict("records") if resume else []
-    before, began_at = (rows[-1]["seconds"], len(rows)) if rows else (0.0, 0)
     last = [0.0, 0.0]
 
     def report(progress: Progress) -> None:
-        if len(rows) == began_at:  # what came after the checkpoint is done again
-            rows[:] = [row for row in rows if row["steps"] < progress.steps]
         passed, steps = progress.seconds - last[0], progress.steps - last[1]
         rate = f"{steps / passed:,.0f} steps/s" if passed > 0 and last[1] else ""
         last[:] = progress.seconds, progress.steps
-        rows.append(
-            {"steps": progress.steps, "seconds": before + progress.seconds, "mean_reward": progress.mean_reward}
-        )
         reward = "" if math.isnan(progress.mean_reward) else f"mean reward {progress.mean_reward:.4f}"
         note = ", ".join(part for part in (rate, reward) if part)
         display.update(f"train {name}", min(progress.steps, progress.total_steps), progress.total_steps, note)
 
-    try:
-        controller = trainer.train(
-            study.task, settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
-        )
-    finally:
-        if rows:
-            write_whole(folder / CURVE_FILE, pd.DataFrame(rows, columns=CURVE_COLUMNS).to_csv(index=False).encode())
+    controller = trainer.train(
+        study.task, settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
+    )
     controller.save(folder / WEIGHTS)
     return controller
 
 
 def read_curve(folder: Path) -> pd.DataFrame:
-    """The training curve in a folder; empty where there is none.
+    """The log of a training; empty where there is none. Columns: see :mod:`agents.learning.progress`.
 
     Raises:
         ConfigurationError: the file is damaged.
     """
-    file = folder / CURVE_FILE
-    if not file.exists():
-        return pd.DataFrame(columns=CURVE_COLUMNS, dtype=float)
-    try:
-        return pd.read_csv(file)[list(CURVE_COLUMNS)].astype(float)
-    except (OSError, ValueError, KeyError):
-        raise ConfigurationError(f"{file}: is no training curve with the columns {', '.join(CURVE_COLUMNS)}") from None
+    file = folder / PROGRESS_FILE
+    curve = pd.DataFrame(read_progress(file) if file.exists() else [])
+    names = {"time/total_timesteps": "steps", "time/time_elapsed": "seconds", "rollout/mean_reward": "mean_reward"}
+    return curve.rename(columns=names)
 
 
 def train_leakage_head(
