@@ -47,6 +47,8 @@ def content(state):
     """Everything that a state holds, as nested plain data."""
     if hasattr(state, "__dict__"):
         return {name: content(value) for name, value in vars(state).items()}
+    if isinstance(state, tuple | list):
+        return [content(value) for value in state]
     return state.tolist() if isinstance(state, np.ndarray) else state
 
 
