@@ -9,7 +9,7 @@ from agents.evaluation.opponents import opponent
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()
-SOURCE = '''
+SOURCE = """
 import numpy as np
 
 class Simple:
@@ -31,7 +31,7 @@ number = 3
 
 def command(observation):
     return observation["error"]
-'''
+"""
 
 
 @pytest.fixture(autouse=True)
