@@ -12,6 +12,7 @@ import typer
 from agents.commands.evaluate import evaluate
 from agents.commands.options import checkpoints_in, named_agents, stoppable
 from agents.commands.train import train
+from agents.study import results
 from agents.study.run import run_study
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
@@ -90,7 +91,13 @@ def algorithm(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def settings(algorithm):
+def plain_report(monkeypatch):
+    """A report of one line: drawing takes longer than everything else here."""
+    monkeypatch.setattr(results, "write_report", lambda path, _, record: path.write_text(record.title))
+
+
+@pytest.fixture
+def settings(algorithm, plain_report):
     return StudySettings(**VALUES)
 
 
