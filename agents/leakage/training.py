@@ -39,8 +39,8 @@ class HeadTrainingSettings(Group):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    episodes: int = Field(24_000, ge=100, le=10_000_000, description="training episodes, over all controllers")
-    validation_episodes: int = Field(8_000, ge=100, le=1_000_000, description="for the threshold")
+    episodes: int = Field(24_000, ge=100, le=250_000, description="training episodes, over all controllers")
+    validation_episodes: int = Field(8_000, ge=100, le=500_000, description="for the threshold")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
     lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")

@@ -70,16 +70,16 @@ def test_round_trip(head, tmp_path):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("threshold", -0.2, "threshold = -0.2: input should be greater than or equal to 0 and less than or equal to 1"),
-        ("threshold", float("nan"), "threshold = nan: input should be a finite number"),
-        ("threshold", "high", "threshold = 'high': input should be a valid number"),
-        ("window", -3, "window = -3: input should be greater than or equal to 1"),
-        ("window", 10**30, "window = 10{30}: input should be"),
+        ("threshold", -0.2, "threshold = -0.2: must be a number within 0 to 1"),
+        ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
+        ("threshold", "high", "threshold = 'high': must be a number"),
+        ("window", -3, "window = -3: must be a whole number within 1"),
+        ("window", 10**30, "window: must be a whole number within 1"),
         ("width", 8, "width = 8: its tensors are of another network"),
         ("observation_scale", [], "observation_scale must hold one number other than zero per name"),
         ("observation_names", ["reference_preview_soonms"] * 13, "a preview must say how far it looks"),
         ("observation_names", ["position"] * 13, "the observation holds no 'pressure_a'"),
-        ("training", None, "training: input should be a valid dictionary"),
+        ("training", None, "training: must be a group of settings"),
     ],
 )
 def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
