@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.head import SIGNALS, LeakageHead, MonitoredController
+from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController
 from agents.leakage.metrics import area_under_roc
 from agents.leakage.training import CHECKPOINT_FILE, KIND, HeadTrainingSettings, make_dataset, targets, train_head
 from agents.running.seeds import TRAINING_SEEDS
@@ -73,8 +74,8 @@ def test_round_trip(head, tmp_path):
         ("threshold", -0.2, "threshold = -0.2: must be a number within 0 to 1"),
         ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
         ("threshold", "high", "threshold = 'high': must be a number"),
-        ("window", -3, "window = -3: must be a whole number within 1"),
-        ("window", 10**30, "window: must be a whole number within 1"),
+        ("window", -3, "window = -3: must be a whole number within 56"),
+        ("window", 10**30, "window: must be a whole number within 56"),
         ("width", 8, "width = 8: its tensors are of another network"),
         ("observation_scale", [], "observation_scale must hold one number other than zero per name"),
         ("observation_names", ["reference_preview_soonms"] * 13, "a preview must say how far it looks"),
@@ -171,6 +172,16 @@ def test_leaks_to_train_on_must_suit_the_task():
     ):
         with pytest.raises(ConfigurationError, match=message):
             train_head(CONFIG, [CONTROLLER], SETTINGS.model_copy(update=change))
+    with pytest.raises(ConfigurationError, match="an episode of 55 control periods is its window: must have at least"):
+        SETTINGS.check(TaskConfig(episode_duration=0.275))
+    SETTINGS.check(TaskConfig(episode_duration=0.28))
+
+
+def test_the_shortest_window_can_be_judged():
+    network = LeakageNetwork(4)
+    assert network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW)).shape == (1, 2)
+    with pytest.raises(RuntimeError, match="Kernel size"):
+        network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW - 1))
 
 
 def test_sizes_below_the_healthy_bound_are_not_asked_for():
