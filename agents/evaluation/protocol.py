@@ -47,9 +47,9 @@ class ProtocolSettings(Group):
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
     families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
-    plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, strict=True, description="per level and family")
+    plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = Field(
-        4000, ge=100, le=200_000, strict=True, description="per controller, half of them healthy"
+        4000, ge=100, le=200_000, description="per controller, half of them healthy"
     )
 
     @model_validator(mode="after")

@@ -54,7 +54,7 @@ class ControllerEntry(Group):
 class StudySettings(Group):
     """A study: the task, the controllers, what is trained and how it is judged. ``configs/studies`` holds some."""
 
-    seed: int = Field(0, ge=0, le=2**32 - 1, strict=True, description="of everything that is drawn; --seed overrides")
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="of everything that is drawn; --seed overrides")
     title: str = "A servo axis that leaks: PID, PPO and the leakage head"
     task: TaskConfig = Field(default_factory=TaskConfig)
     controllers: dict[Name, ControllerEntry] = Field(
@@ -136,17 +136,10 @@ class StudySettings(Group):
                         f"{source}: controllers.{name}: is trained as a correction (residual: true): give 'corrects: "
                         "NAME' of the controller that it corrects"
                     )
-        head, leakage = self.leakage_head, self.task.leakage
-        if not head.lowest_healthy_flow < leakage.class_bounds[0]:
-            raise ConfigurationError(
-                f"{source}: leakage_head.lowest_healthy_flow = {head.lowest_healthy_flow:g}: must be below the task's "
-                f"largest healthy leak, {leakage.class_bounds[0]:g} l/min"
-            )
-        if not head.highest_flow > leakage.faulty_range[0]:
-            raise ConfigurationError(
-                f"{source}: leakage_head.highest_flow = {head.highest_flow:g}: must be above the task's smallest "
-                f"faulty leak, {leakage.faulty_range[0]:g} l/min"
-            )
+        try:
+            self.leakage_head.check(self.task)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{source}: {error}") from None
         try:
             LeakageNetwork(1)(torch.zeros(1, len(SIGNALS), self.task.steps))
         except RuntimeError:
