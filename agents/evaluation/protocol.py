@@ -48,9 +48,7 @@ class ProtocolSettings(Group):
     )
     families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
-    detection_episodes: int = Field(
-        4000, ge=100, le=200_000, description="per controller, half of them healthy"
-    )
+    detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
     @model_validator(mode="after")
     def _possible(self) -> ProtocolSettings:
