@@ -19,3 +19,8 @@ def resistance_from_flow(flow_lpm: float) -> float:
 def flow_from_resistance(resistance: float) -> float:
     """Leakage in l/min at 100 bar of a resistance in Pa s/m³; the inverse of :func:`resistance_from_flow`."""
     return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE
+
+
+def orifice_gain_from_flow(flow_lpm: float) -> float:
+    """Gain in m³/(s √Pa) of a throttle through which 100 bar press a leak quoted in l/min."""
+    return flow_lpm * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)

@@ -26,6 +26,9 @@ SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_c
 
 N_CHANNELS = 18
 
+SHORTEST_WINDOW = 56
+"""Observations that give the last convolution one output."""
+
 LONGEST_WINDOW, LARGEST_WIDTH = 1_000_000, 1024
 """Observations, and channels of a convolution: more must be a mistake."""
 
@@ -128,7 +131,7 @@ class _StoredHead(StoredLayout):
     """The JSON beside the weights of a head."""
 
     signals: tuple[str, ...]
-    window: int = Field(ge=1, le=LONGEST_WINDOW)
+    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
     threshold: float = Field(ge=0.0, le=1.0)
     width: int = Field(ge=1, le=LARGEST_WIDTH)
     training: dict[str, Any]

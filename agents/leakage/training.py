@@ -17,7 +17,15 @@ from pydantic import ConfigDict, Field
 from torch import Tensor, nn
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.head import LARGEST_WIDTH, SIGNALS, HeadSettings, LeakageHead, LeakageNetwork, channels
+from agents.leakage.head import (
+    LARGEST_WIDTH,
+    SHORTEST_WINDOW,
+    SIGNALS,
+    HeadSettings,
+    LeakageHead,
+    LeakageNetwork,
+    channels,
+)
 from agents.leakage.metrics import threshold_at_false_alarm_rate
 from agents.running.cases import Cases, run_cases
 from agents.running.optimiser import optimiser_tensors, restore_optimiser
@@ -39,8 +47,8 @@ class HeadTrainingSettings(Group):
 
     model_config = ConfigDict(allow_inf_nan=False)
 
-    episodes: int = Field(24_000, ge=100, le=10_000_000, description="training episodes, over all controllers")
-    validation_episodes: int = Field(8_000, ge=100, le=1_000_000, description="for the threshold")
+    episodes: int = Field(24_000, ge=100, le=250_000, description="training episodes, over all controllers")
+    validation_episodes: int = Field(8_000, ge=100, le=500_000, description="for the threshold")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
     lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
@@ -55,11 +63,16 @@ class HeadTrainingSettings(Group):
     torch_threads: int = Field(2, ge=1, le=256)
 
     def check(self, config: TaskConfig) -> None:
-        """Check that the leaks to train on suit a task.
+        """Check that the leaks to train on, and the window, suit a task.
 
         Raises:
-            ConfigurationError: a bound lies on the wrong side of the task's.
+            ConfigurationError: a bound lies on the wrong side of the task's, or an episode is too short.
         """
+        if config.steps < SHORTEST_WINDOW:
+            raise ConfigurationError(
+                f"leakage_head: an episode of {config.steps} control periods is its window: must have at least "
+                f"{SHORTEST_WINDOW}"
+            )
         healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
         if self.lowest_healthy_flow >= healthy:
             raise ConfigurationError(

@@ -40,7 +40,7 @@ def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoin
     tensors: dict[str, NDArray[Any]] = {
         **{f"policy.{name}": value.detach().cpu().numpy().copy() for name, value in model.policy.state_dict().items()},
         **optimiser_tensors(model.policy.optimizer),
-        **{f"env.{name}": value for name, value in env.get_state().items()},
+        **{f"axes.{name}": _plain(value) for name, value in env.get_state().items()},
         "observation": np.array(model._last_obs),
         "episode_start": np.array(model._last_episode_starts),
         "episodes": np.array(episodes, dtype=np.float64).reshape(-1, 2),
@@ -99,8 +99,8 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
     tensors, observation = checkpoint.tensors, env.reset()
     policy = model.policy.state_dict()
     require(tensors, {f"policy.{name}": value.numpy() for name, value in policy.items()}, where)
-    state = {f"env.{name}": value for name, value in env.get_state().items()}
-    require(tensors, state, where, finite=False)
+    state = env.get_state()
+    require(tensors, {f"axes.{name}": _plain(value) for name, value in state.items()}, where, finite=False)
     episodes = tensors.get("episodes", np.zeros(0))
     generator: Any = np.random.get_state(legacy=False)  # stable-baselines3 shuffles minibatches with the global one
     wanted: Tensors = {
@@ -113,7 +113,7 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
     }
     require(tensors, wanted, where)
     try:
-        env.set_state({name.removeprefix("env."): tensors[name] for name in state})
+        env.set_state({name: _shaped(tensors[f"axes.{name}"], like) for name, like in state.items()})
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}") from None
     restore_optimiser(model.policy.optimizer, tensors, str(where))
@@ -132,3 +132,13 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
         torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
     except (ValueError, RuntimeError):
         raise ConfigurationError(f"{where}: numpy_generator or torch_generator holds no state of a generator") from None
+
+
+def _plain(array: NDArray[Any]) -> NDArray[Any]:
+    """An array as safetensors holds it: the bytes of one with named fields."""
+    return array if array.dtype.names is None else np.frombuffer(array.tobytes(), dtype=np.uint8)
+
+
+def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
+    """What :func:`_plain` took apart."""
+    return array if like.dtype.names is None else array.view(like.dtype).reshape(like.shape)

@@ -14,20 +14,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 from agents.controllers.pid import PIDState
 from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import AxesState
 
 Array = NDArray[Any]
-_AXES = (
-    "state",
-    "coefficient",
-    "_voltage",
-    "_peaks",
-    "physical",
-    "record",
-    "reference",
-    "_noise_key",
-    "_roots",
-    "_episodes",
-)
+ENV = "env."
 
 
 class AxisVecEnv(VecEnv):
@@ -105,8 +95,10 @@ class AxisVecEnv(VecEnv):
         observation, _ = self.env.reset(seed=seeds, options=self._next_options)
         self._first_seed = None
         if self._stagger:
-            steps = self.env.axes.column("step")
-            steps[:] = (np.arange(self._total) % self.num_envs) * self.env.config.steps // self.num_envs
+            state = self.env.get_state()
+            shares = np.arange(self._total) % self.num_envs
+            state.arrays["record"]["step"] = shares * self.env.config.steps // self.num_envs
+            self.env.set_state(state)
         self._returns[:] = 0.0
         self._lengths[:] = 0
         self._state = self._twins = None
@@ -174,8 +166,7 @@ class AxisVecEnv(VecEnv):
 
     def get_state(self) -> dict[str, Array]:
         """Copies of all that the next steps depend on, as named arrays; for :meth:`set_state`."""
-        axes = self.env.axes
-        arrays = {name: getattr(axes, name).copy() for name in _AXES}
+        arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
         arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
         if self._state is not None:
             *_, first, age, command = self._state
@@ -191,13 +182,12 @@ class AxisVecEnv(VecEnv):
         Raises:
             ConfigurationError: the arrays describe no state that an axis can be in.
         """
-        axes = self.env.axes
-        step = state["record"][:, 0]
-        in_episode = (step >= 0) & (step <= self.env.config.steps) & (step == np.round(step))
-        if not (in_episode.all() and np.isfinite(state["state"]).all() and np.isfinite(state["record"]).all()):
-            raise ConfigurationError("env.record and env.state hold no state that an axis can be in")
-        for name in _AXES:
-            getattr(axes, name)[...] = state[name]
+        arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
+        record, steps = arrays["record"], self.env.config.steps
+        finite = all(np.isfinite(record[name]).all() for name in record.dtype.names or ())
+        if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
+            raise ConfigurationError("env.record: holds no state that an axis can be in")
+        self.env.set_state(AxesState(self.env.config, arrays))
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         self._twin_commands = state["twin_command"]
 

@@ -47,6 +47,9 @@ STABLE_PRODUCT = 3.2
 SHORTEST_STEP = 1e-8
 """s; accepted whatever its error, so that the integration always ends."""
 
+MOST_STEPS_PER_PERIOD = 100_000
+"""Inner steps of one plant in one control period after which its integration is given up (a fraction of a second)."""
+
 STAGES = (
     (0.161,),
     (-0.008480655492356989, 0.335480655492357),
@@ -164,7 +167,7 @@ def _choose_step(work):
 
 
 @compiling.inline
-def _judge(work, strictness, maximum_step):
+def _judge(work, strictness, maximum_step, most_steps):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
     for lane in range(LANES):
         _estimate_error(work, lane)
@@ -188,7 +191,8 @@ def _judge(work, strictness, maximum_step):
         # A step that a kink or the end cut short says nothing against the proposed one.
         work[_PROPOSED + lane] = max(grown, proposed) if fits and step < proposed else grown
         left = remaining - step if accepted else remaining
-        broken = accepted and not error < 1e300  # the caller finds the state that is no number
+        # The caller finds the state that is no number, or the count of steps.
+        broken = (accepted and not error < 1e300) or work[_STEP_COUNT + lane] >= most_steps
         work[_REMAINING + lane] = 0.0 if broken or left <= 1e-12 else left
         work[_REPEATED + lane] = 1.0 if moving and not accepted else 0.0
         _write_state(work, lane, _chosen(accepted, n, s))
@@ -222,6 +226,7 @@ def _build(stamp: int) -> Callable[..., None]:
         peaks: NDArray[np.float64],
         first: int,
         last: int,
+        most_steps: float = np.inf,
     ) -> None:
         assert stamp >= 0  # keys numba's cache
         groups = min(GROUPS, -(-(last - first) // LANES))
@@ -302,7 +307,7 @@ def _build(stamp: int) -> Callable[..., None]:
                         s = hold_limits(_read_trial(work, lane), c)
                         _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
             for group in range(groups):
-                _judge(room[group * _ROWS * LANES :], strictness, maximum_step)
+                _judge(room[group * _ROWS * LANES :], strictness, maximum_step, most_steps)
 
     return integrate
 
@@ -319,4 +324,5 @@ Args:
     tolerance: largest estimated error of a step, in parts of each state's size; infinity for steps of fixed length.
     peaks: (plants, N_PEAKS), written.
     first, last: the half-open range of plants to advance.
+    most_steps: of one plant, after which it stands still for the rest of its time; its count of steps then is larger.
 """

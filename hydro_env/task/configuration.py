@@ -16,14 +16,8 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
 
-REFERENCE_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop", "user")
-"""Kinds of reference; ``user`` is an array of the user's own."""
-
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
-
-LEAKAGE_SCHEDULES = ("constant", "onset", "growth")
-DISTURBANCES = ("none", "step", "pulse", "sine")
 
 LEAKAGE_LIMIT = 20.0
 """l/min at 100 bar; more would be no seal at all."""
@@ -123,11 +117,17 @@ class LeakageDraw(Group):
         return self
 
 
+def _families() -> tuple[str, ...]:
+    from hydro_env.task.reference_signals import REFERENCE_FAMILIES  # loads the compiler, which a class need not
+
+    return REFERENCE_FAMILIES
+
+
 class References(Group):
     """Which references are asked for, within what force and speed of each plant allow."""
 
     weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
-        default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
+        default_factory=lambda: {name: 1.0 for name in _families() if name != "user"},
         description="relative frequency of each family; absent families do not occur",
     )
     user: list[float] | None = Field(
@@ -146,8 +146,8 @@ class References(Group):
     @model_validator(mode="after")
     def _consistent(self) -> References:
         for name in self.weights:
-            if name not in REFERENCE_FAMILIES:
-                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
+            if name not in _families():
+                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(_families())}")
         if not sum(self.weights.values()) > 0.0:
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
@@ -208,6 +208,10 @@ class Sensors(Group):
             else value
             for name, value in values.items()
         }
+
+
+CHANNELS = tuple(name for name, info in Sensors.model_fields.items() if info.annotation is Sensor)
+"""Names of the measured signals."""
 
 
 class Reward(Group):

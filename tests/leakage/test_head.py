@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.head import SIGNALS, LeakageHead, MonitoredController
+from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController
 from agents.leakage.metrics import area_under_roc
 from agents.leakage.training import CHECKPOINT_FILE, KIND, HeadTrainingSettings, make_dataset, targets, train_head
 from agents.running.seeds import TRAINING_SEEDS
@@ -70,16 +71,16 @@ def test_round_trip(head, tmp_path):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("threshold", -0.2, "threshold = -0.2: input should be greater than or equal to 0 and less than or equal to 1"),
-        ("threshold", float("nan"), "threshold = nan: input should be a finite number"),
-        ("threshold", "high", "threshold = 'high': input should be a valid number"),
-        ("window", -3, "window = -3: input should be greater than or equal to 1"),
-        ("window", 10**30, "window = 10{30}: input should be"),
+        ("threshold", -0.2, "threshold = -0.2: must be a number within 0 to 1"),
+        ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
+        ("threshold", "high", "threshold = 'high': must be a number"),
+        ("window", -3, "window = -3: must be a whole number within 56"),
+        ("window", 10**30, "window: must be a whole number within 56"),
         ("width", 8, "width = 8: its tensors are of another network"),
         ("observation_scale", [], "observation_scale must hold one number other than zero per name"),
         ("observation_names", ["reference_preview_soonms"] * 13, "a preview must say how far it looks"),
         ("observation_names", ["position"] * 13, "the observation holds no 'pressure_a'"),
-        ("training", None, "training: input should be a valid dictionary"),
+        ("training", None, "training: must be a group of settings"),
     ],
 )
 def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
@@ -171,6 +172,16 @@ def test_leaks_to_train_on_must_suit_the_task():
     ):
         with pytest.raises(ConfigurationError, match=message):
             train_head(CONFIG, [CONTROLLER], SETTINGS.model_copy(update=change))
+    with pytest.raises(ConfigurationError, match="an episode of 55 control periods is its window: must have at least"):
+        SETTINGS.check(TaskConfig(episode_duration=0.275))
+    SETTINGS.check(TaskConfig(episode_duration=0.28))
+
+
+def test_the_shortest_window_can_be_judged():
+    network = LeakageNetwork(4)
+    assert network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW)).shape == (1, 2)
+    with pytest.raises(RuntimeError, match="Kernel size"):
+        network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW - 1))
 
 
 def test_sizes_below_the_healthy_bound_are_not_asked_for():
