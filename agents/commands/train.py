@@ -100,11 +100,11 @@ def _controller(
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from agents.study.training import HEAD_CHECKPOINT, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
+    from agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
     controllers = list(study.with_weights(agents).values())
-    if resume and not (folder / f"{HEAD_CHECKPOINT}.json").exists():
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no {HEAD_CHECKPOINT}; leave --resume out")
+    if resume and not any(folder.glob(HEAD_CHECKPOINTS)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint of the head; leave --resume out")
     with (
         output_folder(folder, "train head", HEAD_FILES, resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,

@@ -12,7 +12,7 @@ import typer
 from agents.commands.evaluate import evaluate
 from agents.commands.options import checkpoints_in, named_agents, stoppable
 from agents.commands.train import train
-from agents.study import results
+from agents.study import results, training
 from agents.study.run import run_study
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
@@ -157,6 +157,25 @@ def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_
     algorithm.fate = "finish"
     run_study(settings, folder, seed=1, resume=True)
     assert [call["resume"] for call in algorithm.calls] == [False, True, False, False]
+
+
+def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatch):
+    resumed = []
+    whole = training.train_head
+
+    def stopped(*arguments, folder, resume):
+        resumed.append(resume)
+        if not resume:
+            (folder / "head_checkpoint.safetensors").write_bytes(b"")
+            raise KeyboardInterrupt
+        (folder / "head_checkpoint.safetensors").unlink()
+        return whole(*arguments, folder=folder, resume=False)
+
+    monkeypatch.setattr(training, "train_head", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(settings, tmp_path / "out", seed=0)
+    run_study(settings, tmp_path / "out", seed=0, resume=True)
+    assert resumed == [False, True]
 
 
 def test_a_controller_that_cannot_act_stops_the_study_before_it_trains(algorithm, tmp_path):
