@@ -283,7 +283,12 @@ def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, whole or not at all."""
-    write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True).encode())
+    write_text(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text in UTF-8, whole or not at all; a file name in it that is not UTF-8 is escaped."""
+    write_whole(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

@@ -14,7 +14,7 @@ import yaml
 
 import hydro_env
 from agents.commands.options import stoppable
-from agents.commands.simulation import trajectory_figure
+from agents.rigs.simulation import trajectory_figure
 from hydro_env import PlantParameters, simulate
 
 ROOT = Path(__file__).parents[1]

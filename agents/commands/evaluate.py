@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Config, Output, Overwrite, command_line, default_study, stoppable
+from agents.commands.options import Config, Output, Overwrite, command_line, default_study
 from hydro_env.files import validate
 
 
@@ -31,5 +31,4 @@ def evaluate(
     if plants is not None:
         changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
         settings = validate(type(settings), changed, "--plants")
-    with stoppable(resumable=False):
-        jobs.evaluate_to_folder(settings, output, policy, head, overwrite, command_line())
+    jobs.evaluate_to_folder(settings, output, policy, head, overwrite, command_line())

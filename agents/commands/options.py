@@ -1,10 +1,8 @@
-"""Options that several commands share, and what Ctrl-C says."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,25 +17,23 @@ Seed = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
+Rig = Annotated[
+    Path | None,
+    typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
+]
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
 ]
 
 
 def command_line() -> str:
-    """The command as the user typed it."""
-    return " ".join(["hydro", *sys.argv[1:]])
+    """The command as the user typed it; a file name that is not UTF-8 is escaped."""
+    return " ".join(["hydro", *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
 
 
-@contextmanager
-def stoppable(resumable: bool) -> Iterator[None]:
-    """Ctrl-C ends the command with one line that says what becomes of the work."""
-    fate = "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(f"\nhydro: stopped; {fate}", file=sys.stderr)
-        raise typer.Exit(130) from None
+def say(*lines: object) -> None:
+    """Print what a command leaves, as it is."""
+    print(*lines, sep="\n", flush=True)
 
 
 def default_study(config: Path | None) -> Any:

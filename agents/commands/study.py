@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line, default_study, stoppable
+from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line, default_study
 
 
 def study(
@@ -23,5 +23,4 @@ def study(
 
     settings = default_study(config)
     seed = settings.seed if seed is None else seed
-    with stoppable(resumable=True):
-        jobs.study_to_folder(settings, output, seed, resume, overwrite, command_line())
+    jobs.study_to_folder(settings, output, seed, resume, overwrite, command_line())

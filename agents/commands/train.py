@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Config, Output, Overwrite, Resume, Seed, default_study, stoppable
+from agents.commands.options import Config, Output, Overwrite, Resume, Seed, default_study, say
 
 
 class Trainable(StrEnum):
@@ -39,11 +39,10 @@ def train(
 
     settings = default_study(config)
     seed = settings.seed if seed is None else seed
-    with stoppable(resumable=what is not Trainable.PID):
-        if what is Trainable.PPO:
-            file = jobs.train_policy(settings, output, seed, resume, overwrite, steps)
-        elif what is Trainable.HEAD:
-            file = jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
-        else:
-            file = jobs.tune_gains(settings, output, seed, overwrite)
-    typer.echo(f"written: {file}")
+    if what is Trainable.PPO:
+        file = jobs.train_policy(settings, output, seed, resume, overwrite, steps)
+    elif what is Trainable.HEAD:
+        file = jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
+    else:
+        file = jobs.tune_gains(settings, output, seed, overwrite)
+    say(f"written: {file}")

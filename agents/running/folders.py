@@ -84,6 +84,9 @@ def output_folder(
                 if overwrite:
                     _remove(folder, present)
                 yield folder
+            except KeyboardInterrupt as stop:
+                stop.add_note(_what_stays(folder, resume, _present(folder, writes)))
+                raise
             finally:
                 with suppress(ConfigurationError):  # a full disk: the list from above names the same files
                     _write_manifest(folder, {name: _owner(name, claimed) for name in _present(folder, claimed)})
@@ -91,6 +94,14 @@ def output_folder(
         for path in made:
             with suppress(OSError):  # holds results, as it should
                 path.rmdir()
+
+
+def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
+    if not files:
+        return "nothing had been written"
+    if resume is None:
+        return f"the results in {folder} are incomplete, --overwrite begins anew"
+    return f"{folder} keeps what is done so far, --resume goes on with it"
 
 
 @contextmanager
