@@ -4,7 +4,7 @@ import csv
 import math
 
 import pytest
-from test_cli import ROOT, assert_one_clear_line, hydro
+from command_line import ROOT, assert_one_clear_line, hydro
 
 from agents.rigs.check import check_rig
 from agents.rigs.check_table import check_csv, check_markdown

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
 from agents.commands.check_rig import check_rig
 from agents.commands.evaluate import evaluate
@@ -23,8 +24,20 @@ from hydro_env import HydroError, __version__
 # Typer brings its own copy of click, or uses click, depending on its version; this finds either.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
+
+class _Commands(TyperGroup):
+    """Commands that end with one line when a signal stops them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:  # typer would end the program without a word
+            _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
+
+
 app = typer.Typer(
     name="hydro",
+    cls=_Commands,
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -125,14 +138,13 @@ def main() -> None:
         if type(error).__name__ == "NoArgsIsHelpError":  # the user typed `hydro` alone
             error.show()
             sys.exit(2)
-        message = error.format_message().replace("Value error, ", "").rstrip(".")
+        message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
         command = error.ctx.command_path if error.ctx is not None else "hydro"
         _end(2, f"{message}; see {command} --help")
     except HydroError as error:
         _end(2, str(error))
-    except (KeyboardInterrupt, typer.Abort) as error:  # typer turns Ctrl-C into its own error
-        cause = error if isinstance(error, KeyboardInterrupt) else error.__cause__
-        _end(getattr(cause, "exit_code", 130), "; ".join(["stopped", *getattr(cause, "__notes__", [])]))
+    except (KeyboardInterrupt, typer.Abort):  # before a command had begun
+        sys.exit(130)
     except BrokenPipeError:  # nobody reads on, as with `hydro check-rig | head -1`
         discard_output()
         sys.exit(141)

@@ -71,22 +71,27 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
 
 
 def resting_place(parameters: PlantParameters) -> float:
-    """Position in m that the supply can hold: mid-stroke if possible, otherwise near the middle of the reach.
+    """Position in m at which to examine a rig: mid-stroke if it can be held, otherwise the middle of those that can.
 
     Raises:
         HydroError: none of the positions tried can be held.
     """
     low, high = reachable_range(parameters)
     middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
-    places: list[float] = np.linspace(low, high, 41).tolist()
-    for place in [middle, *sorted(places, key=lambda place: abs(place - middle))]:
-        try:
-            equilibrium(parameters, place)
-            return place
-        except HydroError:
-            continue
-    equilibrium(parameters, middle)  # raises, and says why
-    return middle
+    if _can_be_held(parameters, middle):
+        return middle
+    held = [place for place in np.linspace(low, high, 41).tolist() if _can_be_held(parameters, place)]
+    if not held:
+        equilibrium(parameters, middle)  # raises, and says why
+    return float(held[len(held) // 2])
+
+
+def _can_be_held(parameters: PlantParameters, position: float) -> bool:
+    try:
+        equilibrium(parameters, position)
+    except HydroError:
+        return False
+    return True
 
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
