@@ -177,6 +177,16 @@ class _Loader(yaml.SafeLoader):
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise _problem(f"more than {DEEPEST} levels", self.peek_event())  # type: ignore[no-untyped-call]
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep)
@@ -189,16 +199,14 @@ _Loader.add_implicit_resolver(
 )
 
 
-def _problem(problem: str, node: yaml.Node) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
 
 
-def _count_nodes(node: yaml.Node, counted: dict[int, int], depth: int = 0) -> int:
+def _count_nodes(node: yaml.Node, counted: dict[int, int]) -> int:
     """Values below and including a node, those of an alias again each time; refuses repeated keys."""
     if id(node) in counted:
         return counted[id(node)]
-    if depth > DEEPEST:
-        raise _problem(f"more than {DEEPEST} levels", node)
     counted[id(node)] = MOST_NODES + 1  # what an alias within itself counts
     inner: list[yaml.Node] = []
     if isinstance(node, yaml.MappingNode):
@@ -213,7 +221,7 @@ def _count_nodes(node: yaml.Node, counted: dict[int, int], depth: int = 0) -> in
         inner = node.value
     total = 1
     for part in inner:
-        total += _count_nodes(part, counted, depth + 1)
+        total += _count_nodes(part, counted)
         if total > MOST_NODES:
             raise _problem(f"more than {MOST_NODES:,} values, aliases included", node)
     counted[id(node)] = total
@@ -240,8 +248,6 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         line = f" in line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
         raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(problem).split())}") from None
-    except RecursionError:
-        raise ConfigurationError(f"{path}: not valid YAML: more than {DEEPEST} levels") from None
     return _mapping(values, path)
 
 
