@@ -118,9 +118,9 @@ def test_wrong_rigs(tmp_path, content, parts):
 
 FILES = {
     "foreign.json": "{}",
-    "study.yaml": "pdi: {proportional: 1}\n",
-    "levels.yaml": "evaluation: {leak_levels: [0.1, -1]}\n",
-    "included.yaml": "ppo: ppo.yaml\n",
+    "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
+    "levels.yaml": "controllers: {PID: {kind: pid}}\nevaluation: {leak_levels: [0.1, -1]}\n",
+    "included.yaml": "controllers:\n  PID: {kind: pid}\n  PPO: {kind: ppo, settings: ppo.yaml, corrects: PID}\n",
     "ppo.yaml": "total_steps: -1\n",
     "ragged.csv": "t,v\n0,001,1,5\n",
     "high.csv": "v\n1.5\n12\n",
@@ -139,7 +139,7 @@ FILES = {
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
         ("simulate --input-file ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
         ("simulate --input-file high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
-        ("evaluate --policy foreign", ["foreign.json", "not the"]),
+        ("evaluate --agent PPO=foreign", ["foreign.json", "not the"]),
         ("evaluate --head absent", ["absent.json: cannot be read"]),
         ("study --config study.yaml", ["study.yaml", "pdi", "unknown key"]),
         ("study --config levels.yaml", ["levels.yaml", "leak_levels"]),
@@ -170,7 +170,7 @@ def test_folders_that_cannot_be_written(tmp_path):
         ("simulate --voltage", ["--voltage"]),
         ("simulate extra", ["extra", "see hydro simulate --help"]),
         ("train", ["see hydro train --help"]),
-        ("train nothing", ["nothing"]),
+        ("train nothing", ["'nothing'", "ppo, head, pid"]),
         ("train ppo --steps 0", ["--steps", "1"]),
         ("nothing", ["'nothing'", "see hydro --help"]),
     ],
@@ -228,7 +228,14 @@ def test_a_pipe_that_is_closed_is_no_error(tmp_path, arguments):
 
 TINY = {
     "task": {"episode_duration": 0.4},
-    "ppo": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+    "controllers": {
+        "PID": {"kind": "pid"},
+        "PPO": {
+            "kind": "ppo",
+            "settings": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+            "corrects": "PID",
+        },
+    },
     "leakage_head": {"episodes": 200, "validation_episodes": 200, "epochs": 2, "width": 8, "batch": 64},
     "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 1.0], "families": ["step", "sine"]},
 }
@@ -298,7 +305,7 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     for name in ("cases.csv", "ratios.csv", "detection_summary.csv"):
         assert (folder / "tables" / name).stat().st_size > 100
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
-    into_study = hydro("train", "ppo", "--config", study, "--output", folder, "--overwrite")
+    into_study = hydro("evaluate", "--config", study, "--output", folder, "--overwrite")
     assert_one_clear_line(into_study, "was written by hydro study")
     # Whatever does not concern training may change.
     study.write_text(yaml.safe_dump({**TINY, "title": "Another title"}))
@@ -306,12 +313,12 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     assert again.returncode == 0, again.stderr
     assert "already trained" in again.stdout
     judged = hydro(
-        *("evaluate", "--config", folder / "study.yaml", "--policy", folder / "policy"),
+        *("evaluate", "--config", folder / "study.yaml", "--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
         *("--head", folder / "leakage_head", "--output", tmp_path / "judged"),
     )
     assert judged.returncode == 0, judged.stderr
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
-    assert_one_clear_line(other, "is of another seed or other settings")
+    assert_one_clear_line(other, "another seed or other settings")
     listed = json.loads((folder / ".hydro.json").read_text())["files"]
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {".hydro.json"}
     assert set(listed) == found

@@ -30,7 +30,7 @@ from agents.benchmark.timing import FULL, QUICK, Extent
 from agents.benchmark.training_rows import beating_cases, default_study, training_cases
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
-from agents.study.run import machine_description, package_versions
+from agents.running.machine import machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
@@ -198,4 +198,4 @@ def _show(group: str, results: Sequence[Result], display: ProgressDisplay) -> No
     for line in markdown_table(results, group).splitlines()[2:]:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         table.add_row(*cells[:4], cells[5] or ("" if cells[2] != "–" else cells[6]))
-    display.console.print(table)
+    display.console.lines(table)

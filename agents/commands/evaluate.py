@@ -1,4 +1,4 @@
-"""``hydro evaluate``: judge controllers and the leakage head on test plants."""
+"""``hydro evaluate``: compare controllers on test plants."""
 
 from __future__ import annotations
 
@@ -7,28 +7,48 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Config, Output, Overwrite, command_line, default_study
-from hydro_env.files import validate
+from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents
 
 
 def evaluate(
     output: Output = Path("results/evaluate"),
     config: Config = None,
-    policy: Annotated[Path | None, typer.Option(help="Weights of a policy; default the shipped one.")] = None,
+    agent: Agents = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Judge PID, policy and leakage head on test plants: the same plants, references and noise for each.
+    """Judge the controllers of a study, yours and the leakage head on test plants.
 
-    Writes CSV tables with every number and a report, and prints the main figures.
+    The same plants, references and noise for each. Trained controllers take the shipped weights where `--agent` gives
+    no others. Writes CSV tables with every number and a report, and prints the main figures. A controller that fails
+    does not lose the others' results.
     """
-    from agents.study import jobs
+    from agents.evaluation.opponents import load_head
+    from agents.evaluation.protocol import ProtocolSettings
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from agents.study.results import REPORT_FILES, evaluate_study, print_summary
+    from agents.study.settings import default_study
+    from hydro_env import ConfigurationError
+    from hydro_env.files import validate, write_yaml
 
-    settings = default_study(config)
+    study = default_study(config)
     if plants is not None:
-        changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
-        settings = validate(type(settings), changed, "--plants")
-    jobs.evaluate_to_folder(settings, output, policy, head, overwrite, command_line())
+        changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
+        study = study.model_copy(update={"evaluation": changed})
+    controllers = study.with_weights(named_agents(agent))
+    watching = load_head(head, study.task)
+    settings_file = "evaluation.yaml"
+    with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
+        write_yaml(output / settings_file, study.model_dump(mode="json"))
+        text = (output / settings_file).read_text(encoding="utf-8")
+        with ProgressDisplay() as display:
+            evaluation = evaluate_study(
+                study, controllers, watching, output, display, configuration=text, command=command_line()
+            )
+            print_summary(evaluation, display)
+    if evaluation.errors:
+        raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+
+from hydro_env import ConfigurationError
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
 Seed = Annotated[
@@ -17,6 +20,15 @@ Seed = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
+Agents = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--agent",
+        metavar="NAME=WHAT",
+        help="A controller: module:attribute (anything with predict, or what makes one from the task), or the path of "
+        "weights. A name of the study replaces that controller. May be given more than once.",
+    ),
+]
 Rig = Annotated[
     Path | None,
     typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
@@ -36,9 +48,18 @@ def say(*lines: object) -> None:
     print(*lines, sep="\n", flush=True)
 
 
-def default_study(config: Path | None) -> Any:
-    """The study of a file, or the default one."""
-    from agents.running.folders import config_folder
-    from agents.study.run import StudySettings
+def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
+    """``--agent NAME=WHAT``, by name.
 
-    return StudySettings.from_yaml(config if config is not None else config_folder() / "studies" / "default.yaml")
+    Raises:
+        ConfigurationError: not of this form, or a name is given twice.
+    """
+    agents: dict[str, str] = {}
+    for text in texts or ():
+        name, _, what = text.partition("=")
+        if not name or not what:
+            raise ConfigurationError(f"--agent {text}: must be NAME=module:attribute or NAME=PATH of weights")
+        if name in agents:
+            raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
+        agents[name] = what
+    return agents

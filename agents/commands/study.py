@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line, default_study
+from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line
 
 
 def study(
@@ -17,10 +17,10 @@ def study(
     """Train PPO and the leakage head from nothing, evaluate them beside the PID, write one report.
 
     Leaves in the output folder: `report.html` (self-contained), `tables/*.csv` (every number), the weights, and
-    `study.yaml` (the configuration used).
+    `study.yaml` (the configuration used). `controllers:` in the YAML file says who takes part.
     """
-    from agents.study import jobs
+    from agents.study.run import run_study
+    from agents.study.settings import default_study
 
     settings = default_study(config)
-    seed = settings.seed if seed is None else seed
-    jobs.study_to_folder(settings, output, seed, resume, overwrite, command_line())
+    run_study(settings, output, settings.seed if seed is None else seed, resume, overwrite, command_line())

@@ -18,7 +18,7 @@ def make(count=6, gains=GAINS, **options):
 
 
 def test_residual_of_zero_is_the_pid():
-    env = make(stagger=False, seed=11)
+    env = make(seed=11)
     env.reset()
     plain = ServoHydraulicVectorEnv(6, CONFIG, autoreset_mode="SameStep")
     observation, _ = plain.reset(seed=11)
@@ -46,7 +46,7 @@ def test_paired_reward_of_the_pid_against_itself_is_zero():
 
 
 def test_infos_of_ended_axes():
-    env = make(stagger=False, seed=5)
+    env = make(seed=5)
     env.reset()
     for step in range(20):
         inputs, _, done, infos = env.step(np.zeros((6, 1)))
@@ -62,7 +62,7 @@ def test_infos_of_ended_axes():
 
 
 def test_stagger_spreads_the_ends():
-    env = make(count=10)
+    env = make(count=10, stagger=True)
     env.reset()
     ends = [int(env.step(np.zeros((10, 1)))[2].sum()) for _ in range(20)]
     assert sum(ends) == 10
