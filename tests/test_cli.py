@@ -232,7 +232,7 @@ TINY = {
         "PID": {"kind": "pid"},
         "PPO": {
             "kind": "ppo",
-            "settings": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+            "settings": {"total_steps": 40_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
             "corrects": "PID",
         },
     },
@@ -305,18 +305,19 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     for name in ("cases.csv", "ratios.csv", "detection_summary.csv"):
         assert (folder / "tables" / name).stat().st_size > 100
     assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
-    into_study = hydro("evaluate", "--config", study, "--output", folder, "--overwrite")
-    assert_one_clear_line(into_study, "was written by hydro study")
+    weights = (
+        *("--config", folder / "study.yaml", "--head", folder / "leakage_head"),
+        *("--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
+    )
     # Whatever does not concern training may change.
     study.write_text(yaml.safe_dump({**TINY, "title": "Another title"}))
     again = hydro("study", "--config", study, "--output", folder, "--resume")
     assert again.returncode == 0, again.stderr
     assert "already trained" in again.stdout
-    judged = hydro(
-        *("evaluate", "--config", folder / "study.yaml", "--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
-        *("--head", folder / "leakage_head", "--output", tmp_path / "judged"),
-    )
+    judged = hydro("evaluate", *weights, "--output", tmp_path / "judged")
     assert judged.returncode == 0, judged.stderr
+    into_study = hydro("evaluate", *weights, "--output", folder, "--overwrite")
+    assert_one_clear_line(into_study, "was written by hydro study")
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
     assert_one_clear_line(other, "another seed or other settings")
     listed = json.loads((folder / ".hydro.json").read_text())["files"]
