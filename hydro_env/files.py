@@ -74,7 +74,7 @@ def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> Co
     else:
         allowed = _allowed(schema)
         message = f"must be {allowed}" if allowed else "is not allowed here"
-    where = ".".join(map(str, path))
+    where = ".".join(str(part)[:60] for part in path)
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
     count = error.error_count() - 1
     more = f" (and {count} more mistake{'s' if count > 1 else ''})" if count else ""

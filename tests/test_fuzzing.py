@@ -129,9 +129,10 @@ def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
     try:
         return call(*arguments, **keywords)
     except HydroError as error:
-        assert "\n" not in str(error)
-        assert 0 < len(str(error)) < 3000
-        return None
+        message = str(error)
+    assert "\n" not in message
+    assert 0 < len(message) < 3000
+    return None
 
 
 def file_of(folder: Path, name: str, content: bytes) -> Path:
