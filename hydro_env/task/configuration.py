@@ -14,7 +14,8 @@ from pydantic import Field, model_validator
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters
+from hydro_env.units import Number, quantity
 
 REFERENCE_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop", "user")
 """Kinds of reference; ``user`` is an array of the user's own."""

@@ -11,12 +11,12 @@ import math
 
 import numpy as np
 
-import hydro_env.compiling as compiling
-from hydro_env.plant import kernel
-from hydro_env.plant.equations import Coefficients, Physical, coefficients
+from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader
+from hydro_env.plant.arrays import read_coefficients, read_physical, read_state, write_coefficients, write_state
+from hydro_env.plant.equations import Coefficients, coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.kernel import IMPACT_SPEED, N_STATES, PEAK_PRESSURE
-from hydro_env.plant.limits import valid_limits
+from hydro_env.plant.kernel import IMPACT_SPEED, MOST_STEPS_PER_PERIOD, PEAK_PRESSURE, Accuracy, Plants, integrate_part
+from hydro_env.plant.states import first_outside, valid_range
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -80,18 +80,15 @@ C_FAILURE = _column["failure"]
 _LEAKAGE_CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
 _LEAKAGE_ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
 _EXTERNAL_FORCE = Coefficients._fields.index("external_force")
-_GAS_VOLUME_WEIGHT = Coefficients._fields.index("gas_volume_weight")
 _USER_FAMILY = 6
 _SINE = 3.0
 _PULSE = 2.0
 
-_read_settings = compiling.tuple_reader(Settings)
-_read_limits = compiling.tuple_reader(Limits)
-_read_physical = compiling.tuple_reader(Physical)
-_read_coefficients = compiling.tuple_reader(Coefficients)
+_read_settings = tuple_reader(Settings)
+_read_limits = tuple_reader(Limits)
 
 
-@compiling.inline
+@inline
 def _unpack(constants, observations):
     """Views of what :func:`~hydro_env.task.packing.step_constants` packed behind the settings."""
     previews = observations - FIXED_OBSERVATIONS
@@ -108,12 +105,12 @@ def _unpack(constants, observations):
     )
 
 
-@compiling.inline
+@inline
 def _quantised(value, resolution):
     return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
 
 
-@compiling.inline
+@inline
 def _measure(true, bias, noise, sensors, first):
     """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps.
 
@@ -124,7 +121,7 @@ def _measure(true, bias, noise, sensors, first):
     return min(max(low + _quantised(value - low, sensors[first + 2]), low), high)
 
 
-@compiling.inline
+@inline
 def _sample_signals(row, position, spool, noise_key, sensors, settings):
     """Read the four transducers at this instant into the record."""
     if settings.sensors_enabled == 0.0:
@@ -142,7 +139,7 @@ def _sample_signals(row, position, spool, noise_key, sensors, settings):
     row[C_MEASURED + 3] = _measure(spool, row[C_BIAS + 3], fourth, sensors, 3 * CHANNEL_COLUMNS)
 
 
-@compiling.inline
+@inline
 def _write_observation(observation, row, reference, preview, scale, limit):
     """One row of the observation: physical values over their fixed scale, inside the bounds of the Box."""
     step = np.int64(row[C_STEP])
@@ -163,7 +160,7 @@ def _write_observation(observation, row, reference, preview, scale, limit):
         observation[index] = min(max(observation[index], -limit[index]), limit[index])
 
 
-@compiling.inline
+@inline
 def _leak_flow(row, time, settings):
     """Leakage of the schedule at a time, l/min at 100 bar: constant, sudden onset, or log-linear growth."""
     start, target, begin = row[C_LEAK_START], row[C_LEAK_TARGET], row[C_LEAK_TIME]
@@ -178,7 +175,7 @@ def _leak_flow(row, time, settings):
     return start * (target / start) ** share
 
 
-@compiling.inline
+@inline
 def _set_leak(row, coefficient, flow, settings):
     row[C_LEAK] = flow
     if settings.orifice_law == 0.0:
@@ -189,7 +186,7 @@ def _set_leak(row, coefficient, flow, settings):
         coefficient[_LEAKAGE_ORIFICE_GAIN] = flow * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
 
 
-@compiling.inline
+@inline
 def _external_force(row, time, settings):
     """External force in N of the configured disturbance, besides the plant's own."""
     after = time - row[C_FORCE_TIME]
@@ -203,7 +200,7 @@ def _external_force(row, time, settings):
     return row[C_FORCE_BASE] + force
 
 
-@compiling.inline
+@inline
 def _draw_plant(physical, key, base, draws, override):
     """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
     for index in range(base.shape[0]):
@@ -223,11 +220,7 @@ def _draw_plant(physical, key, base, draws, override):
             physical[index] = value
 
 
-# Compiled with its caller. A global: as a closure variable it would be a new cache key in every process.
-_integrate = compiling.part(kernel.integrate)
-
-
-def _build(stamp):
+def _build(sources):
     def begin_episodes(
         axes,
         constants,
@@ -250,7 +243,7 @@ def _build(stamp):
         noise_key,
         observation,
     ):
-        assert stamp >= 0  # keys numba's cache
+        assert sources >= 0  # keys numba's cache
         settings = _read_settings(constants)
         _, preview, scale, limit, sensors = _unpack(constants, observation.shape[1])
         limits = _read_limits(limits_array)
@@ -260,10 +253,9 @@ def _build(stamp):
             root, episode = roots[axis], episodes[axis]
             row[:] = 0.0
             _draw_plant(physical[axis], source_key(root, episode, PLANT), base, draws, parameter_override[axis])
-            p = _read_physical(physical[axis])
+            p = read_physical(physical[axis])
             c = coefficients(p)
-            for index, value in enumerate(c):
-                coefficient[axis, index] = value
+            write_coefficients(coefficient[axis], c)
 
             # Leakage: healthy or faulty, and when it starts.
             key = source_key(root, episode, LEAKAGE)
@@ -316,11 +308,10 @@ def _build(stamp):
                 fill_reference(reference[axis], family, key, start, settings.control_period, f, limits)
 
             # The axis holds its initial position.
-            held = _read_coefficients(coefficient[axis])
+            held = read_coefficients(coefficient[axis])
             s, voltage, found = equilibrium_state(start, p, held)
-            for index, value in enumerate(s):
-                state[axis, index] = value
-            if found == 0.0 or abs(start) > c.end_stop_position:
+            write_state(state[axis], s)
+            if not found or abs(start) > c.end_stop_position:
                 row[C_FAILURE] = CANNOT_BE_HELD
             row[C_COMMAND] = 0.1 * voltage
 
@@ -355,7 +346,7 @@ def _build(stamp):
         first,
         last,
     ):
-        assert stamp >= 0
+        assert sources >= 0
         settings = _read_settings(constants)
         durations, preview, scale, limit, sensors = _unpack(constants, observation.shape[1])
         period = settings.control_period
@@ -374,14 +365,10 @@ def _build(stamp):
             if settings.disturbance > 0.0:
                 coefficient[axis, _EXTERNAL_FORCE] = _external_force(row, time + 0.5 * period, settings)
 
-        _integrate(
-            state,
-            coefficient,
-            voltage,
+        integrate_part(
+            Plants(state, coefficient, voltage, peaks),
             durations,
-            settings.maximum_step,
-            settings.tolerance,
-            peaks,
+            Accuracy(settings.maximum_step, settings.tolerance, MOST_STEPS_PER_PERIOD),
             first,
             last,
         )
@@ -417,19 +404,10 @@ def _build(stamp):
                 failure = HIT_END_STOP
             if peaks[axis, PEAK_PRESSURE] > settings.pressure_rating:
                 failure = OVERPRESSURE
-            low, high = valid_limits(
-                coefficient[axis, _END_STOP_POSITION],
-                coefficient[axis, _SLEW_LIMIT],
-                coefficient[axis, _VOLUME_B0],
-                coefficient[axis, _AREA_A],
-                coefficient[axis, _AREA_B],
-                coefficient[axis, _SUPPLY_DYNAMICS],
-                1.0 / coefficient[axis, _GAS_VOLUME_WEIGHT],
-            )
-            for index in range(N_STATES):
-                value = state[axis, index]
-                if not (low[index] <= value <= high[index]):
-                    failure = FIRST_INVALID_STATE + index
+            lowest, highest = valid_range(read_coefficients(coefficient[axis]))
+            invalid = first_outside(read_state(state[axis]), lowest, highest)
+            if invalid >= 0:
+                failure = FIRST_INVALID_STATE + invalid
             row[C_FAILURE] = failure
 
             error = abs(now - position)
@@ -440,24 +418,7 @@ def _build(stamp):
             truncated[axis] = step >= last_step
             _write_observation(observation[axis], row, reference[axis], preview, scale, limit)
 
-    return compiling.compiled(begin_episodes), compiling.compiled(step_axes)
+    return compiled(begin_episodes), compiled(step_axes)
 
 
-_AREA_A = Coefficients._fields.index("area_a")
-_AREA_B = Coefficients._fields.index("area_b")
-_VOLUME_B0 = Coefficients._fields.index("volume_b0")
-_END_STOP_POSITION = Coefficients._fields.index("end_stop_position")
-_SLEW_LIMIT = Coefficients._fields.index("slew_limit")
-_SUPPLY_DYNAMICS = Coefficients._fields.index("supply_dynamics")
-
-begin_episodes, step_axes = _build(
-    compiling.source_stamp(
-        "plant/equations.py",
-        "plant/kernel.py",
-        "plant/limits.py",
-        "plant/equilibrium.py",
-        "task/random_numbers.py",
-        "task/record.py",
-        "task/reference_signals.py",
-    )
-)
+begin_episodes, step_axes = _build(SOURCES)

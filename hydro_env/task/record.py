@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hydro_env.plant.equations import State
+from hydro_env.plant.states import State
 
 
 class Settings(NamedTuple):

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hydro_env import LEAKAGE_CLASSES, ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, simulate
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import LITRE_PER_MINUTE, resistance_from_flow
 
 COUNT = 4000
