@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from hydro_env.plant.arrays import equilibrium
     from hydro_env.plant.parameters import PlantParameters
     from hydro_env.plant.simulate import Trajectory, simulate
-    from hydro_env.task.configuration import LEAKAGE_CLASSES, REFERENCE_FAMILIES, TaskConfig
+    from hydro_env.task.configuration import LEAKAGE_CLASSES, TaskConfig
+    from hydro_env.task.reference_signals import REFERENCE_FAMILIES
     from hydro_env.units import flow_from_resistance, resistance_from_flow
     from hydro_env.vector_env import ServoHydraulicVectorEnv
 
@@ -38,7 +39,7 @@ _HOME = {
     "InvalidStateError": "errors",
     "LEAKAGE_CLASSES": "task.configuration",
     "PlantParameters": "plant.parameters",
-    "REFERENCE_FAMILIES": "task.configuration",
+    "REFERENCE_FAMILIES": "task.reference_signals",
     "ServoHydraulicEnv": "env",
     "ServoHydraulicVectorEnv": "vector_env",
     "TaskConfig": "task.configuration",

@@ -7,7 +7,10 @@ The class holds the arrays and calls two compiled functions: one begins episodes
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -16,23 +19,59 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hydro_env.errors import ConfigurationError
-from hydro_env.plant import kernel as plant_kernel
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
-from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig
-from hydro_env.task.packing import draw_table, limits_of, observation_layout, step_constants
-from hydro_env.task.record import CANNOT_BE_HELD, FAILURES, Record
+from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.record import (
+    CANNOT_BE_HELD,
+    FIRST_COEFFICIENT,
+    FIRST_PEAK,
+    FIRST_VOLTAGE,
+    NO_FAILURE,
+    PLANT_COLUMNS,
+    RECORD,
+    SEEDS,
+    AxisArrays,
+    Chances,
+    table,
+)
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.settings import draws_of, settings_of
+from hydro_env.task.signals import layout_of, observation_layout
 
 AXES_PER_THREAD = 256
 """A second thread starts when each has at least this many axes to work on: it takes a while to wake up."""
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}
+"""Where :attr:`Axes.numbers` holds the (first) number of each field of a record."""
+
+
+@dataclass(frozen=True)
+class AxesState:
+    """All that axes carry from one control period to the next; may be pickled, and set on any axes of the same task.
+
+    ``arrays`` have one row per axis; ``generator`` is the state of ``np_random`` and ``history`` the drawn past,
+    where the whole environment was asked.
+    """
+
+    config: TaskConfig
+    arrays: dict[str, NDArray[Any]]
+    generator: Mapping[str, Any] | None = None
+    history: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of axes."""
+        return len(self.arrays["record"])
 
 
 class Axes:
-    """N servo axes in episodes. Arrays are public for reading; ``record`` columns are named by ``Record``.
+    """N servo axes in episodes. Arrays are public for reading; ``record`` has the fields of ``RECORD``.
 
     Args:
         config: the task.
@@ -40,7 +79,7 @@ class Axes:
         threads: worker threads of a step; ``None`` takes as many as there are cores, where there are axes enough.
 
     Raises:
-        ConfigurationError: the task is impossible.
+        ConfigurationError: the task is impossible, or the axes do not fit into memory.
     """
 
     def __init__(self, config: TaskConfig, count: int, threads: int | None = None) -> None:
@@ -50,87 +89,84 @@ class Axes:
         self.observation_space = spaces.Box(-self.limit.astype(np.float32), self.limit.astype(np.float32))
         self.action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
-        self._limits = limits_of(config)
-        self._constants = step_constants(config)
-        self._base = to_vector(config.plant)
-        self._draws = draw_table(config)
-        weights = np.array([config.references.weights.get(name, 0.0) for name in REFERENCE_FAMILIES])
-        self._family_weights = weights / weights.sum()
-
+        self._task = settings_of(config)
+        self._layout = layout_of(config)
         samples = config.steps + 1 + max(config.preview_samples, default=0)
-        self.state = np.zeros((count, plant_kernel.N_STATES))
-        self.coefficient = np.zeros((count, plant_kernel.N_COEFFICIENTS))
-        self._voltage = np.zeros((count, 2))
-        self._peaks = np.zeros((count, plant_kernel.N_PEAKS))
-        self.physical = np.zeros((count, len(PARAMETER_PATHS)))
-        self.record = np.zeros((count, len(Record._fields)))
-        self.reference = np.zeros((count, samples))
-        self._noise_key = np.zeros(count, dtype=np.uint64)
-        self._roots = np.zeros(count, dtype=np.uint64)
-        self._episodes = np.full(count, -1, dtype=np.int64)
+        try:
+            self.arrays = AxisArrays(
+                record=table(count, RECORD),
+                plant=np.zeros((count, PLANT_COLUMNS)),
+                reference=np.zeros((count, samples)),
+                observation=np.zeros((count, len(self.scale)), dtype=np.float32),
+            )
+            self.physical = np.zeros((count, len(PARAMETER_PATHS)))
+            self.options = ResetOptions(config, count, samples)
+        except MemoryError:
+            raise ConfigurationError(f"num_envs = {count} with {config.steps} steps: too large for memory") from None
+        self._name_parts()
 
-        self.options = ResetOptions(config, count, samples)
+        weights = np.array([config.references.weights.get(name, 0.0) for name in REFERENCE_FAMILIES])
+        self._chances = Chances(
+            seeds=table(count, SEEDS),
+            plant=to_vector(config.plant),
+            draws=draws_of(config),
+            family_weights=weights / weights.sum(),
+        )
+        self._chances.seeds["episode"] = -1
 
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
 
+    def _name_parts(self) -> None:
+        """Views of the arrays; ``numbers`` are the records as rows of numbers, which Python reads faster than fields.
+
+        See :data:`COLUMN`.
+        """
+        self.record, plant, self.reference, self.observation = self.arrays
+        self.state = plant[:, :FIRST_COEFFICIENT]
+        self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
+        self.peaks = plant[:, FIRST_PEAK:]
+        self.numbers = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
+
     # Randomness -----------------------------------------------------------------------------------------------------
 
     def seed(self, axis: int, generator: np.random.Generator) -> None:
         """Give an axis its root of randomness from its generator; its episodes count from 0 again."""
-        self._roots[axis] = generator.integers(0, 2**64, dtype=np.uint64)
-        self._episodes[axis] = -1
+        self._chances.seeds["root"][axis] = generator.integers(0, 2**64, dtype=np.uint64)
+        self._chances.seeds["episode"][axis] = -1
 
     # Episodes -------------------------------------------------------------------------------------------------------
 
-    def begin(self, axes: NDArray[np.int64], observation: NDArray[np.float32]) -> None:
-        """Begin new episodes on some axes; their rows of ``observation`` (N, n) are written.
+    def begin(self, axes: Indices) -> None:
+        """Begin new episodes on some axes.
 
         Raises:
-            ConfigurationError: an initial position cannot be held by its plant.
+            ConfigurationError: no plant that was drawn can hold its initial position.
         """
-        self._episodes[axes] += 1
+        self._chances.seeds["episode"][axes] += 1
+        self.record[axes] = np.zeros((), RECORD)
         task_kernel.begin_episodes(
-            axes,
-            self._constants,
-            self._limits,
-            self._base,
-            self._draws,
-            self._family_weights,
-            self._roots,
-            self._episodes,
-            self.options.parameters,
-            self.options.leakage_flow_lpm,
-            self.options.initial_position,
-            self.options.family,
-            self.options.user_reference,
-            self.state,
-            self.coefficient,
-            self.physical,
-            self.record,
-            self.reference,
-            self._noise_key,
-            observation,
+            axes, self._task, self._layout, self._chances, self.options.fixed, self.physical, *self.arrays
         )
         self._check_begun(axes)
         self.options.used(axes)
 
-    def _check_begun(self, axes: NDArray[np.int64]) -> None:
-        failed = axes[self.column("failure")[axes] != 0.0]
+    def _check_begun(self, axes: Indices) -> None:
+        failed = axes[self.column("failure")[axes] != NO_FAILURE]
         if len(failed):
             axis = int(failed[0])
             physical = dict(zip(PARAMETER_PATHS, self.physical[axis], strict=True))
-            start = 1e3 * self.state[axis, 0]
             what = (
-                f"initial position {start:.4g} mm cannot be held"
+                f"initial position {1e3 * self.column('position')[axis]:.4g} mm cannot be held"
                 if self.column("failure")[axis] == CANNOT_BE_HELD
                 else self._unreachable(axis)
             )
             raise ConfigurationError(
                 f"axis {axis}: {what} by its plant (supply {physical['supply.pressure'] / 1e5:.3g} bar, spring "
                 f"{physical['load.spring_stiffness']:.4g} N/m, external force {physical['load.external_force']:.4g} N, "
-                f"leakage {self.column('leak_flow')[axis]:.3g} l/min at 100 bar)"
+                f"leakage {self.column('leak_flow')[axis]:.3g} l/min at 100 bar), nor by {task_kernel.MOST_DRAWS - 1} "
+                "others that were drawn"
             )
 
     def _unreachable(self, axis: int) -> str:
@@ -149,50 +185,32 @@ class Axes:
             f"reference of {1e3 * farthest:.4g} mm cannot be reached, only {1e3 * low:.4g} to {1e3 * high:.4g} mm can,"
         )
 
-    def step(
-        self,
-        actions: NDArray[Any],
-        observation: NDArray[np.float32],
-        reward: Floats,
-        terminated: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
-    ) -> None:
-        """Advance every axis by one control period; the four arrays, (N, n) and (N,), are written."""
+    def step(self, actions: NDArray[Any]) -> None:
+        """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
         if self._threads == 1:
-            self._step_range(actions, observation, reward, terminated, truncated, 0, self.count)
+            task_kernel.step_axes(self._task, self._layout, *self.arrays, actions, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
         bounds = [self.count * part // self._threads for part in range(self._threads + 1)]
-        waiting = [
-            self._pool.submit(self._step_range, actions, observation, reward, terminated, truncated, first, last)
-            for first, last in pairwise(bounds[1:])
-        ]
-        self._step_range(actions, observation, reward, terminated, truncated, bounds[0], bounds[1])
+        advance = partial(task_kernel.step_axes, self._task, self._layout, *self.arrays, actions)
+        waiting = [self._pool.submit(advance, first, last) for first, last in pairwise(bounds[1:])]
+        advance(bounds[0], bounds[1])
         for future in waiting:
             future.result()
 
-    def _step_range(self, actions: Any, observation: Any, reward: Any, ended: Any, cut: Any, a: int, b: int) -> None:
-        task_kernel.step_axes(
-            self._constants,
-            self.state,
-            self.coefficient,
-            self._voltage,
-            self._peaks,
-            self.record,
-            self.reference,
-            self._noise_key,
-            actions,
-            observation,
-            reward,
-            ended,
-            cut,
-            a,
-            b,
-        )
+    def ended(self) -> NDArray[np.bool_]:
+        """Which axes have failed or come to the end of their episode, shape (N,)."""
+        ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.config.steps)
+        return ended
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pool": None}  # threads cannot be copied; they start again when needed
+        views = dict.fromkeys(("record", "state", "coefficient", "peaks", "reference", "observation", "numbers"))
+        return {**self.__dict__, **views, "_pool": None}  # threads start again when needed
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._name_parts()
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
@@ -200,15 +218,56 @@ class Axes:
             self._pool.shutdown()
             self._pool = None
 
+    # Branching ------------------------------------------------------------------------------------------------------
+
+    def _rows(self) -> dict[str, NDArray[Any]]:
+        """Every array that an episode depends on, by name; one row per axis."""
+        fixed = self.options.fixed._asdict()
+        fixed["user_reference"] = np.broadcast_to(fixed["user_reference"], self.reference.shape)
+        return {
+            **self.arrays._asdict(),
+            "physical": self.physical,
+            "seeds": self._chances.seeds,
+            "persistent": self.options.persistent,
+            **{f"fixed_{name}": values for name, values in fixed.items()},
+        }
+
+    def get_state(self, axes: Indices) -> AxesState:
+        """All that some axes carry, as copies."""
+        return AxesState(self.config, {name: values[axes] for name, values in self._rows().items()})
+
+    def set_state(self, state: AxesState | Sequence[AxesState], axes: Indices) -> None:
+        """Put states of :meth:`get_state` on some axes, one for each or the same one for all.
+
+        Raises:
+            ConfigurationError: it is no such state, of another task, or of another number of axes.
+        """
+        states = [state] if isinstance(state, AxesState) else state
+        if not isinstance(states, list | tuple) or not states or not all(isinstance(s, AxesState) for s in states):
+            raise ConfigurationError("set_state: must be a state of get_state, or a list of such states")
+        if any(s.config != self.config for s in states):
+            raise ConfigurationError("set_state: this is the state of another task")
+        rows = {name: np.concatenate([s.arrays[name] for s in states]) for name in states[0].arrays}
+        count = len(rows["record"])
+        if count not in (1, len(axes)):
+            raise ConfigurationError(f"set_state: the state of {count} axes for {len(axes)}: must be as many, or one")
+        user_reference = rows.pop("fixed_user_reference")
+        own = self._rows()
+        for name, values in rows.items():
+            own[name][axes] = values
+        if not np.array_equal(own["fixed_user_reference"][axes], user_reference):
+            self.options.set_user_reference(user_reference, axes)
+
     # What the judge sees --------------------------------------------------------------------------------------------
 
     def column(self, name: str) -> Floats:
-        """A view of one column of ``record``, shape (N,)."""
-        return self.record[:, Record._fields.index(name)]
+        """A view of one field of ``record``, shape (N,), or (N, entries)."""
+        return self.record[name]
 
-    def leakage_class(self, flow_lpm: Floats) -> NDArray[np.int64]:
-        """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar."""
-        return np.searchsorted(np.array(self.config.leakage.class_bounds) * (1 + 1e-9), flow_lpm)
+    def leakage_class(self, flow_lpm: Floats) -> Indices:
+        """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar; the record has that of the present."""
+        exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"]).sum(axis=1)
+        return exceeded
 
     def parameters(self, axis: int) -> PlantParameters:
         """The physical parameters of an axis in its present episode, leakage included."""
@@ -226,8 +285,3 @@ class Axes:
         """External force in N that acts on an axis now, disturbance included."""
         row = Coefficients._fields.index("external_force")
         return float(self.coefficient[axis, row])
-
-
-def failure_name(code: float) -> str:
-    """What ended an episode, in words."""
-    return FAILURES[int(code)]

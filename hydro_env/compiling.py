@@ -11,12 +11,11 @@ import gc
 import hashlib
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
-
-import numba
-from numba.extending import typeof_impl
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -56,24 +55,38 @@ class Inline:
         self.py_func = function
         self.__doc__ = function.__doc__
         self.__name__ = function.__name__
-        unwrapped: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        self.merged: Any = numba.njit(forceinline=True, **unwrapped, **OPTIONS)(function)
-        self._alone: Any = numba.njit(**OPTIONS)(function)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it from Python."""
         return self._alone(*arguments)
 
+    @cached_property
+    def merged(self) -> Any:
+        """What numba merges into callers."""
+        return numba().njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(self.py_func)
 
-@typeof_impl.register(Inline)
-def _type_of_inline(value: Inline, context: Any) -> Any:
-    del context
-    return numba.types.Dispatcher(value.merged)
+    @cached_property
+    def _alone(self) -> Any:
+        return numba().njit(**OPTIONS)(self.py_func)
 
 
 def inline(function: Function) -> Function:
-    """Make a function an :class:`Inline`; an uncompiled one stays as it is."""
-    return function if numba.config.DISABLE_JIT else cast("Function", Inline(function))
+    """Make a function an :class:`Inline`."""
+    return cast("Function", Inline(function))
+
+
+@cache
+def numba() -> Any:
+    """The module numba, loaded when something is compiled: parameters and configuration do not need it."""
+    import numba as module
+    from numba.extending import typeof_impl
+
+    @typeof_impl.register(Inline)
+    def type_of_inline(value: Inline, context: Any) -> Any:
+        del context
+        return module.types.Dispatcher(value.merged)
+
+    return module
 
 
 class Kernel:
@@ -88,10 +101,14 @@ class Kernel:
         self.__name__ = function.__name__
         self.py_func = function
         self._ready = False
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The function as numba compiles it, with a cache where a folder for it can be written."""
         try:
-            self.dispatcher: Any = numba.njit(cache=True, **OPTIONS)(function)
-        except RuntimeError:  # no folder for the cache can be written
-            self.dispatcher = numba.njit(**OPTIONS)(function)
+            return numba().njit(cache=True, **OPTIONS)(self.py_func)
+        except RuntimeError:
+            return numba().njit(**OPTIONS)(self.py_func)
 
     def __call__(self, *arguments: Any) -> Any:
         """Call the machine code."""
@@ -113,18 +130,18 @@ class Kernel:
         return result
 
     def _load(self, arguments: tuple[Any, ...]) -> Any:
-        if numba.config.DISABLE_JIT:
+        if numba().config.DISABLE_JIT:
             return self.dispatcher(*arguments)
         try:
             return self.dispatcher(*arguments)
-        except numba.core.errors.NumbaError:
+        except numba().core.errors.NumbaError:
             raise
         except Exception:
             if self.dispatcher.signatures:  # compiled, but it could not be stored: a full disk
                 return self.dispatcher(*arguments)
         for file in Path(self.dispatcher.stats.cache_path or "").glob(f"*.{self.__name__}-*.nb[ic]"):
             file.unlink(missing_ok=True)  # it could not be read
-        self.dispatcher = numba.njit(**OPTIONS)(self.py_func)
+        self.dispatcher = numba().njit(**OPTIONS)(self.py_func)
         return self.dispatcher(*arguments)
 
 
@@ -147,6 +164,11 @@ def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -
     body = "\n".join(f"    {line}" for line in lines)
     exec(compile(f"def {name}({parameters}):\n{body}", f"<{name}>", "exec"), names)
     return inline(names[name])
+
+
+def named_tuple(name: str, fields: Iterable[str], module: str) -> Any:
+    """A named tuple whose fields are computed, which a class statement could not say."""
+    return namedtuple(name, list(fields), module=module)
 
 
 def _fields(kind: type) -> tuple[str, ...]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,22 +12,28 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.axes import Axes, failure_name
-from hydro_env.errors import ConfigurationError
+from hydro_env.arguments import info_kind, numbers, shown, whole_number
+from hydro_env.axes import COLUMN, Axes, AxesState
+from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import State
 from hydro_env.specification import PlainSpec
-from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
-from hydro_env.task.record import Record
+from hydro_env.task.configuration import TaskConfig, task_config
+from hydro_env.task.record import FAILURES
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import resistance_from_flow
 
 if TYPE_CHECKING:
-    from hydro_env.rendering import AxisRenderer
+    from hydro_env.rendering import AxisRenderer, View
 
 Observation = NDArray[np.float32]
-REWARD_TERMS = ("tracking", "effort", "failure")
-_COLUMN = {name: index for index, name in enumerate(Record._fields)}
-_LEAK, _POSITION, _REFERENCE, _VELOCITY = (_COLUMN[name] for name in ("leak_flow", "position", "reference", "velocity"))
-_FAMILY, _FAILURE, _COST = (_COLUMN[name] for name in ("reference_family", "failure", "cost_tracking"))
+_FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
+    COLUMN[name] for name in ("leak_flow", "leak_class", "position", "velocity", "reference")
+)
+_FAMILY, _FAILURE, _REWARD, _STEP = (COLUMN[name] for name in ("reference_family", "failure", "reward", "step"))
+_COSTS = slice(COLUMN["costs"], COLUMN["costs"] + len(REWARD_TERMS))
+_FLAT_TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
@@ -86,7 +93,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ``config``: YAML file, mapping or :class:`TaskConfig`; every field of ``TaskConfig`` may also be given as a
     keyword, ``gym.make("ServoHydraulic-v0", control_period=0.002, leakage={"healthy_share": 0.5})``.
-    ``render_mode``: ``"rgb_array"`` or ``"human"``.
+    ``render_mode``: ``"rgb_array"`` or ``"human"``. ``info``: ``True``; ``False`` for none; ``"flat"`` for numbers
+    alone, for array libraries: family and failure as their number, reward terms as ``reward_tracking`` and so on.
 
     ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
     (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
@@ -97,9 +105,14 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     (0 healthy, 1 incipient, 2 moderate, 3 severe), ``position``, ``velocity``, ``reference``, ``tracking_error`` (SI),
     ``reference_family``, ``failure``, ``reward_terms``.
 
+    ``get_state()`` and ``set_state(state)`` save and restore everything, random numbers included: an episode that is
+    continued twice from the same state repeats bit for bit.
+
     ## Version History
 
-    * v0: first version.
+    * v0: first version. Since 0.2: a plant that cannot hold its start is drawn again instead of refused; an episode
+      whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``, ``info="flat"``,
+      ``spec.max_episode_steps``. Episodes, observations and rewards of the default task are the same.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
@@ -108,10 +121,12 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self,
         config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
         render_mode: str | None = None,
+        info: bool | str = True,
         **overrides: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise ConfigurationError(f"render_mode = {render_mode!r}: must be 'human', 'rgb_array' or None")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigurationError(f"render_mode = {shown(render_mode)}: must be 'human', 'rgb_array' or None")
+        self._info_kind = info_kind(info)
         self.config = task_config(config, **overrides)
         self.render_mode = render_mode
         self._axes = Axes(self.config, 1)
@@ -120,14 +135,10 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self.observation_names = self._axes.observation_names
         self.observation_units = self._axes.observation_units
         self.observation_scale = self._axes.scale
-        self._size = len(self.observation_names)
-        self._reward = np.zeros(1)
-        self._terminated = np.zeros(1, dtype=np.bool_)
-        self._truncated = np.zeros(1, dtype=np.bool_)
-        self._class_bounds = [bound * (1 + 1e-9) for bound in self.config.leakage.class_bounds]
+        self._steps = self.config.steps
         self._seeded = False
         self._begun = False
-        self._history: list[tuple[float, float]] = []
+        self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
 
     def reset(
@@ -138,50 +149,74 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigurationError: an option is unknown or impossible.
         """
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole_number("seed", seed, 0))
         self._axes.options.set(options, _FIRST)
         if seed is not None or not self._seeded:
             self._axes.seed(0, self.np_random)
             self._seeded = True
-        observation = np.empty((1, self._size), dtype=np.float32)
         self._begun = False  # stays so where the plant cannot begin
-        self._axes.begin(_FIRST, observation)
+        self._axes.begin(_FIRST)
         self._begun = True
         self._history = []
-        if self.render_mode is not None:
-            self._note_history()
-        if self.render_mode == "human":
-            self.render()
-        return observation[0], self._info()
+        self._draw_if_asked()
+        return self._axes.observation[0].copy(), self._info(self._axes.numbers[0].tolist())
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Advance one control period with a command in [−1, 1], shape (1,).
 
         Raises:
-            ConfigurationError: the action is NaN, infinite or of another shape, or ``reset`` was not called.
+            ConfigurationError: the action is NaN, infinite or of another type or shape, or ``reset`` was not called.
         """
-        try:
-            command = np.array(action, dtype=np.float64)
-        except (TypeError, ValueError):
-            command = np.empty(0)
-        if command.shape != (1,) or not abs(command[0]) < np.inf:
-            shown = " ".join(repr(action).split())
-            raise ConfigurationError(f"action = {shown}: must be one finite number within -1 to 1, shape (1,)")
+        command = numbers(action)
+        if command is None or command.shape != (1,) or not abs(command[0]) < np.inf:
+            raise ConfigurationError(f"action = {shown(action)}: must be one finite number within -1 to 1, shape (1,)")
         if not self._begun:
             raise ConfigurationError("step: call reset first")
-        observation = np.empty((1, self._size), dtype=np.float32)
-        self._axes.step(command, observation, self._reward, self._terminated, self._truncated)
+        self._axes.step(command)
         if self.render_mode is not None:
-            self._note_history()
-        if self.render_mode == "human":
-            self.render()
+            self._draw_if_asked()
+        row = self._axes.numbers[0].tolist()
         return (
-            observation[0],
-            float(self._reward[0]),
-            bool(self._terminated[0]),
-            bool(self._truncated[0]),
-            self._info(),
+            self._axes.observation[0].copy(),
+            row[_REWARD],
+            row[_FAILURE] != 0.0,
+            row[_STEP] >= self._steps,
+            self._info(row),
         )
+
+    def get_state(self) -> AxesState:
+        """Everything that the environment carries: plant, clock, sensors, references, options, random numbers.
+
+        The state can be pickled, and set as often as wanted: here, on another environment of the same task, or on
+        axes of the vector environment.
+
+        Raises:
+            ConfigurationError: ``reset`` was not called.
+        """
+        if not self._begun:
+            raise NotBegunError("get_state: call reset first")
+        generator = deepcopy(self.np_random.bit_generator.state)
+        return replace(self._axes.get_state(_FIRST), generator=generator, history=tuple(self._history))
+
+    def set_state(self, state: AxesState | Sequence[AxesState]) -> None:
+        """Go on from a state of :meth:`get_state`, bit for bit as the environment did that gave it.
+
+        A state of one axis of the vector environment holds no generator; that of this environment then stays.
+
+        Raises:
+            ConfigurationError: it is no such state, of several axes, or of another task.
+        """
+        self._axes.set_state(state, _FIRST)
+        if isinstance(state, AxesState):
+            if state.generator is not None:
+                self.np_random.bit_generator.state = deepcopy(state.generator)
+            self._history = list(state.history)
+        self._seeded = self._begun = True
+
+    @property
+    def axes(self) -> Axes:
+        """The arrays behind the environment, of one axis (for the judge)."""
+        return self._axes
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy or a pickle holds: everything but the window or canvas, which a copy makes for itself."""
@@ -191,32 +226,40 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     def parameters(self) -> PlantParameters:
         """The physical parameters of the present episode, leakage included (for the judge)."""
         if not self._begun:
-            raise ConfigurationError("parameters: call reset first")
+            raise NotBegunError("parameters: call reset first")
         return self._axes.parameters(0)
 
-    def _info(self) -> dict[str, Any]:
-        row = self._axes.record[0].tolist()
-        flow, position, reference = row[_LEAK], row[_POSITION], row[_REFERENCE]
-        return {
+    def _info(self, row: list[float]) -> dict[str, Any]:
+        if self._info_kind is False:
+            return {}
+        flow, position, reference = row[_FLOW], row[_POSITION], row[_REFERENCE]
+        info: dict[str, Any] = {
             "leakage_resistance": resistance_from_flow(flow),
             "leakage_flow_lpm": flow,
-            "leakage_class": bisect_left(self._class_bounds, flow),
+            "leakage_class": int(row[_CLASS]),
             "position": position,
             "velocity": row[_VELOCITY],
             "reference": reference,
             "tracking_error": reference - position,
-            "reference_family": REFERENCE_FAMILIES[int(row[_FAMILY])],
-            "failure": failure_name(row[_FAILURE]),
-            "reward_terms": {
-                "tracking": -row[_COST],
-                "effort": -row[_COST + 1],
-                "failure": -row[_COST + 2],
-            },
         }
+        if self._info_kind == "flat":
+            info["reference_family"] = int(row[_FAMILY])
+            info["failure"] = int(row[_FAILURE])
+            info |= {name: -cost for name, cost in zip(_FLAT_TERMS, row[_COSTS], strict=True)}
+        else:
+            info["reference_family"] = REFERENCE_FAMILIES[int(row[_FAMILY])]
+            info["failure"] = FAILURES[int(row[_FAILURE])]
+            info["reward_terms"] = {name: -cost for name, cost in zip(REWARD_TERMS, row[_COSTS], strict=True)}
+        return info
 
-    def _note_history(self) -> None:
-        row = self._axes.record[0]
+    def _draw_if_asked(self) -> None:
+        """Note where the axis is, for the curve that is drawn; draw it at once in a window."""
+        if self.render_mode is None:
+            return
+        row = self._axes.numbers[0]
         self._history.append((row[_POSITION], row[_REFERENCE]))
+        if self.render_mode == "human":
+            self.render()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the axis: an image (height, width, 3) with ``"rgb_array"``, a window with ``"human"``."""
@@ -224,39 +267,38 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             gym.logger.warn("render() draws nothing without a render_mode; give one to gym.make")
             return None
         if not self._begun:
-            raise ConfigurationError("render: call reset first")
+            raise NotBegunError("render: call reset first")
         if self._renderer is None:
             from hydro_env.rendering import AxisRenderer
 
             self._renderer = AxisRenderer(self.render_mode, self.metadata["render_fps"])
         return self._renderer.draw(self._view())
 
-    def _view(self) -> Any:
+    def _view(self) -> View:
         from hydro_env.rendering import View
 
-        row = self._axes.record[0]
-        state = self._axes.state[0]
-        step = int(row[_COLUMN["step"]])
+        record = self._axes.record[0]
+        state = State(*self._axes.state[0])
+        step = int(record["step"])
         cylinder = self.config.plant.cylinder
-        history = np.array(self._history)
-        parameters = self.parameters
+        history = np.array(self._history).reshape(-1, 2)
         return View(
             time=step * self.config.control_period,
-            position=state[0],
-            velocity=state[1],
-            reference=row[_COLUMN["reference"]],
+            position=state.position,
+            velocity=state.velocity,
+            reference=record["reference"],
             reference_preview=self._axes.reference[0, step + 1 : self.config.steps + 1].copy(),
-            pressure_a=state[2],
-            pressure_b=state[3],
-            supply_pressure=state[7],
-            spool_position=state[4],
-            command=row[_COLUMN["command"]],
-            leakage_flow_lpm=row[_COLUMN["leak_flow"]],
+            pressure_a=state.pressure_a,
+            pressure_b=state.pressure_b,
+            supply_pressure=state.supply_pressure,
+            spool_position=state.spool_position,
+            command=record["command"],
+            leakage_flow_lpm=record["leak_flow"],
             external_force=self._axes.external_force(0),
             stroke=cylinder.stroke,
             bore_diameter=cylinder.bore_diameter,
             rod_diameter=cylinder.rod_diameter,
-            has_spring=parameters.load.spring_stiffness > 0.0,
+            has_spring=self.parameters.load.spring_stiffness > 0.0,
             history_time=self.config.control_period * np.arange(step + 1 - len(history), step + 1),
             history_position=history[:, 0],
             history_reference=history[:, 1],

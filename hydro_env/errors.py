@@ -13,5 +13,9 @@ class UnknownKeyError(ConfigurationError, TypeError):
     """A key or keyword does not exist; also a ``TypeError``, as Python raises for an unknown keyword argument."""
 
 
+class NotBegunError(ConfigurationError, AttributeError):
+    """What an environment has only after ``reset`` was asked for before; an ``AttributeError`` for ``hasattr``."""
+
+
 class InvalidStateError(HydroError, ArithmeticError):
     """A simulated state left the range in which the model is valid."""

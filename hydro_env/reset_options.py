@@ -8,14 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.arguments import numbers, shown
+from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
-from hydro_env.task.configuration import LEAKAGE_LIMIT, REFERENCE_FAMILIES, TaskConfig
-from hydro_env.task.packing import draw_table
-from hydro_env.task.record import DRAW_HIGH, DRAW_INDEX, DRAW_LOW, DRAW_OTHERWISE, DRAW_PROBABILITY, DRAW_TIMES
+from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
+from hydro_env.task.record import Fixed
+from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
+from hydro_env.task.settings import draws_of
 from hydro_env.units import flow_from_resistance
 
-USER_FAMILY = REFERENCE_FAMILIES.index("user")
 OPTION_NAMES = (
     "leakage_resistance",
     "leakage_flow_lpm",
@@ -27,9 +29,6 @@ OPTION_NAMES = (
 )
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must be larger than another one (rod, Coulomb force, precharge): impossible when drawn too low."""
-
-LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
-"""Parameters that the group ``leakage`` of the task sets."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -44,12 +43,12 @@ def options_given(options: Any) -> dict[str, Any]:
     if options is None:
         return {}
     if not isinstance(options, Mapping):
-        raise ConfigurationError(f"reset options: {options!r}: must be a mapping, of {', '.join(OPTION_NAMES)}")
+        raise ConfigurationError(f"reset options: {shown(options)}: must be a mapping, of {', '.join(OPTION_NAMES)}")
     return dict(options)
 
 
 class ResetOptions:
-    """What is fixed on each of N axes; NaN, or family −1, is drawn.
+    """What the caller fixes in the next episode of each of N axes.
 
     Args:
         config: the task.
@@ -65,25 +64,37 @@ class ResetOptions:
         self.count = count
         self._samples = samples
         self._base = to_vector(config.plant)
-        self._draws = draw_table(config)
-        self.parameters = np.full((count, len(PARAMETER_PATHS)), np.nan)
-        self.leakage_flow_lpm = np.full(count, np.nan)
-        self.initial_position = np.full(count, np.nan)
-        self.family = np.full(count, -1, dtype=np.int64)
-        self.user_reference = np.zeros((1, samples))
-        self._persistent = np.zeros(count, dtype=np.bool_)
+        self._draws = draws_of(config)
+        self.fixed = Fixed(
+            parameters=np.full((count, len(PARAMETER_PATHS)), np.nan),
+            leakage_flow_lpm=np.full(count, np.nan),
+            initial_position=np.full(count, np.nan),
+            family=np.full(count, -1, dtype=np.int64),
+            user_reference=np.zeros((1, samples)),
+        )
+        self.persistent = np.zeros(count, dtype=np.bool_)
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
         if config.references.user:
             row = np.asarray(config.references.user)
-            self.user_reference = self._checked_reference(row, "references.user")[None]
+            self.fixed.user_reference[:] = self._checked_reference(row, "references.user")
+        self._own_reference = self.fixed.user_reference[0].copy()
 
     def used(self, axes: Indices) -> None:
         """An episode has begun on these axes: what was not to persist is drawn again next time."""
-        passing = axes[~self._persistent[axes]]
-        self.parameters[passing] = np.nan
-        self.leakage_flow_lpm[passing] = np.nan
-        self.initial_position[passing] = np.nan
-        self.family[passing] = -1
+        passing = axes[~self.persistent[axes]]
+        self.fixed.parameters[passing] = np.nan
+        self.fixed.leakage_flow_lpm[passing] = np.nan
+        self.fixed.initial_position[passing] = np.nan
+        self.fixed.family[passing] = -1
+        if len(self.fixed.user_reference) == self.count:
+            self.fixed.user_reference[passing] = self._own_reference
+
+    def set_user_reference(self, rows: Floats, axes: Indices) -> None:
+        """References of the user's own for some axes, (axes, samples) or (1, samples), m."""
+        if self.count > 1 and len(self.fixed.user_reference) == 1:
+            everyone = np.repeat(self.fixed.user_reference, self.count, axis=0)
+            self.fixed = self.fixed._replace(user_reference=everyone)
+        self.fixed.user_reference[axes] = rows
 
     def set(self, options: Mapping[str, Any] | None, axes: Indices) -> None:
         """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``.
@@ -94,33 +105,27 @@ class ResetOptions:
         options = options_given(options)
         for name in options:
             if name not in OPTION_NAMES:
-                raise ConfigurationError(f"reset options: unknown option '{name}'; known: {', '.join(OPTION_NAMES)}")
+                raise UnknownKeyError(f"reset options: unknown option '{name}'; known: {', '.join(OPTION_NAMES)}")
         leak = self._leak_option(options, axes)
         position = self._position_option(options, axes)
         parameters = self._parameter_option(options.get("parameters"), axes)
         families, user = self._reference_option(options.get("reference"), axes)
         persist = options.get("persist", False)
         if not isinstance(persist, bool | np.bool_):
-            raise ConfigurationError(f"reset options: persist = {persist!r}: must be true or false")
-        self.leakage_flow_lpm[axes] = leak
-        self.initial_position[axes] = position
-        self.parameters[axes] = parameters
-        self.family[axes] = families
-        self._persistent[axes] = bool(persist)
+            raise ConfigurationError(f"reset options: persist = {shown(persist)}: must be true or false")
+        self.fixed.leakage_flow_lpm[axes] = leak
+        self.fixed.initial_position[axes] = position
+        self.fixed.parameters[axes] = parameters
+        self.fixed.family[axes] = families
+        self.persistent[axes] = bool(persist)
         if user is not None:
-            if self.count > 1 and len(self.user_reference) == 1:
-                self.user_reference = np.repeat(self.user_reference, self.count, axis=0)
-            self.user_reference[axes] = user
+            self.set_user_reference(user, axes)
 
     def _per_axis(self, value: Any, name: str, axes: Indices) -> Floats:
         """A number for all axes, or one for each."""
-        try:
-            array = np.asarray(value)
-            if array.dtype == np.bool_:
-                raise TypeError
-            array = array.astype(np.float64)
-        except (TypeError, ValueError):
-            raise ConfigurationError(f"reset options: {name} = {value!r}: must be a number") from None
+        array = numbers(value)
+        if array is None:
+            raise ConfigurationError(f"reset options: {name} = {shown(value)}: must be a number")
         if array.shape == (self.count,) and self.count > 1:
             array = array[axes]
         elif array.shape not in ((), (len(axes),)):
@@ -186,7 +191,7 @@ class ResetOptions:
                 if path in MODEL_CODES:
                     if not isinstance(value, str) or value not in MODEL_CODES[path]:
                         raise ConfigurationError(
-                            f"reset options: parameters.{path} = {value!r}: must be one of "
+                            f"reset options: parameters.{path} = {shown(value)}: must be one of "
                             f"{', '.join(MODEL_CODES[path])}"
                         )
                     value = float(MODEL_CODES[path].index(value))
@@ -205,13 +210,13 @@ class ResetOptions:
         """With these parameters fixed (not NaN), the plant must be possible for the least favourable draws."""
         vector = np.where(np.isnan(row), self._base, row)
         for draw in self._draws:
-            index, times = int(draw[DRAW_INDEX]), int(draw[DRAW_TIMES])
+            index, times = int(draw["parameter"]), int(draw["times"])
             if not np.isnan(row[index]):
                 continue
             factor = vector[times] if times >= 0 else 1.0
-            values = [factor * draw[DRAW_LOW], factor * draw[DRAW_HIGH]]
-            if draw[DRAW_PROBABILITY] > 0.0:
-                values.append(draw[DRAW_OTHERWISE])
+            values = [factor * draw["low"], factor * draw["high"]]
+            if draw["otherwise_probability"] > 0.0:
+                values.append(draw["otherwise"])
             vector[index] = min(values) if PARAMETER_PATHS[index] in MUST_EXCEED_ANOTHER else max(values)
         try:
             from_vector(vector)
@@ -231,17 +236,16 @@ class ResetOptions:
             if len(names) != len(axes):
                 raise ConfigurationError(f"reset options: reference has {len(names)} names for {len(axes)} axes")
             for index, name in enumerate(names):
-                if name not in REFERENCE_FAMILIES[:USER_FAMILY]:
-                    known = ", ".join(REFERENCE_FAMILIES[:USER_FAMILY])
+                if name not in FAMILIES:
+                    known = ", ".join(FAMILIES)
                     raise ConfigurationError(
-                        f"reset options: reference = {name!r}: must be an array in m, or of {known}"
+                        f"reset options: reference = {shown(name)}: must be an array in m, or of {known}"
                     )
                 families[index] = REFERENCE_FAMILIES.index(name)
             return families, None
-        try:
-            array = np.asarray(given, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ConfigurationError("reset options: reference must be numbers in m, or the name of a family") from None
+        array = numbers(given)
+        if array is None:
+            raise ConfigurationError("reset options: reference must be numbers in m, or the name of a family")
         if array.ndim == 1:
             rows = np.repeat(self._checked_reference(array, "reset options: reference")[None], len(axes), axis=0)
         elif array.ndim == 2 and len(array) in (self.count, len(axes)):

@@ -1,4 +1,4 @@
-"""How Gymnasium made an environment, kept as plain data so that it can be written as JSON."""
+"""How Gymnasium made an environment, kept as plain data so that it can be written as JSON and used elsewhere."""
 
 from __future__ import annotations
 
@@ -10,21 +10,31 @@ from typing import Any
 from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
+from hydro_env.task.configuration import TaskConfig
+
 
 class PlainSpec:
     """Gives an environment its ``spec``; comes before Gymnasium's class among the bases."""
 
+    config: TaskConfig
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How ``gym.make`` or ``gym.make_vec`` made this environment; ``to_json`` works, however the task was given."""
+        """How ``gym.make`` or ``gym.make_vec`` made this environment.
+
+        ``to_json`` works however the task was given: of a YAML file it holds the content, not the path.
+        ``max_episode_steps`` is the length of an episode; the environment itself truncates there.
+        """
         return self._spec
 
     @spec.setter
     def spec(self, value: EnvSpec | None) -> None:
         if value is not None:
-            value = dataclasses.replace(value, kwargs=_plain(value.kwargs))
+            kwargs = _plain(value.kwargs)
+            if isinstance(kwargs.get("config"), str):
+                kwargs["config"] = _plain(self.config)
+            value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=self.config.steps)
         self._spec = value
 
 

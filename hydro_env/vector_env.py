@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +14,22 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hydro_env.axes import Axes, failure_name
-from hydro_env.env import REWARD_TERMS
-from hydro_env.errors import ConfigurationError
+from hydro_env.arguments import info_kind, numbers, shown, whole_number
+from hydro_env.axes import Axes, AxesState
+from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.reset_options import options_given
 from hydro_env.specification import PlainSpec
-from hydro_env.task.configuration import REFERENCE_FAMILIES, TaskConfig, task_config
-from hydro_env.task.record import Record
+from hydro_env.task.configuration import TaskConfig, task_config
+from hydro_env.task.record import FAILURES, NO_FAILURE
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
-_COLUMN = {name: index for index, name in enumerate(Record._fields)}
-_NO_FAILURE = np.array([failure_name(0)], dtype=object)
-_FAMILY_NAMES = np.array(REFERENCE_FAMILIES, dtype=object)
+
+MOST_AXES = 1_000_000
+MOST_THREADS = 1024
 
 
 class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
@@ -42,7 +46,8 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         max_episode_steps: truncate after so many steps instead of after ``episode_duration``.
         threads: worker threads of a step; ``None`` takes the cores where there are axes enough.
         render_mode: must be ``None``; draw a single environment.
-        info: ``False`` leaves ``info`` empty, for training loops that do not read it.
+        info: ``False`` leaves ``info`` empty, for training loops that do not read it; ``"flat"`` makes it arrays of
+            numbers alone, without text and dictionaries, for array libraries (final observations and infos too).
     """
 
     metadata: dict[str, Any] = {
@@ -59,43 +64,41 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
-        info: bool = True,
+        info: bool | str = True,
         **overrides: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ConfigurationError(f"num_envs = {num_envs}: must be at least 1")
-        if threads is not None and not (type(threads) is int and threads >= 1):
-            raise ConfigurationError(f"threads = {threads!r}: must be a whole number of at least 1, or None")
+        self.num_envs = whole_number("num_envs", num_envs, 1, MOST_AXES)
+        if threads is not None:
+            threads = whole_number("threads", threads, 1, MOST_THREADS)
         if render_mode is not None:
-            raise ConfigurationError(f"render_mode = {render_mode!r}: the vector environment does not draw")
+            raise ConfigurationError(f"render_mode = {shown(render_mode)}: the vector environment does not draw")
         try:
-            self._mode = AutoresetMode(autoreset_mode)
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
             known = ", ".join(mode.value for mode in AutoresetMode)
-            raise ConfigurationError(f"autoreset_mode = {autoreset_mode!r}: must be one of {known}") from None
+            raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: must be one of {known}") from None
+        self._info_kind = info_kind(info)
         self.config = task_config(config, **overrides)
-        if max_episode_steps is not None:
-            duration = max_episode_steps * self.config.control_period
-            self.config = task_config(self.config, episode_duration=duration)
-        self.num_envs = num_envs
+        if max_episode_steps is not None and max_episode_steps != self.config.steps:
+            steps = whole_number("max_episode_steps", max_episode_steps, 1)
+            self.config = task_config(self.config, episode_duration=steps * self.config.control_period)
         self.render_mode = render_mode
-        self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}
-        self._axes = Axes(self.config, num_envs, threads)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self._axes = Axes(self.config, self.num_envs, threads)
         self.single_observation_space = self._axes.observation_space
         self.single_action_space = self._axes.action_space
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_names = self._axes.observation_names
         self.observation_units = self._axes.observation_units
         self.observation_scale = self._axes.scale
-        self._everyone = np.arange(num_envs, dtype=np.int64)
-        self._present = np.ones(num_envs, dtype=np.bool_)
+        self._everyone = np.arange(self.num_envs, dtype=np.int64)
+        self._present = np.ones(self.num_envs, dtype=np.bool_)
         self._present.flags.writeable = False
-        self._ended = np.zeros(num_envs, dtype=np.bool_)
-        self._observation = np.zeros((num_envs, len(self.observation_names)), dtype=np.float32)
+        self._ended = np.zeros(self.num_envs, dtype=np.bool_)
+        self._steps = self.config.steps
         self._seeded = False
         self._begun = False
-        self._with_info = info
 
     @property
     def axes(self) -> Axes:
@@ -120,38 +123,40 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             raise ConfigurationError("reset options: reset_mask: the first reset must begin every axis")
         self._axes.options.set(options, axes)
         self._seed(seed, axes)
-        observation = self._observation.copy()
-        self._begin(axes, observation)
-        self._observation = observation
+        self._begin(axes)
         self._ended[axes] = False
-        return observation.copy(), self._info(axes)
+        return self._axes.observation.copy(), self._info(axes)
 
     def _chosen(self, mask: Any) -> NDArray[np.int64]:
         if mask is None:
             return self._everyone
-        mask = np.asarray(mask)
-        if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+        try:
+            chosen = np.asarray(mask)
+        except ValueError:  # ragged
+            chosen = np.empty(0)
+        if chosen.dtype != np.bool_ or chosen.shape != (self.num_envs,) or not chosen.any():
             raise ConfigurationError(
                 f"reset options: reset_mask must be a boolean array of shape ({self.num_envs},) with at least one True"
             )
-        return np.flatnonzero(mask)
+        return np.flatnonzero(chosen)
 
-    def _begin(self, axes: NDArray[np.int64], observation: Observations) -> None:
+    def _begin(self, axes: NDArray[np.int64]) -> None:
         """Begin episodes; where a plant cannot begin, all axes need a reset before the next step."""
         self._begun = False
-        self._axes.begin(axes, observation)
+        self._axes.begin(axes)
         self._begun = True
 
     def _seed(self, seed: int | Sequence[int | None] | None, axes: NDArray[np.int64]) -> None:
-        if isinstance(seed, int | np.integer):
-            self._np_random, self._np_random_seed = seeding.np_random(int(seed))
-            seeds: list[int | None] = [int(seed) + axis for axis in range(self.num_envs)]
-        elif seed is not None:
-            seeds = list(seed)
-            if len(seeds) != self.num_envs:
-                raise ConfigurationError(f"seed: {len(seeds)} seeds for {self.num_envs} axes")
+        if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) == 1:
+            if len(seed) != self.num_envs:
+                raise ConfigurationError(f"seed: {len(seed)} seeds for {self.num_envs} axes")
+            seeds = [None if value is None else whole_number("seed", value, 0) for value in seed]
             if not self._seeded:
                 seeds = [int(self.np_random.integers(0, 2**62)) if value is None else value for value in seeds]
+        elif seed is not None:
+            first = whole_number("seed", seed, 0)
+            self._np_random, self._np_random_seed = seeding.np_random(first)
+            seeds = [first + axis for axis in range(self.num_envs)]
         elif not self._seeded:
             seeds = [int(value) for value in self.np_random.integers(0, 2**62, self.num_envs)]
         else:
@@ -176,10 +181,9 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         Raises:
             ConfigurationError: an action is NaN or infinite, the shape is wrong, or ``reset`` was not called.
         """
-        try:
-            commands = np.array(actions, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ConfigurationError("actions: must be numbers within -1 to 1") from None
+        commands = numbers(actions)
+        if commands is None:
+            raise ConfigurationError("actions: must be numbers within -1 to 1")
         if commands.shape != (self.num_envs, 1):
             raise ConfigurationError(f"actions: shape {commands.shape}: must be ({self.num_envs}, 1)")
         if not np.isfinite(commands).all():
@@ -187,50 +191,98 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             raise ConfigurationError(f"actions[{axis}] = {commands[axis, 0]}: must be a finite number within -1 to 1")
         if not self._begun:
             raise ConfigurationError("step: call reset first")
-        if self._mode == AutoresetMode.DISABLED and self._ended.any():
+        if self.autoreset_mode == AutoresetMode.DISABLED and self._ended.any():
             raise ConfigurationError(
                 f"step: axis {int(np.argmax(self._ended))} has ended; with autoreset_mode Disabled reset it first "
                 "(options={'reset_mask': ...})"
             )
-        observation = np.empty_like(self._observation)
-        reward = np.empty(self.num_envs)
-        terminated = np.empty(self.num_envs, dtype=np.bool_)
-        truncated = np.empty(self.num_envs, dtype=np.bool_)
-        self._axes.step(commands[:, 0], observation, reward, terminated, truncated)
+        self._axes.step(commands[:, 0])
+        observation = self._axes.observation
+        record = self._axes.record
+        reward = record["reward"].copy()
+        terminated = record["failure"] != NO_FAILURE
+        truncated = record["step"] >= self._steps
 
         final: dict[str, Any] = {}
-        if self._mode == AutoresetMode.NEXT_STEP and self._ended.any():
+        if self.autoreset_mode == AutoresetMode.NEXT_STEP and self._ended.any():
             restarting = np.flatnonzero(self._ended)
-            self._begin(restarting, observation)
+            self._begin(restarting)
             reward[restarting] = 0.0
             terminated[restarting] = False
             truncated[restarting] = False
         self._ended = terminated | truncated
-        if self._mode == AutoresetMode.SAME_STEP and self._ended.any():
-            final = self._finish(observation)
-        self._observation = observation
+        if self.autoreset_mode == AutoresetMode.SAME_STEP and self._ended.any():
+            final = self._finish()
         return observation.copy(), reward, terminated, truncated, self._info(self._everyone) | final
 
-    def _finish(self, observation: Observations) -> dict[str, Any]:
+    def _finish(self) -> dict[str, Any]:
         """Restart the axes that ended in this step; their last observation and info go into the info."""
         mask = self._ended
         ended = np.flatnonzero(mask)
-        last = np.full(self.num_envs, None, dtype=object)
-        for axis, row in zip(ended, observation[ended], strict=True):
-            last[axis] = row
-        final = {
-            "final_obs": last,
-            "_final_obs": mask.copy(),
-            "final_info": self._info(ended),
-            "_final_info": mask.copy(),
-        }
-        self._begin(ended, observation)
+        if self._info_kind == "flat":
+            last = np.where(mask[:, None], self._axes.observation, np.float32(0.0))
+            final = {f"final_{name}": values for name, values in self._info(ended).items() if name[0] != "_"}
+            final |= {"final_obs": last, "_final_obs": mask.copy()}
+        else:
+            last = np.full(self.num_envs, None, dtype=object)
+            for axis in ended:
+                last[axis] = self._axes.observation[axis].copy()
+            final = {
+                "final_obs": last,
+                "_final_obs": mask.copy(),
+                "final_info": self._info(ended),
+                "_final_info": mask.copy(),
+            }
+        self._begin(ended)
         self._ended = np.zeros(self.num_envs, dtype=np.bool_)
         return final
 
+    def get_state(self, axes: Sequence[int] | None = None) -> AxesState:
+        """Everything that some axes carry (all by default); see the single environment.
+
+        Raises:
+            ConfigurationError: ``reset`` was not called, or there is no such axis.
+        """
+        if not self._begun:
+            raise NotBegunError("get_state: call reset first")
+        state = self._axes.get_state(self._numbered(axes))
+        return state if axes is not None else replace(state, generator=deepcopy(self.np_random.bit_generator.state))
+
+    def set_state(self, state: AxesState | Sequence[AxesState], axes: Sequence[int] | None = None) -> None:
+        """Go on from a state of :meth:`get_state`, on some axes (on all by default), bit for bit.
+
+        Args:
+            state: of as many axes, of one (then all get it), or a list with one for each; of this environment or of a
+                single one.
+            axes: which axes; the others go on undisturbed.
+
+        Raises:
+            ConfigurationError: it is no such state, of another task, or does not fit the axes.
+        """
+        chosen = self._numbered(axes)
+        if not self._begun and len(chosen) < self.num_envs:
+            raise ConfigurationError("set_state: call reset first, or give all axes a state")
+        self._axes.set_state(state, chosen)
+        alike = isinstance(state, AxesState) and axes is None and state.count == self.num_envs
+        generator = getattr(state, "generator", None) if alike else None
+        if generator is not None:
+            self.np_random.bit_generator.state = deepcopy(generator)
+        self._ended = self._axes.ended()
+        self._seeded = self._begun = True
+
+    def _numbered(self, axes: Sequence[int] | None) -> NDArray[np.int64]:
+        if axes is None:
+            return self._everyone
+        if not isinstance(axes, list | tuple | range | np.ndarray) or len(axes) == 0:
+            raise ConfigurationError(f"axes = {shown(axes)}: must be numbers of axes, or None for all")
+        chosen = [whole_number("axes", axis, 0, self.num_envs - 1) for axis in axes]
+        if len(set(chosen)) < len(chosen):
+            raise ConfigurationError(f"axes = {shown(axes)}: each axis may be named once")
+        return np.array(chosen, dtype=np.int64)
+
     def _info(self, axes: NDArray[np.int64]) -> dict[str, Any]:
         """Arrays over all axes, each with a mask of the axes for which it holds; zero elsewhere, as Gymnasium does."""
-        if not self._with_info:
+        if self._info_kind is False:
             return {}
         everyone = len(axes) == self.num_envs
         present = self._present
@@ -238,39 +290,41 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             present = np.zeros(self.num_envs, dtype=np.bool_)
             present[axes] = True
 
-        def column(row: int) -> NDArray[np.float64]:
-            values = self._axes.record[:, row].copy()
+        record = self._axes.record
+
+        def column(name: str) -> NDArray[Any]:
+            values: NDArray[Any] = record[name].copy()
             if not everyone:
                 values[~present] = 0.0
             return values
 
-        flow = column(_COLUMN["leak_flow"])
+        flow, position, reference = column("leak_flow"), column("position"), column("reference")
         resistance = np.zeros(self.num_envs)
         with np.errstate(divide="ignore"):  # no leak is an infinite resistance
             np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
-        family = _FAMILY_NAMES[column(_COLUMN["reference_family"]).astype(np.int64)]
-        failure = _failure_names(column(_COLUMN["failure"]))
-        if not everyone:
-            family[~present] = None
-            failure[~present] = None
-        cost = _COLUMN["cost_tracking"]
-        terms: dict[str, Any] = {}
-        for index, name in enumerate(REWARD_TERMS):
-            terms[name] = -column(cost + index)
-            terms[f"_{name}"] = present
-        position, reference = column(_COLUMN["position"]), column(_COLUMN["reference"])
+        family, failure = column("reference_family").astype(np.int64), column("failure").astype(np.int64)
+        costs = column("costs")
         values: dict[str, Any] = {
             "leakage_resistance": resistance,
             "leakage_flow_lpm": flow,
-            "leakage_class": self._axes.leakage_class(flow),
+            "leakage_class": column("leak_class").astype(np.int64),
             "position": position,
-            "velocity": column(_COLUMN["velocity"]),
+            "velocity": column("velocity"),
             "reference": reference,
             "tracking_error": reference - position,
             "reference_family": family,
             "failure": failure,
-            "reward_terms": terms,
         }
+        if self._info_kind == "flat":
+            values |= {f"reward_{name}": -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
+        else:
+            values["reference_family"] = _names(family, REFERENCE_FAMILIES, present)
+            values["failure"] = _names(failure, FAILURES, present)
+            terms: dict[str, Any] = {}
+            for index, name in enumerate(REWARD_TERMS):
+                terms[name] = -costs[:, index]
+                terms[f"_{name}"] = present
+            values["reward_terms"] = terms
         masks = {f"_{name}": present for name in values}
         return values | masks
 
@@ -282,9 +336,12 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             axes.close()
 
 
-def _failure_names(codes: NDArray[np.float64]) -> NDArray[np.object_]:
-    failed = np.flatnonzero(codes)
-    names: NDArray[np.object_] = np.repeat(_NO_FAILURE, len(codes))
-    for axis in failed:
-        names[axis] = failure_name(codes[axis])
+def _names(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> NDArray[np.object_]:
+    """The name of each code, None where an axis is not present.
+
+    Filled code by code: NumPy 2.0 to 2.2.2 crash where two threads repeat an array of objects.
+    """
+    names = np.empty(len(codes), dtype=object)
+    for code in np.bincount(codes).nonzero()[0].tolist():
+        names[(codes == code) & present] = known[code]
     return names

@@ -58,10 +58,15 @@ def hydro_process(*arguments: object, text: bool = True, **variables: str) -> su
     return subprocess.run(line, capture_output=True, text=text, check=False, env=environment(**variables), cwd=ROOT)
 
 
+def own_lines(text: str) -> list[str]:
+    """Lines of what was printed, without the notice that something is compiled."""
+    return [line for line in text.splitlines() if line.strip() and not line.startswith("hydro_env: compiling")]
+
+
 def assert_one_clear_line(answer: Answer | subprocess.CompletedProcess, *parts: str) -> None:
     """Exit code 2, and one line that holds the parts."""
     assert answer.returncode == 2, answer.stderr
-    lines = [line for line in answer.stderr.splitlines() if line.strip()]
+    lines = own_lines(answer.stderr)
     assert len(lines) == 1, answer.stderr
     assert lines[0].startswith("hydro: ")
     for part in parts:

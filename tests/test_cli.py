@@ -8,7 +8,7 @@ import subprocess
 
 import pytest
 import yaml
-from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro, hydro_process
+from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro, hydro_process, own_lines
 
 import hydro_env
 from agents.rigs import check_table
@@ -221,7 +221,7 @@ def test_a_pipe_that_is_closed_is_no_error(tmp_path, arguments):
         )
     finally:
         os.close(writing)
-    assert ended.stderr == b""
+    assert own_lines(ended.stderr.decode()) == []
     assert ended.returncode != 0
     assert "run" not in arguments or (tmp_path / "run" / "trajectory.csv").exists()
 
@@ -266,7 +266,7 @@ def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, cod
     finally:
         signal.signal(signal.SIGINT, before)
     assert answer.returncode == code
-    [line] = answer.stderr.splitlines()
+    [line] = own_lines(answer.stderr)
     assert line.startswith("hydro: stopped; ")
     assert words in line
     assert (tmp_path / "out").exists() == bool(files)
@@ -295,7 +295,7 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     study.write_text(yaml.safe_dump(TINY))
     code, errors = stopped_study(folder)
     assert code == 143, errors
-    assert errors.strip() == f"hydro: stopped; {folder} keeps what is done so far, --resume goes on with it"
+    assert own_lines(errors) == [f"hydro: stopped; {folder} keeps what is done so far, --resume goes on with it"]
     assert not (folder / "report.html").exists()
     assert_one_clear_line(hydro("study", "--config", study, "--output", folder), "holds results already")
     resumed = hydro("study", "--config", study, "--output", folder, "--resume")

@@ -123,7 +123,7 @@ def test_a_step_leaves_nothing_behind_and_takes_only_what_it_returns():
     envs, actions = begun(1024, info=False)
     for _ in range(3):
         returned = envs.step(actions)
-    row = envs._observation.nbytes
+    row = envs.axes.observation.nbytes
     arrays = sum(array.nbytes for array in returned[:4])
     growth, peak = memory_of(lambda: envs.step(actions), 100)
     assert growth < 4096  # nothing grows with the number of steps

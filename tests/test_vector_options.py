@@ -199,12 +199,12 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(actions, mess
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"num_envs": 0}, "num_envs = 0: must be at least 1"),
-        ({"threads": 0}, "threads = 0: must be a whole number of at least 1, or None"),
+        ({"num_envs": 0}, "num_envs = 0: must be a whole number within 1 to 1000000"),
+        ({"threads": 0}, "threads = 0: must be a whole number within 1 to 1024"),
         ({"threads": 1.5}, "threads = 1.5: must be a whole number"),
         ({"render_mode": "human"}, "render_mode = 'human': the vector environment does not draw"),
         ({"autoreset_mode": "later"}, "autoreset_mode = 'later': must be one of NextStep, SameStep, Disabled"),
-        ({"max_episode_steps": 0}, "episode_duration = 0.0: .*unit: s"),
+        ({"max_episode_steps": 0}, "max_episode_steps = 0: must be a whole number of at least 1"),
         ({"leakage": {"law": "none"}}, "leakage.law = 'none'"),
     ],
 )

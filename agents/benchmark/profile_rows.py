@@ -61,17 +61,20 @@ def _single_cases(extent: Extent) -> list[Case]:
         return lambda: env.step(action)
 
     def compiled() -> Callable[[], Any]:
-        axes = bare()._axes
-        command, observation = np.zeros(1), np.empty((1, len(axes.scale)), dtype=np.float32)
-        reward, ended, cut = np.zeros(1), np.zeros(1, dtype=np.bool_), np.zeros(1, dtype=np.bool_)
-        return lambda: axes.step(command, observation, reward, ended, cut)
+        axes, command = bare().axes, np.zeros(1)
+        return lambda: axes.step(command)
+
+    def info() -> Callable[[], Any]:
+        env = bare()
+        row = env.axes.numbers[0].tolist()
+        return lambda: env._info(row)
 
     return [
         _timed(whole, wrapped, extent, ""),
         _timed("single step: without Gymnasium's wrappers", unwrapped, extent, whole),
         _timed("single step: compiled step and its call", compiled, extent, whole, "physics, sensors, reward"),
         _timed("single step: integrator and its call", lambda: BareKernel(1, 1).advance, extent, whole),
-        _timed("single step: info", lambda: bare()._info, extent, whole),
+        _timed("single step: info", info, extent, whole),
     ]
 
 
@@ -89,13 +92,11 @@ def _vector_cases(extent: Extent) -> list[Case]:
 
     def compiled() -> Callable[[], Any]:
         axes = env(False).axes
-        command, observation = np.zeros(VECTOR_SIZE), np.empty((VECTOR_SIZE, len(axes.scale)), dtype=np.float32)
-        reward, ended, cut = np.zeros(VECTOR_SIZE), *np.zeros((2, VECTOR_SIZE), dtype=np.bool_)
-        steps = axes.column("step")
+        command, steps = np.zeros(VECTOR_SIZE), axes.column("step")
 
         def call() -> None:
             steps[:] = 0.0
-            axes.step(command, observation, reward, ended, cut)
+            axes.step(command)
 
         return call
 

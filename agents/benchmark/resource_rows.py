@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +50,15 @@ def array_bytes(env: ServoHydraulicVectorEnv) -> int:
     """Bytes of all NumPy arrays that a vector environment holds."""
     seen: dict[int, int] = {}
 
-    def note(owner: Any) -> None:
-        for value in vars(owner).values():
+    def note(values: Iterable[Any]) -> None:
+        for value in values:
             if isinstance(value, np.ndarray):
                 seen[id(value)] = value.nbytes if value.base is None else 0
+            elif isinstance(value, tuple):
+                note(value)
 
-    note(env)
-    note(env.axes)
-    note(env.axes.options)
+    for owner in (env, env.axes, env.axes.options):
+        note(vars(owner).values())
     return sum(seen.values())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.task.packing import observation_layout
+from hydro_env.task.signals import observation_layout
 
 Floats = NDArray[np.floating[Any]]
 

@@ -9,10 +9,9 @@ vectorise it. SI units, gauge pressures.
 
 from __future__ import annotations
 
-from collections import namedtuple
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from hydro_env.compiling import inline, tuple_joiner, tuple_replacer
+from hydro_env.compiling import inline, named_tuple, tuple_joiner, tuple_replacer
 from hydro_env.plant.parts.chambers import (
     ChamberCoefficients,
     chamber_coefficients,
@@ -42,7 +41,7 @@ from hydro_env.plant.parts.valve import (
 )
 from hydro_env.plant.states import State, error_weights
 
-_PARTS = (
+_PARTS: tuple[Any, ...] = (
     ChamberCoefficients,
     ValveCoefficients,
     FrictionCoefficients,
@@ -51,10 +50,10 @@ _PARTS = (
     LeakageCoefficients,
 )
 _part_fields = [field for part in _PARTS for field in part._fields]
-_Weights = namedtuple("_Weights", [f"{name}_weight" for name in State._fields])  # type: ignore[misc]
-_PartCoefficients = namedtuple("_PartCoefficients", _part_fields)  # type: ignore[misc]
+_Weights = named_tuple("_Weights", [f"{name}_weight" for name in State._fields], __name__)
+_PartCoefficients = named_tuple("_PartCoefficients", _part_fields, __name__)
 
-Coefficients = namedtuple("Coefficients", [*_part_fields, *_Weights._fields])  # type: ignore[misc]
+Coefficients = named_tuple("Coefficients", [*_part_fields, *_Weights._fields], __name__)
 """What the right-hand side needs, computed once per plant: the coefficients of all parts, and the error weights."""
 
 _join_parts = tuple_joiner(_PartCoefficients, _PARTS)

@@ -7,7 +7,6 @@ this class; these are the ones that the environment randomises). SI units, gauge
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
+from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parts.chambers import Cylinder, Fluid
@@ -101,7 +101,7 @@ MODEL_CODES: dict[str, tuple[str, ...]] = {
 }
 """Fields that are a choice; in a parameter vector they stand as the index of the choice."""
 
-Physical = namedtuple("Physical", [path.replace(".", "_") for path in PARAMETER_PATHS])  # type: ignore[misc]
+Physical = named_tuple("Physical", (path.replace(".", "_") for path in PARAMETER_PATHS), __name__)
 """The parameters of :class:`PlantParameters` as ``group_field``, for compiled code."""
 
 

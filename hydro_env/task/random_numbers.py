@@ -26,6 +26,7 @@ _SHIFT_27 = np.uint64(27)
 _SHIFT_31 = np.uint64(31)
 _SHIFT_11 = np.uint64(11)
 _UNIT = 2.0**-53
+_PAIRS_OF_KEY = 2
 
 
 @inline
@@ -33,6 +34,12 @@ def _mix(value):
     value = (value ^ (value >> _SHIFT_30)) * _FIRST
     value = (value ^ (value >> _SHIFT_27)) * _SECOND
     return value ^ (value >> _SHIFT_31)
+
+
+@inline
+def redrawn(root, attempt):
+    """The root for a further attempt to draw an episode; attempt 0 is the root itself."""
+    return root if attempt == 0 else _mix(root ^ (_FIRST * np.uint64(attempt)))
 
 
 @inline
@@ -67,3 +74,15 @@ def normal_pair(key, index):
     radius = math.sqrt(-2.0 * math.log(uniform(key, 2 * index)))
     angle = 2.0 * math.pi * uniform(key, 2 * index + 1)
     return radius * math.cos(angle), radius * math.sin(angle)
+
+
+@inline
+def noise_pair(key, step, pair):
+    """Normal numbers of the channels ``2 pair`` and ``2 pair + 1`` at a step.
+
+    The first two pairs share the key of the noise; each further one has a key of its own, so that a channel more
+    leaves the noise of the others as it is.
+    """
+    if pair < _PAIRS_OF_KEY:
+        return normal_pair(key, _PAIRS_OF_KEY * step + pair)
+    return normal_pair(_mix(key ^ (_SECOND * np.uint64(pair))), step)

@@ -1,88 +1,96 @@
-"""The named numbers of a task and of an axis' episode, as compiled code keeps them."""
+"""What compiled code keeps of each axis: its record, by name, and its arrays."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from hydro_env.plant.states import State
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.rewards import REWARD_TERMS
+
+RECORD = np.dtype(
+    [
+        ("step", "f8"),  # control periods since the start of the episode
+        ("command", "f8"),  # −1…1, last one given
+        ("change", "f8"),  # of the command since the period before
+        ("reference_family", "f8"),  # index into REFERENCE_FAMILIES
+        ("redraws", "f8"),  # draws of this episode that could not be held
+        ("leak_flow", "f8"),  # l/min at 100 bar, now
+        ("leak_class", "f8"),  # index into LEAKAGE_CLASSES
+        ("leak_start_flow", "f8"),
+        ("leak_target_flow", "f8"),
+        ("leak_start_time", "f8"),  # s
+        ("force_amplitude", "f8"),  # N, of the disturbance
+        ("force_start_time", "f8"),  # s
+        ("force_frequency", "f8"),  # Hz
+        ("force_base", "f8"),  # N, of the plant itself
+        ("bias", "f8", (len(CHANNELS),)),  # unit of each sensor
+        ("measured", "f8", (len(CHANNELS),)),  # unit of each sensor
+        ("velocity_estimate", "f8"),  # m/s
+        ("error_integral", "f8"),  # m s
+        ("true_a", "f8"),  # Pa, at the last sample
+        ("true_b", "f8"),
+        ("sensed_a", "f8"),  # Pa, behind the transducer's lag, before noise
+        ("sensed_b", "f8"),
+        ("position", "f8"),  # m, true
+        ("velocity", "f8"),  # m/s, true
+        ("reference", "f8"),  # m, now
+        ("costs", "f8", (len(REWARD_TERMS),)),
+        ("reward", "f8"),
+        ("failure", "f8"),  # index into FAILURES
+        ("noise_key", "u8"),
+    ]
+)
+"""What an axis carries through its episode."""
+
+SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])
+"""Where an axis' random numbers come from: its root, and the number of its episode."""
 
 
-class Settings(NamedTuple):
-    """The numbers of a task that compiled code needs."""
+COMMANDS = 2
+"""In a control period: the previous command, which acts for the latency, and the new one for the rest."""
 
-    control_period: float
-    maximum_step: float
-    tolerance: float
-    steps: float
-    healthy_share: float
-    healthy_low: float
-    healthy_high: float
-    faulty_low: float
-    faulty_high: float
-    orifice_law: float
-    schedule: float
-    leak_start_low: float
-    leak_start_high: float
-    initial_low: float
-    initial_high: float
-    sensors_enabled: float
-    pressure_decay: float  # exp(−T/τ) of the transducers
-    pressure_lag: float  # τ/T
-    velocity_blend: float  # T/(T + τ)
-    integral_time: float
-    integral_limit: float
-    tracking_weight: float
-    error_scale: float
-    error_limit: float
-    effort_weight: float
-    failure_weight: float
-    end_stop_speed: float
-    pressure_rating: float
-    disturbance: float
-    force_low: float
-    force_high: float
-    force_start_low: float
-    force_start_high: float
-    pulse_duration: float
-    force_frequency_low: float
-    force_frequency_high: float
+FIRST_COEFFICIENT = N_STATES
+FIRST_VOLTAGE = FIRST_COEFFICIENT + N_COEFFICIENTS
+FIRST_PEAK = FIRST_VOLTAGE + COMMANDS
+PLANT_COLUMNS = FIRST_PEAK + N_PEAKS
+"""Columns of the integrator's array: state, coefficients, voltages and peaks of an axis, in one row.
+
+One array rather than four: handing an array to compiled code takes a tenth of a microsecond.
+"""
 
 
-class Record(NamedTuple):
-    """Columns of ``record``: what an axis carries through its episode."""
+class AxisArrays(NamedTuple):
+    """Arrays of N axes that a step reads and writes."""
 
-    step: float
-    command: float  # −1…1, last one given
-    reference_family: float
-    leak_flow: float  # l/min at 100 bar, now
-    leak_start_flow: float
-    leak_target_flow: float
-    leak_start_time: float  # s
-    force_amplitude: float  # N, of the disturbance
-    force_start_time: float  # s
-    force_frequency: float  # Hz
-    force_base: float  # N, of the plant itself
-    bias_position: float
-    bias_a: float
-    bias_b: float
-    bias_spool: float
-    measured_position: float  # m
-    measured_a: float  # Pa
-    measured_b: float  # Pa
-    measured_spool: float
-    velocity_estimate: float  # m/s
-    error_integral: float  # m s
-    true_a: float  # Pa, at the last sample
-    true_b: float
-    sensed_a: float  # Pa, behind the transducer's lag, before noise
-    sensed_b: float
-    position: float  # m, true
-    velocity: float  # m/s, true
-    reference: float  # m, now
-    cost_tracking: float
-    cost_effort: float
-    cost_failure: float
-    failure: float  # code, see FAILURES
+    record: NDArray[Any]  # (N,), RECORD
+    plant: NDArray[np.float64]  # (N, PLANT_COLUMNS)
+    reference: NDArray[np.float64]  # (N, samples), m
+    observation: NDArray[np.float32]  # (N, observations)
+
+
+class Chances(NamedTuple):
+    """What the episodes of N axes are drawn from."""
+
+    seeds: NDArray[Any]  # (N,), SEEDS
+    plant: NDArray[np.float64]  # (parameters,), around which is drawn
+    draws: NDArray[Any]  # (drawn parameters,), DRAW
+    family_weights: NDArray[np.float64]  # (families,)
+
+
+class Fixed(NamedTuple):
+    """What the caller has fixed in the next episode of N axes; NaN, or family −1, is drawn."""
+
+    parameters: NDArray[np.float64]  # (N, parameters)
+    leakage_flow_lpm: NDArray[np.float64]  # (N,), l/min at 100 bar
+    initial_position: NDArray[np.float64]  # (N,), m
+    family: NDArray[np.int64]  # (N,)
+    user_reference: NDArray[np.float64]  # (1 or N, samples), m
 
 
 FAILURES = (
@@ -90,18 +98,17 @@ FAILURES = (
     "end stop hit at speed",
     "pressure above the rating",
     *(f"{name} outside its valid range" for name in State._fields),
+    "integration budget exceeded",
     "initial position cannot be held",
     "reference beyond the force of the supply",
 )
+"""What may end an episode; the last two refuse to begin one."""
+
 NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
-CANNOT_BE_HELD, CANNOT_BE_REACHED = len(FAILURES) - 2, len(FAILURES) - 1
+OVER_BUDGET, CANNOT_BE_HELD, CANNOT_BE_REACHED = range(len(FAILURES) - 3, len(FAILURES))
 
-N_SETTINGS = len(Settings._fields)
-FIXED_OBSERVATIONS = 9
-"""Observations besides the previews of the reference."""
 
-CHANNELS, CHANNEL_COLUMNS = 4, 5
-"""Shape of the table of sensors: position, both pressures, spool; noise, bias, resolution, low, high."""
-
-DRAW_INDEX, DRAW_LOG, DRAW_LOW, DRAW_HIGH, DRAW_TIMES, DRAW_OTHERWISE, DRAW_PROBABILITY = range(7)
-"""Columns of the table of randomised parameters."""
+def table(count: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    """Rows of zeros whose fields compiled code reads and writes by name, also where nothing is compiled."""
+    rows = np.zeros(count, kind)
+    return rows.view(np.recarray) if numba.config.DISABLE_JIT else rows  # type: ignore[attr-defined]

@@ -8,23 +8,11 @@ and start–stop runs change their speed abruptly: that is their purpose.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hydro_env.compiling import inline
 from hydro_env.task.random_numbers import between, log_between, uniform
-
-
-class Limits(NamedTuple):
-    """The part of the configuration that shapes references, as numbers for compiled code."""
-
-    range_share: float
-    largest_amplitude: float
-    speed_share: float
-    acceleration_limit: float
-    frequency_low: float
-    frequency_high: float
-    step_low: float
-    step_high: float
 
 
 class Feasible(NamedTuple):
@@ -41,7 +29,10 @@ class Feasible(NamedTuple):
 
 @inline
 def feasible(c, limits):
-    """:class:`Feasible` of a plant without leakage; see ``speed_limits`` and ``reachable_range`` of the analysis."""
+    """:class:`Feasible` of a plant without leakage; see ``speed_limits`` and ``reachable_range`` of the analysis.
+
+    ``c`` are the coefficients of the plant, ``limits`` the group ``references`` of the task.
+    """
     force_out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure
     force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
     largest = min(limits.largest_amplitude, 0.9 * c.end_stop_position)
@@ -82,7 +73,7 @@ def fill_step(row, key, start, period, f, limits):
     draw = 1
     for sample in range(row.shape[0]):
         if sample * period >= change:
-            size = between(key, draw, limits.step_low, limits.step_high)
+            size = between(key, draw, limits.step_range[0], limits.step_range[1])
             up = value + size <= f.high
             down = value - size >= f.low
             if up and (not down or uniform(key, draw + 1) < 0.5):
@@ -177,7 +168,7 @@ def _swing(time, frequency, inwards):
 @inline
 def fill_sine(row, key, start, period, f, limits):
     """One sine about the initial position, or beside it where an end of the range is near."""
-    frequency = log_between(key, 0, limits.frequency_low, limits.frequency_high)
+    frequency = log_between(key, 0, limits.frequency_range[0], limits.frequency_range[1])
     inwards = _inwards(start, f)
     amplitude = _largest_sine(start, inwards, frequency, f, limits) * between(key, 1, 0.4, 1.0)
     amplitude = amplitude if uniform(key, 2) < 0.5 or inwards != 0.0 else -amplitude
@@ -192,7 +183,7 @@ def fill_multi_sine(row, key, start, period, f, limits):
     for sample in range(row.shape[0]):
         row[sample] = start
     for number in range(4):
-        frequency = log_between(key, number, limits.frequency_low, limits.frequency_high)
+        frequency = log_between(key, number, limits.frequency_range[0], limits.frequency_range[1])
         amplitude = 0.25 * _largest_sine(start, inwards, frequency, f, limits) * between(key, 4 + number, 0.6, 1.0)
         amplitude = amplitude if uniform(key, 8 + number) < 0.5 or inwards != 0.0 else -amplitude
         for sample in range(row.shape[0]):
@@ -222,28 +213,52 @@ def fill_start_stop(row, key, start, period, f, limits):
             draw += 1
 
 
-@inline
-def fill_reference(row, family, key, start, period, f, limits):
-    """Write the samples of one reference into ``row``.
+FAMILIES = {
+    "step": fill_step,
+    "point_to_point": fill_point_to_point,
+    "ramp": fill_ramp,
+    "sine": fill_sine,
+    "multi_sine": fill_multi_sine,
+    "start_stop": fill_start_stop,
+}
+"""The function that writes each kind of reference; a further one is appended here."""
 
-    Args:
-        row: (samples,), m, written.
-        family: index into ``REFERENCE_FAMILIES``; ``user`` leaves the row alone.
-        key: of the source REFERENCE of this episode.
-        start: initial position, m.
-        period: control period, s.
-        f: :class:`Feasible`.
-        limits: :class:`Limits`.
-    """
-    if family == 0:
-        fill_step(row, key, start, period, f, limits)
-    elif family == 1:
-        fill_point_to_point(row, key, start, period, f, limits)
-    elif family == 2:
-        fill_ramp(row, key, start, period, f, limits)
-    elif family == 3:
-        fill_sine(row, key, start, period, f, limits)
-    elif family == 4:
-        fill_multi_sine(row, key, start, period, f, limits)
-    elif family == 5:
-        fill_start_stop(row, key, start, period, f, limits)
+REFERENCE_FAMILIES = (*FAMILIES, "user")
+"""Kinds of reference; ``user`` is an array of the user's own."""
+
+USER_FAMILY = REFERENCE_FAMILIES.index("user")
+
+
+@inline
+def _fill_nothing(row, family, key, start, period, f, limits):
+    pass
+
+
+def _fill_one_of(fills: Sequence[Callable[..., None]], first: int = 0) -> Callable[..., None]:
+    """A compiled function that calls the one of ``fills`` whose number is ``family``."""
+    if not fills:
+        return _fill_nothing
+    fill, others = fills[0], _fill_one_of(fills[1:], first + 1)
+
+    @inline
+    def fill_one(row, family, key, start, period, f, limits):
+        if family == first:
+            fill(row, key, start, period, f, limits)
+        else:
+            others(row, family, key, start, period, f, limits)
+
+    return fill_one
+
+
+fill_reference = _fill_one_of(tuple(FAMILIES.values()))
+"""Write the samples of one reference.
+
+Args:
+    row: (samples,), m, written.
+    family: index into :data:`REFERENCE_FAMILIES`; ``user`` leaves the row alone.
+    key: of the source REFERENCE of this episode.
+    start: initial position, m.
+    period: control period, s.
+    f: :class:`Feasible`.
+    limits: group ``references`` of the task.
+"""

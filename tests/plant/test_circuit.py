@@ -183,4 +183,4 @@ def test_every_circuit_runs_as_an_environment(changes):
 
 
 def info_step(env):
-    return 0.3 * float(env._axes.column("step")[0])
+    return 0.3 * float(env.axes.column("step")[0])

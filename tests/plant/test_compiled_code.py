@@ -24,7 +24,9 @@ def drawn_plants(count, seed=0):
     axes = Axes(task_config(None, randomisation=task_config(None).model_dump()["randomisation"] | stiffness), count)
     for axis in range(count):
         axes.seed(axis, np.random.default_rng([seed, axis]))
-    axes.begin(np.arange(count), np.empty((count, len(axes.observation_names)), np.float32))
+    axes.begin(np.arange(count))
+    # Arrays of their own, for which the kernel alone is compiled already.
+    axes.state, axes.coefficient = axes.state.copy(), axes.coefficient.copy()
     return axes
 
 

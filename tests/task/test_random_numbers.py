@@ -6,6 +6,7 @@ from scipy import stats
 
 from hydro_env import ServoHydraulicVectorEnv
 from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -19,7 +20,7 @@ from hydro_env.task.random_numbers import (
     source_key,
     uniform,
 )
-from hydro_env.task.record import Record
+from hydro_env.task.record import RECORD
 
 COUNT = 20_000
 ROOT = np.uint64(0x0123456789ABCDEF)
@@ -108,7 +109,7 @@ def begin(options=None, count=40, **config):
     envs = ServoHydraulicVectorEnv(count, **config)
     first, _ = envs.reset(seed=77, options=options)
     axes = envs.axes
-    column = {name: axes.column(name).copy() for name in Record._fields}
+    column = {name: axes.column(name).copy() for name in RECORD.names}
     reference = axes.reference.copy()
     envs.step(np.zeros((count, 1), np.float32))
     return {
@@ -118,8 +119,8 @@ def begin(options=None, count=40, **config):
         "position": column["position"],
         "family": column["reference_family"],
         "reference": reference,
-        "bias": np.array([column[f"bias_{name}"] for name in ("position", "a", "b", "spool")]),
-        "noise": axes.column("measured_position") - axes.column("position"),
+        "bias": column["bias"],
+        "noise": axes.column("measured")[:, CHANNELS.index("position")] - axes.column("position"),
         "force": column["force_amplitude"],
         "first observation": first,
     }

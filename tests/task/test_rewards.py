@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
-from hydro_env.env import REWARD_TERMS
+from hydro_env.plant.kernel import PEAK_PRESSURE
+from hydro_env.task.rewards import REWARD_TERMS
 
 FREE = {"load": {"spring_stiffness": 0.0}}
 
@@ -45,7 +46,7 @@ def test_each_term_is_what_the_configuration_says():
     commands = np.append(np.zeros(20), rng.uniform(-1.5, 1.5, 380))
     env = ServoHydraulicEnv(reward=reward)
     env.reset(seed=1)
-    previous = env._axes.column("command")[0]
+    previous = env.axes.column("command")[0]
     limited = 0
     for command in commands:
         _, _, terminated, _, info = env.step(np.array([command]))
@@ -70,7 +71,7 @@ def test_a_weight_of_zero_removes_a_term():
 def test_perfect_tracking_costs_nothing():
     env = ServoHydraulicEnv(randomisation={}, leakage={"healthy_share": 1.0})
     env.reset(seed=0, options={"reference": np.full(10, 0.02)})
-    hold = env._axes.column("command").copy()
+    hold = env.axes.column("command").copy()
     for _ in range(100):
         reward = env.step(hold)[1]
         assert -1e-3 < reward <= 0.0
@@ -125,7 +126,7 @@ def test_pressure_above_the_rating_terminates():
     assert terminated
     assert info["failure"] == "pressure above the rating"
     assert info["reward_terms"]["failure"] == -env.config.reward.failure
-    assert max(env._axes.state[0, 2:4]) < 70e5 * 1.5
+    assert max(env.axes.state[0, 2:4]) < 70e5 * 1.5
     assert rollout(ServoHydraulicEnv(randomisation={}), lambda _: 1.0, options={"reference": "step"})[-1][3]
 
 
@@ -142,8 +143,8 @@ def test_the_rated_pressure_is_watched_between_the_samples():
     peaks, samples = [], []
     for step in range(40):
         env.step(np.array([policy(step)]))
-        peaks.append(env._axes._peaks[0, 0])
-        samples.append(max(env._axes.state[0, 2:4]))
+        peaks.append(env.axes.peaks[0, PEAK_PRESSURE])
+        samples.append(max(env.axes.state[0, 2:4]))
     highest = int(np.argmax(peaks))
     assert peaks[highest] > max(samples) + 1e3
     rating = 0.5 * (peaks[highest] + max(samples))

@@ -44,7 +44,7 @@ def test_an_episode_is_the_plants_answer_to_the_held_commands(latency, period, l
     assert np.ptp(expected[:, 0]) > 0.005
     for number, command in enumerate(sequence):
         observation, _, _, _, info = env.step(np.array([command]))
-        error = np.abs(env._axes.state[0] - expected[number + 1]) / size
+        error = np.abs(env.axes.state[0] - expected[number + 1]) / size
         assert error.max() < 1e-9
         assert info["position"] == pytest.approx(expected[number + 1, 0], abs=1e-9)
         assert info["velocity"] == pytest.approx(expected[number + 1, 1], abs=1e-9)
@@ -55,7 +55,7 @@ def test_an_episode_is_the_plants_answer_to_the_held_commands(latency, period, l
 def positions(latency, sequence, seed=4):
     env = ServoHydraulicEnv(command_latency=latency, **CLEAN)
     _, info = env.reset(seed=seed)
-    hold = env._axes.column("command")[0]
+    hold = env.axes.column("command")[0]
     return np.array([info["position"]] + [env.step(np.array([u]))[-1]["position"] for u in sequence]), hold
 
 

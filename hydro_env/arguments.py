@@ -1,0 +1,54 @@
+"""Checks of what callers hand to the environments; a wrong argument is answered with one line."""
+
+from __future__ import annotations
+
+import reprlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.errors import ConfigurationError
+
+INFO_KINDS = (True, False, "flat")
+
+
+def shown(value: Any) -> str:
+    """A value in one short line."""
+    return " ".join(reprlib.repr(value).split())
+
+
+def whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
+    """A whole number, of Python or NumPy, within its bounds.
+
+    Raises:
+        ConfigurationError: it is of another type (``True`` too), too small or too large.
+    """
+    if isinstance(value, int | np.integer) and not isinstance(value, bool):
+        number = int(value)
+        if number >= low and (high is None or number <= high):
+            return number
+    allowed = f"of at least {low}" if high is None else f"within {low} to {high}"
+    raise ConfigurationError(f"{name} = {shown(value)}: must be a whole number {allowed}")
+
+
+def numbers(values: Any) -> NDArray[np.float64] | None:
+    """A new array of numbers; None where ``values`` are anything else (text, truth values, objects, ragged rows)."""
+    try:
+        given = np.asarray(values)
+    except (TypeError, ValueError, RuntimeError):
+        return None
+    return given.astype(np.float64) if given.dtype.kind in "fiu" else None
+
+
+def info_kind(value: Any) -> bool | str:
+    """How much ``info`` tells.
+
+    Raises:
+        ConfigurationError: it is none of :data:`INFO_KINDS`.
+    """
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, str) and value in INFO_KINDS:
+        return value
+    raise ConfigurationError(f"info = {shown(value)}: must be True, False or 'flat'")

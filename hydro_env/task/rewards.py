@@ -1,0 +1,40 @@
+"""The terms of the reward: each is a cost of at least zero, and the reward is minus their sum.
+
+A further term is a field of :class:`Costs` with its expression in :func:`costs`, and a weight in
+:class:`~hydro_env.task.configuration.Reward`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hydro_env.compiling import inline
+
+
+class Costs(NamedTuple):
+    """What a control period costs, term by term."""
+
+    tracking: float
+    effort: float
+    failure: float
+
+
+REWARD_TERMS = Costs._fields
+"""Names of the reward terms, as ``info["reward_terms"]`` lists them."""
+
+
+@inline
+def costs(row, change, failed, weights):
+    """:class:`Costs` of the control period that has just ended.
+
+    Args:
+        row: record of the axis (:data:`~hydro_env.task.record.RECORD`).
+        change: of the command since the period before.
+        failed: whether the axis has failed.
+        weights: group ``reward`` of the task.
+    """
+    return Costs(
+        tracking=weights.tracking * min(abs(row.reference - row.position) / weights.error_scale, weights.error_limit),
+        effort=weights.effort * change * change,
+        failure=weights.failure if failed else 0.0,
+    )

@@ -1,0 +1,105 @@
+"""What changes during an episode: the leak past the piston, and the external force."""
+
+from __future__ import annotations
+
+import math
+
+from hydro_env.compiling import inline
+from hydro_env.plant.equations import Coefficients
+from hydro_env.task.configuration import Disturbance, LeakageDraw
+from hydro_env.task.random_numbers import between, log_between, uniform
+from hydro_env.task.settings import choice
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
+
+_LAMINAR = choice(LeakageDraw, "law", "laminar")
+_CONSTANT = choice(LeakageDraw, "schedule", "constant")
+_ONSET = choice(LeakageDraw, "schedule", "onset")
+_NONE = choice(Disturbance, "kind", "none")
+_PULSE = choice(Disturbance, "kind", "pulse")
+_SINE = choice(Disturbance, "kind", "sine")
+
+_CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
+_ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
+_EXTERNAL_FORCE = Coefficients._fields.index("external_force")
+_orifice_gain = inline(orifice_gain_from_flow)
+
+
+@inline
+def draw_leak(row, key, fixed, settings):
+    """Healthy or faulty, and when the change begins; ``fixed`` in l/min at 100 bar replaces the draw if not NaN."""
+    leakage = settings.leakage
+    healthy = log_between(key, 0, leakage.healthy_range[0], leakage.healthy_range[1])
+    faulty = log_between(key, 1, leakage.faulty_range[0], leakage.faulty_range[1])
+    target = healthy if uniform(key, 2) < leakage.healthy_share else faulty
+    if not math.isnan(fixed):
+        target = fixed
+        healthy = min(healthy, target)
+    row.leak_start_flow = healthy
+    row.leak_target_flow = target
+    duration = settings.steps * settings.control_period
+    row.leak_start_time = duration * between(key, 3, leakage.start_range[0], leakage.start_range[1])
+
+
+@inline
+def _leak_flow(row, time, settings):
+    """Leakage of the schedule at a time, l/min at 100 bar: constant, sudden onset, or log-linear growth."""
+    start, target, begin = row.leak_start_flow, row.leak_target_flow, row.leak_start_time
+    if settings.leakage.schedule == _CONSTANT:
+        return target
+    if time < begin:
+        return start
+    if settings.leakage.schedule == _ONSET or target == start:  # which may both be 0
+        return target
+    end = settings.steps * settings.control_period
+    share = min((time - begin) / max(end - begin, settings.control_period), 1.0)
+    return start * (target / start) ** share
+
+
+@inline
+def set_leak(row, coefficient, time, settings):
+    """The leak at a time, s, into the record and the coefficients of the plant."""
+    flow = _leak_flow(row, time, settings)
+    row.leak_flow = flow
+    row.leak_class = 0.0
+    for index in range(settings.class_limits.shape[0]):
+        row.leak_class += 1.0 if flow > settings.class_limits[index] else 0.0
+    laminar = settings.leakage.law == _LAMINAR
+    coefficient[_CONDUCTANCE] = flow * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE if laminar else 0.0
+    coefficient[_ORIFICE_GAIN] = 0.0 if laminar else _orifice_gain(flow)
+
+
+@inline
+def draw_force(row, key, settings):
+    """Amplitude, start and frequency of the disturbance of an episode."""
+    disturbance = settings.disturbance
+    if disturbance.kind == _NONE:
+        return
+    force = between(key, 0, disturbance.force_range[0], disturbance.force_range[1])
+    row.force_amplitude = force if uniform(key, 1) < 0.5 else -force
+    duration = settings.steps * settings.control_period
+    row.force_start_time = duration * between(key, 2, disturbance.start_range[0], disturbance.start_range[1])
+    row.force_frequency = between(key, 3, disturbance.frequency_range[0], disturbance.frequency_range[1])
+
+
+@inline
+def _external_force(row, time, settings):
+    """External force in N of the configured disturbance, besides the plant's own."""
+    after = time - row.force_start_time
+    if after < 0.0:
+        return row.force_base
+    force = row.force_amplitude
+    if settings.disturbance.kind == _PULSE and after >= settings.disturbance.pulse_duration:
+        force = 0.0
+    if settings.disturbance.kind == _SINE:
+        force *= math.sin(2.0 * math.pi * row.force_frequency * after)
+    return row.force_base + force
+
+
+@inline
+def follow_schedules(row, coefficient, settings):
+    """Leak and external force of the control period that begins."""
+    time = row.step * settings.control_period
+    if settings.leakage.schedule != _CONSTANT:
+        set_leak(row, coefficient, time, settings)
+    if settings.disturbance.kind != _NONE:
+        coefficient[_EXTERNAL_FORCE] = _external_force(row, time + 0.5 * settings.control_period, settings)

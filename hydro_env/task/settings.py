@@ -1,0 +1,139 @@
+"""A task as numbers for compiled code: the fields of the configuration under the names that they have there."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.errors import ConfigurationError
+from hydro_env.files import Group
+from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
+from hydro_env.task.configuration import CHANNELS, Sensor, TaskConfig
+from hydro_env.task.record import table
+
+ERROR_INTEGRAL_TIME = 0.5
+"""s; time constant with which the observed integral of the error leaks."""
+
+ERROR_INTEGRAL_LIMIT = 0.010
+"""m s; where the observed integral saturates."""
+
+
+def _kind_of(annotation: Any) -> Any:
+    """How a field of the configuration is stored: a number, a choice as its index, a group; None where it is not."""
+    if isinstance(annotation, type) and issubclass(annotation, Group):
+        return None if annotation is PlantParameters else _kind_of_group(annotation)
+    if annotation is float:
+        return "f8"
+    if annotation is bool or get_origin(annotation) is Literal:
+        return "i8"
+    entries = get_args(annotation) if get_origin(annotation) is tuple else ()
+    return ("f8", (len(entries),)) if entries and Ellipsis not in entries else None
+
+
+def _kind_of_group(group: type[Group]) -> np.dtype[Any]:
+    kinds = {name: _kind_of(info.annotation) for name, info in group.model_fields.items()}
+    return np.dtype([(name, kind) for name, kind in kinds.items() if kind is not None])
+
+
+def _values_of(settings: Group, kind: np.dtype[Any]) -> tuple[Any, ...]:
+    values: list[Any] = []
+    for name in kind.names or ():
+        value = getattr(settings, name)
+        if isinstance(value, str):
+            value = choice(type(settings), name, value)
+        values.append(_values_of(value, kind[name]) if isinstance(value, Group) else value)
+    return tuple(values)
+
+
+def choice(group: type[Group], field: str, value: str) -> int:
+    """The number under which compiled code knows one choice of a field."""
+    return get_args(group.model_fields[field].annotation).index(value)
+
+
+_TASK, _SENSOR = _kind_of_group(TaskConfig), _kind_of_group(Sensor)
+_DERIVED = np.dtype(
+    [
+        ("steps", "f8"),
+        ("class_limits", "f8", (3,)),  # l/min at 100 bar; a leak's class is the number of limits that it exceeds
+        ("durations", "f8", (2,)),  # s, for which the previous and the new command act in a period
+        ("channels", _SENSOR, (len(CHANNELS),)),  # the sensors in the order of CHANNELS
+        ("pressure_decay", "f8"),  # exp(−T/τ) of the transducers
+        ("pressure_lag", "f8"),  # τ/T
+        ("velocity_blend", "f8"),  # T/(T + τ)
+        ("integral_time", "f8"),
+        ("integral_limit", "f8"),
+    ]
+)
+SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)
+"""Every number, choice and range of :class:`TaskConfig`, and what follows from them."""
+
+
+def settings_of(config: TaskConfig) -> NDArray[Any]:
+    """The numbers of a task, shape (1,), fields as in :data:`SETTINGS`."""
+    period, sensors = config.control_period, config.sensors
+    # The 10–90 % rise of a first-order lag is τ ln 9. Exact sensors have no lag.
+    rise = sensors.pressure_rise_time / math.log(9.0) if sensors.enabled else 0.0
+    derived = {
+        "steps": config.steps,
+        # A flow that was given as a resistance is rounded, and may exceed the bound of its class by that.
+        "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
+        "durations": (config.command_latency, period - config.command_latency),
+        "channels": [_values_of(getattr(sensors, channel), _SENSOR) for channel in CHANNELS],
+        "pressure_decay": math.exp(-period / rise) if rise > 0.0 else 0.0,
+        "pressure_lag": rise / period,
+        "velocity_blend": period / (period + sensors.velocity_filter_time),
+        "integral_time": ERROR_INTEGRAL_TIME,
+        "integral_limit": ERROR_INTEGRAL_LIMIT,
+    }
+    settings = table(1, SETTINGS)
+    for name, value in zip(_TASK.names or (), _values_of(config, _TASK), strict=True):
+        settings[name] = value
+    for name in _DERIVED.names or ():
+        settings[name] = np.array(derived[name], _DERIVED[name].base)
+    return settings
+
+
+DRAW = np.dtype(
+    [
+        ("parameter", "i8"),  # index into PARAMETER_PATHS
+        ("logarithmic", "i8"),
+        ("low", "f8"),
+        ("high", "f8"),
+        ("times", "i8"),  # index of the parameter that multiplies the draw, −1 for none
+        ("otherwise", "f8"),
+        ("otherwise_probability", "f8"),
+    ]
+)
+"""How one parameter of the plant is drawn."""
+
+
+def draws_of(config: TaskConfig) -> NDArray[Any]:
+    """One row (:data:`DRAW`) per randomised parameter; a parameter that multiplies another comes before it.
+
+    Raises:
+        ConfigurationError: parameters multiply each other in a circle.
+    """
+    pending = dict(config.randomisation)
+    order: list[str] = []
+    while pending:
+        ready = [path for path, d in pending.items() if d.times not in pending or d.times == path]
+        if not ready:
+            raise ConfigurationError("task: randomisation: 'times' runs in a circle")
+        order += ready
+        for path in ready:
+            del pending[path]
+    rows = table(len(order), DRAW)
+    for row, path in enumerate(order):
+        d = config.randomisation[path]
+        rows[row] = (
+            PARAMETER_PATHS.index(path),
+            d.log_uniform is not None,
+            *d.bounds,
+            PARAMETER_PATHS.index(d.times) if d.times else -1,
+            d.otherwise if d.otherwise is not None else 0.0,
+            d.otherwise_probability,
+        )
+    return rows

@@ -1,0 +1,144 @@
+"""What the rig measures, and the observation that is made of it.
+
+A further measured signal is a ``Sensor`` in :class:`~hydro_env.task.configuration.Sensors`, its true value in
+:func:`sample`, and its row and value in :func:`_entries` and :func:`write_observation`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.compiling import inline
+from hydro_env.task.configuration import CHANNELS, TaskConfig
+from hydro_env.task.random_numbers import between, noise_pair
+from hydro_env.task.record import table
+from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT
+
+POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
+    CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
+)
+
+_BIAS = 1_000_000_000
+"""First number of the noise's key that serves a bias; far beyond those of the steps."""
+
+Signals = namedtuple("Signals", CHANNELS)  # type: ignore[misc]
+"""One value per measured signal."""
+
+
+def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
+    """Name, unit, scale and largest absolute value of each entry besides the previews; ``half`` the stroke in m."""
+    return (
+        ("reference", "m", 0.1, 1.5 * half),
+        ("position", "m", 0.1, 1.5 * half),
+        ("velocity_estimate", "m/s", 0.1, 2.0),
+        ("pressure_a", "Pa", 50e5, 400e5),
+        ("pressure_b", "Pa", 50e5, 400e5),
+        ("spool_position", "1", 1.0, 1.0),
+        ("previous_command", "1", 1.0, 1.0),
+        ("tracking_error", "m", 0.01, 2.5 * half),
+        ("error_integral", "m s", 0.001, ERROR_INTEGRAL_LIMIT),
+    )
+
+
+Entries = namedtuple("Entries", [name for name, *_ in _entries(1.0)])  # type: ignore[misc]
+"""One value per entry of the observation besides the previews, which follow the first."""
+
+LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8")])
+"""Of one entry: SI per 1, largest absolute value in the observation, and for a preview the periods ahead."""
+
+
+def observation_layout(
+    config: TaskConfig,
+) -> tuple[tuple[str, ...], tuple[str, ...], NDArray[np.float64], NDArray[np.float64]]:
+    """Names, units, scales (SI per 1 of the observation) and largest absolute values (in the observation)."""
+    half = 0.5 * config.plant.cylinder.stroke
+    reference, *others = _entries(half)
+    previews = [(f"reference_preview_{1e3 * t:g}ms", "m", 0.01, 2.0 * half) for t in config.references.preview_times]
+    names, units, scale, largest = zip(reference, *previews, *others, strict=True)
+    return names, units, np.array(scale), np.array(largest) / np.array(scale)
+
+
+def layout_of(config: TaskConfig) -> NDArray[Any]:
+    """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry."""
+    _, _, scale, limit = observation_layout(config)
+    layout = table(len(scale), LAYOUT)
+    layout["scale"], layout["limit"] = scale, limit
+    layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples
+    return layout
+
+
+@inline
+def draw_biases(row, settings):
+    """Constant error of each sensor in this episode."""
+    for channel in range(len(CHANNELS)):
+        row.bias[channel] = settings.channels[channel].bias * between(row.noise_key, _BIAS + channel, -1.0, 1.0)
+
+
+@inline
+def _quantised(value, resolution):
+    return math.floor(value / resolution + 0.5) * resolution if resolution > 0.0 else value
+
+
+@inline
+def _reading(true, bias, noise, sensor):
+    """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps."""
+    value = min(max(true + bias + sensor.noise * noise, sensor.low), sensor.high)
+    return min(max(sensor.low + _quantised(value - sensor.low, sensor.resolution), sensor.low), sensor.high)
+
+
+@inline
+def lagged(sensed, old, new, settings):
+    """Signal of a transducer after a period in which its pressure changed linearly: exact for a first-order lag."""
+    slope = settings.pressure_lag * (new - old)
+    lagging = sensed - old + slope
+    return new - slope + settings.pressure_decay * lagging
+
+
+@inline
+def sample(row, s, settings):
+    """Read all sensors at this instant into the record; ``s`` is the state."""
+    signals = Signals(
+        position=s.position,
+        pressure_a=row.sensed_a,
+        pressure_b=row.sensed_b,
+        spool_position=s.spool_position,
+    )
+    step = np.int64(row.step)
+    for channel in range(len(CHANNELS)):
+        if settings.sensors.enabled:
+            first, second = noise_pair(row.noise_key, step, channel // 2)
+            noise = first if channel % 2 == 0 else second
+            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise, settings.channels[channel])
+        else:
+            row.measured[channel] = signals[channel]
+
+
+@inline
+def write_observation(observation, row, reference, layout):
+    """One row of the observation: physical values over their fixed scale, inside the bounds of the Box."""
+    step = np.int64(row.step)
+    now = reference[step]
+    values = Entries(
+        reference=now,
+        position=row.measured[POSITION],
+        velocity_estimate=row.velocity_estimate,
+        pressure_a=row.measured[PRESSURE_A],
+        pressure_b=row.measured[PRESSURE_B],
+        spool_position=row.measured[SPOOL_POSITION],
+        previous_command=row.command,
+        tracking_error=now - row.measured[POSITION],
+        error_integral=row.error_integral,
+    )
+    previews = observation.shape[0] - len(values)
+    for index, value in enumerate(values):
+        place = index + previews if index > 0 else index
+        observation[place] = value / layout[place].scale
+    for place in range(1, 1 + previews):
+        observation[place] = (reference[step + layout[place].preview] - now) / layout[place].scale
+    for place in range(observation.shape[0]):
+        observation[place] = min(max(observation[place], -layout[place].limit), layout[place].limit)
