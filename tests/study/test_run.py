@@ -2,15 +2,13 @@
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 
 from agents.commands.evaluate import evaluate
-from agents.commands.options import checkpoints_in, named_agents, stoppable
+from agents.commands.options import named_agents
 from agents.commands.train import train
 from agents.study import results, training
 from agents.study.run import run_study
@@ -236,17 +234,6 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
         with pytest.raises(ConfigurationError, match=message):
             train(what, tmp_path / "new", file, **options)
     assert not (tmp_path / "new").exists()
-
-
-def test_ctrl_c_says_kept_only_where_something_was_kept(tmp_path, capsys):
-    for kept, fate in ((False, "begins anew"), (True, "--resume goes on")):
-        if kept:
-            (tmp_path / "controllers").mkdir()
-            (tmp_path / "controllers" / "checkpoint.safetensors").write_bytes(b"")
-        with pytest.raises(typer.Exit), stoppable(checkpoints_in(tmp_path)):
-            raise KeyboardInterrupt
-        assert fate in capsys.readouterr().err
-    assert not checkpoints_in(Path("/nowhere"))()
 
 
 def test_agents_of_the_command_line():
