@@ -6,8 +6,7 @@ show. The same class serves training and inference, so that they cannot differ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +27,33 @@ HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
 """Control periods back."""
 
 
-@dataclass
-class FeatureState:
-    """Memory: the PID's, and a ring of recent signals (N, length, signals) with its next slot."""
+FEATURE_LIMIT = 50.0
+"""Inputs of the policy are cut off here."""
+
+
+class FeatureState(NamedTuple):
+    """Memory of N axes; no call changes one that it is given."""
 
     pid: PIDState | None
-    ring: NDArray[np.float32]
-    slot: int
-    base_command: NDArray[np.float32]  # (N, 1), of the PID at the last call
+    history: tuple[NDArray[np.float32], ...]
+    """Signals (N, signals) of the last periods, as many as the longest lag, newest last."""
+
+    first: NDArray[np.float32]
+    """Signals (N, signals) at the start of each axis' episode."""
+
+    age: NDArray[np.int64]
+    """Control periods since then, (N,)."""
+
+    base_command: NDArray[np.float32]
+    """Of the PID at the last call, (N, 1)."""
+
+    def rows(self, axes: NDArray[np.int64]) -> FeatureState:
+        """The memory of some axes."""
+        pid = self.pid
+        if pid is not None:
+            pid = PIDState(pid.integral[axes], pid.velocity[axes], pid.position[axes])
+        history = tuple(signals[axes] for signals in self.history)
+        return FeatureState(pid, history, self.first[axes], self.age[axes], self.base_command[axes])
 
 
 class PolicyFeatures:
@@ -54,7 +72,7 @@ class PolicyFeatures:
         self.pid = PID(gains, layout) if gains is not None else None
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
-        self._length = int(self._lags.max()) + 1
+        self._longest = max(HISTORY_LAGS)
         self.size = len(layout.names) + (1 if self.pid else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
@@ -62,28 +80,30 @@ class PolicyFeatures:
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
-        The history holds differences to the present, so that it tells what changed; before the start of an episode
-        the first observation counts as the past.
+        The history is given as changes since then. Before an episode's start, its first observation counts as the
+        past.
         """
         signals = np.asarray(observation[:, self._columns], dtype=np.float32)
+        count = len(signals)
         if state is None:
-            ring = np.repeat(signals[:, None], self._length, axis=1)
-            state = FeatureState(None, ring, 0, np.zeros((len(signals), 1), dtype=np.float32))
-        elif episode_start is not None and np.any(episode_start):
-            started = np.flatnonzero(episode_start)
-            state.ring[started] = signals[started, None]
-        state.ring[:, state.slot] = signals
-        past = state.ring[:, (state.slot - self._lags) % self._length]
-        past = (signals[:, None] - past).reshape(len(signals), -1)
-        parts = [np.asarray(observation, dtype=np.float32)]
-        memory = state.pid
-        if self.pid is not None:
-            base, memory = self.pid.predict(observation, state.pid, episode_start)
-            parts.append(base)
-            state.base_command = base
-        parts.append(past)
-        slot = (state.slot + 1) % self._length
-        return np.concatenate(parts, axis=1), FeatureState(memory, state.ring, slot, state.base_command)
+            ages, commands = np.zeros(count, dtype=np.int64), np.zeros((count, 1), dtype=np.float32)
+            state = FeatureState(None, (signals,) * self._longest, signals, ages, commands)
+        first, age = state.first, state.age
+        if episode_start is not None and np.any(episode_start):
+            first = np.where(episode_start[:, None], signals, first)
+            age = np.where(episode_start, 0, age)
+        history = (*state.history, signals)
+        past = np.stack([history[-1 - lag] for lag in HISTORY_LAGS], axis=1)
+        young = age[:, None] < self._lags
+        if young.any():
+            past = np.where(young[:, :, None], first[:, None], past)
+        changes = (signals[:, None] - past).reshape(count, -1)
+        inputs = np.asarray(observation, dtype=np.float32)
+        state = state._replace(history=history[1:], first=first, age=age + 1)
+        if self.pid is None:
+            return np.concatenate([inputs, changes], axis=1), state
+        base, pid = self.pid.predict(observation, state.pid, episode_start)
+        return np.concatenate([inputs, base, changes], axis=1), state._replace(pid=pid, base_command=base)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""

@@ -25,6 +25,7 @@ from agents.report.canvas import (
 )
 
 if TYPE_CHECKING:
+    from agents.evaluation.detection import LeakBounds
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_FALSE_ALARMS = 1e-3
@@ -88,11 +89,11 @@ def _corners(x: Array, y: Array) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-def _operating_point(detection: pd.DataFrame, controller: str) -> tuple[float, float]:
+def _operating_point(detection: pd.DataFrame, controller: str, bounds: LeakBounds) -> tuple[float, float]:
     """False-alarm rate, and detection rate of all leaks, at the head's own threshold."""
     part = detection[detection["controller"] == controller]
     flow, flagged = part["leakage_flow_lpm"].to_numpy(), part["flagged"].to_numpy(dtype=np.float64)
-    return float(flagged[flow <= 0.03].mean()), float(flagged[flow > 0.1].mean())
+    return float(flagged[flow <= bounds.healthy_up_to].mean()), float(flagged[flow > bounds.leaking_above].mean())
 
 
 def _roc(evaluation: Evaluation) -> Plot:
@@ -108,7 +109,7 @@ def _roc(evaluation: Evaluation) -> Plot:
             x, y = _corners(*_curve(evaluation, name, "roc"))
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
-            alarms, found = _operating_point(evaluation.detection, name)
+            alarms, found = _operating_point(evaluation.detection, name, evaluation.bounds)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
             axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * found, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
@@ -120,10 +121,10 @@ def _roc(evaluation: Evaluation) -> Plot:
         add_legend(axes)
 
     title = "Leaks flagged against false alarms"
-    areas = _from_summary(evaluation, "auroc_above_0.1_lpm", 3)
+    areas = _from_summary(evaluation, "auroc", 3)
     note = (
-        "All leaks above 0.1 l/min, every threshold (receiver operating characteristic, ROC). Marked: the threshold in "
-        f"use. Area under the curve on linear axes: {areas}."
+        f"All leaks above {evaluation.bounds.leaking_above:g} l/min, every threshold (receiver operating "
+        f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
     )
     alt = f"{title}. Area under the curve: {areas}."
     return Plot(title, note, alt, draw("roc", alt, paint))
@@ -167,7 +168,7 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
 
 def _size(evaluation: Evaluation) -> Plot:
     looks = looks_of(controllers_of(evaluation))
-    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > 0.1]
+    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > evaluation.bounds.leaking_above]
     low, high = float(leaking["leakage_flow_lpm"].min()), float(leaking["leakage_flow_lpm"].max())
     bottom = min(max(float(leaking["estimated_flow_lpm"].min()), SIZE_TICKS[0]), 0.5 * low)
     top = min(max(float(leaking["estimated_flow_lpm"].max()), 2.0 * high), 50.0)

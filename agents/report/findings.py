@@ -25,9 +25,6 @@ FEW_PLANTS = 12
 FALSE_ALARM_TARGET = 0.01
 """For which the threshold of the leakage head was set."""
 
-HEALTHY = 0.03
-"""l/min at 100 bar; a seal that leaks no more is healthy."""
-
 NEITHER = "no clear difference"
 
 
@@ -165,8 +162,9 @@ def _level_mean(evaluation: Evaluation, controller: str, level: float) -> Interv
     return row_interval(table[own & (table["leakage_flow_lpm"] == level)].iloc[0], "mean")
 
 
-def _seal(level: float) -> str:
-    return f"a healthy seal ({level:g} l/min)" if level <= HEALTHY else f"a leak of {level:g} l/min"
+def _seal(evaluation: Evaluation, level: float) -> str:
+    healthy = level <= evaluation.bounds.healthy_up_to
+    return f"a healthy seal ({level:g} l/min)" if healthy else f"a leak of {level:g} l/min"
 
 
 def _leak(evaluation: Evaluation) -> Finding:
@@ -180,13 +178,14 @@ def _leak(evaluation: Evaluation) -> Finding:
         )
     whole = growth(cases, base)
     kind = verdict(whole, plants)
+    best, worst = _seal(evaluation, first), _seal(evaluation, last)
     lead = f"A leak of {last:g} l/min makes no clear difference to the mean error of {base}."
     if kind != NEITHER:
         than = "that it makes" if whole.value >= 2.0 else "than"
-        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {_seal(first)}."
+        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {best}."
     text = (
-        f"{base}: {interval_text(least, 'mm')} mean error with {_seal(first)}, {interval_text(most, 'mm')} with "
-        f"{_seal(last)}: × {interval_text(whole, decimals=2)}. {_growth_by_family(cases, base, plants)}"
+        f"{base}: {interval_text(least, 'mm')} mean error with {best}, {interval_text(most, 'mm')} with "
+        f"{worst}: × {interval_text(whole, decimals=2)}. {_growth_by_family(cases, base, plants)}"
     )
     others = [f"{name} × {interval_text(growth(cases, name), decimals=2)}" for name in names[1:]]
     return Finding(lead, text + (f" For comparison: {listed(others)}." if others else ""))
@@ -264,19 +263,20 @@ def _false_alarms(row: Any) -> Interval:
 def _detection(evaluation: Evaluation) -> Finding:
     rates = evaluation.detection_rates
     smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
+    moderate = f"{evaluation.bounds.moderate_from:g} l/min"
     summary = {str(row["controller"]): row for row in evaluation.detection_summary.to_dict("records")}
-    found = {name: _flagged(evaluation, name, "≥ 0.3") for name in summary}
+    found = {name: _flagged(evaluation, name, evaluation.bounds.moderate_label) for name in summary}
     alarms = {name: _false_alarms(row) for name, row in summary.items()}
     if min(found[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
-        lead = "Leaks from 0.3 l/min can be flagged from one episode of ordinary motion."
+        lead = f"Leaks from {moderate} can be flagged from one episode of ordinary motion."
     elif min(found[name].low - alarms[name].high for name in summary) > 0.0:
-        lead = "Leaks from 0.3 l/min can be flagged, but not reliably."
+        lead = f"Leaks from {moderate} can be flagged, but not reliably."
     else:
-        lead = "Leaks from 0.3 l/min cannot be told from healthy seals here."
+        lead = f"Leaks from {moderate} cannot be told from healthy seals here."
     parts = [
-        f"Flagged under {name}: {percent(found[name])} of the leaks from 0.3 l/min, "
+        f"Flagged under {name}: {percent(found[name])} of the leaks from {moderate}, "
         f"{percent(_flagged(evaluation, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
-        f"the healthy seals (false alarms); AUROC {number(float(row['auroc_above_0.1_lpm']), 3)}."
+        f"the healthy seals (false alarms); AUROC {number(float(row['auroc']), 3)}."
         for name, row in summary.items()
     ]
     return Finding(lead, " ".join([*parts, "(AUROC: 1 is perfect, 0.5 is chance.)", _alarm_sentence(alarms)]))
@@ -290,9 +290,9 @@ def _alarm_sentence(alarms: dict[str, Interval]) -> str:
 
 
 def _size(evaluation: Evaluation) -> Finding:
-    rows = evaluation.detection_summary.to_dict("records")
+    rows, above = evaluation.detection_summary.to_dict("records"), evaluation.bounds.leaking_above
     middle = max(float(row["median_size_error_factor"]) for row in rows)
     lead = f"The size of a leak is estimated within a factor of {middle:.2f} for half of the leaks."
     parts = [f"{number(float(row['p90_size_error_factor']), 2)} under {row['controller']}" for row in rows]
-    text = f"For nine in ten it is within a factor of {listed(parts)} (leaks above 0.1 l/min; 1 would be exact)."
+    text = f"For nine in ten it is within a factor of {listed(parts)} (leaks above {above:g} l/min; 1 would be exact)."
     return Finding(lead, text)

@@ -98,6 +98,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> str:
     return environment.from_string(source).render(
         record=record,
         names=list(looks),
+        healthy=f"{evaluation.bounds.healthy_up_to:g}",
         findings=findings(evaluation),
         caution=caution(evaluation),
         failures=failures(evaluation),
@@ -125,8 +126,8 @@ def write_tables(folder: Path, evaluation: Evaluation) -> list[Path]:
     """
     written = []
     for field in fields(evaluation):
-        table: pd.DataFrame = getattr(evaluation, field.name)
-        if not table.empty:
+        table = getattr(evaluation, field.name)
+        if isinstance(table, pd.DataFrame) and not table.empty:
             path = Path(folder) / f"{field.name}.csv"
             write_whole(path, table.to_csv(index=False).encode())
             written.append(path)
@@ -240,13 +241,13 @@ def _detection_rates(evaluation: Evaluation, group: str, caption: str, first: st
 
 
 SUMMARY: dict[str, tuple[str, float, int, str]] = {
-    "auroc_above_0.1_lpm": ("Area under the ROC curve, leaks above 0.1 l/min", 1.0, 3, ""),
-    "average_precision": ("Average precision, leaks above 0.1 l/min", 1.0, 3, ""),
+    "auroc": ("Area under the ROC curve, leaks above {above:g} l/min", 1.0, 3, ""),
+    "average_precision": ("Average precision, leaks above {above:g} l/min", 1.0, 3, ""),
     "threshold": ("Threshold of the leak probability", 1.0, 3, ""),
     "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
-    "detection_rate_from_0.3_lpm": ("Leaks from 0.3 l/min flagged at this threshold", 100.0, 1, " %"),
-    "detection_rate_from_0.3_lpm_at_1_percent": (
-        "Leaks from 0.3 l/min flagged if the threshold gave 1 % false alarms on these very episodes",
+    "detection_rate_moderate": ("Leaks from {moderate:g} l/min flagged at this threshold", 100.0, 1, " %"),
+    "detection_rate_moderate_at_1_percent": (
+        "Leaks from {moderate:g} l/min flagged if the threshold gave 1 % false alarms on these very episodes",
         100.0,
         1,
         " %",
@@ -261,8 +262,10 @@ SUMMARY: dict[str, tuple[str, float, int, str]] = {
 
 def _detection_summary(evaluation: Evaluation) -> Table:
     summary = evaluation.detection_summary
+    bounds = evaluation.bounds
+    names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
     rows = [
-        (label, *(f"{factor * float(value):.{decimals}f}{unit}" for value in summary[key]))
+        (label.format(**names), *(f"{factor * float(value):.{decimals}f}{unit}" for value in summary[key]))
         for key, (label, factor, decimals, unit) in SUMMARY.items()
         if key in summary
     ]
