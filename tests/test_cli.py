@@ -9,10 +9,11 @@ import subprocess
 import pytest
 import yaml
 from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro, hydro_process, own_lines
+from matplotlib.figure import Figure
 
 import hydro_env
 from agents.rigs import check_table
-from agents.rigs.simulation import trajectory_figure
+from agents.rigs.simulation import paint_trajectory
 from agents.running.folders import output_folder
 from hydro_env import PlantParameters, simulate
 
@@ -87,7 +88,8 @@ def test_simulate_starts_where_the_rig_can_rest(tmp_path):
 
 
 def test_the_legends_of_the_picture_lie_over_no_line():
-    figure = trajectory_figure(simulate(PlantParameters(), [3.0] * 20, 1e-3))
+    figure = Figure()
+    paint_trajectory(figure, simulate(PlantParameters(), [3.0] * 20, 1e-3))
     figure.draw_without_rendering()
     legends = [axes.get_legend() for axes in figure.axes if axes.get_legend() is not None]
     assert len(legends) == 3

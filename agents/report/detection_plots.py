@@ -1,4 +1,4 @@
-"""The figures of the report about noticing the leak: detection rate, ROC, precision and recall, estimated size."""
+"""The figures of the report about leakage detection: detection rate, ROC, precision and recall, estimated size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from agents.report.canvas import (
     GREY,
@@ -22,7 +21,9 @@ from agents.report.canvas import (
     dodge,
     draw,
     looks_of,
+    ticks,
 )
+from agents.report.text import number, setting
 
 if TYPE_CHECKING:
     from agents.evaluation.detection import LeakBounds
@@ -70,7 +71,7 @@ def _rates(evaluation: Evaluation) -> Plot:
     alt = description(
         title, {n: list(zip(p["value"], 100.0 * p["flagged_share"], strict=True)) for n, p in parts.items()}, " %"
     )
-    note = "Bars: 95 % interval. What is flagged on healthy seals (left) are false alarms."
+    note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
     return Plot(title, note, alt, draw("rates", alt, paint))
 
 
@@ -123,7 +124,7 @@ def _roc(evaluation: Evaluation) -> Plot:
     title = "Leaks flagged against false alarms"
     areas = _from_summary(evaluation, "auroc", 3)
     note = (
-        f"All leaks above {evaluation.bounds.leaking_above:g} l/min, every threshold (receiver operating "
+        f"All leaks above {setting(evaluation.bounds.leaking_above)} l/min, every threshold (receiver operating "
         f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
     )
     alt = f"{title}. Area under the curve: {areas}."
@@ -134,7 +135,7 @@ def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
     """One number of every controller, in words."""
     rows = evaluation.detection_summary
     return ", ".join(
-        f"{name} {value:.{decimals}f}" for name, value in zip(rows["controller"], rows[column], strict=True)
+        f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)
     )
 
 
@@ -197,7 +198,5 @@ def _size(evaluation: Evaluation) -> Plot:
 
 def _size_axes(axes: Axes) -> None:
     for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
-        axis.set_major_locator(FixedLocator(SIZE_TICKS))
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ticks(axis, SIZE_TICKS)
         axis.set_label_text(f"{name} leak, l/min")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, sampled_loop
+from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, places_in_reach, sampled_loop
 from hydro_env import HydroError, PlantParameters, resistance_from_flow
 from hydro_env.plant.analysis import (
     chamber_volumes,
@@ -32,9 +32,6 @@ LEAKS = (0.01, 0.3, 1.0, 4.0)
 """l/min at 100 bar: a healthy seal, and three leaking ones."""
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
-PLACES = 9
-"""Positions at which the position loop is judged, over this part of the reach:"""
-REACH_SHARE = 0.9
 
 
 class Row(NamedTuple):
@@ -183,8 +180,8 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
 
 
 def _loop(parameters: PlantParameters, place: float) -> list[Row]:
-    low, high = (REACH_SHARE * end for end in reachable_range(parameters))
-    span = f"worst, {low / MILLIMETRE:+.0f} to {high / MILLIMETRE:+.0f} mm"
+    places = places_in_reach(parameters)
+    span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
     timing = f"({1e3 * CONTROL_PERIOD:g} ms, {1e3 * COMMAND_LATENCY:g} ms late)"
     thumb, stable = "gain 2 ζ ω / speed (no sampling)", f"largest stable gain {timing}"
     rows, sampled = [], []
@@ -192,7 +189,7 @@ def _loop(parameters: PlantParameters, place: float) -> list[Row]:
         plant, at = _leaking(parameters, leak), f"{_position(place)}, {_leak(leak)}"
         rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
         sampled.append(Row("position loop", stable, at, _figure(_largest_gain, plant, place), "1/m"))
-        worst = _worst_gain(plant, low, high)
+        worst = _worst_gain(plant, places)
         sampled.append(Row("position loop", "largest stable gain", f"{span}, {_leak(leak)}", worst, "1/m"))
         if isinstance(worst, float) and worst > 0.0:
             stiffness = _figure(partial(_static_stiffness, 0.5 * worst), plant, place)
@@ -267,9 +264,9 @@ def _static_stiffness(gain: float, parameters: PlantParameters, place: float) ->
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
 
 
-def _worst_gain(parameters: PlantParameters, low: float, high: float) -> float | str:
-    """The smallest of the largest stable gains over a range of positions."""
-    gains = [_figure(_largest_gain, parameters, place) for place in np.linspace(low, high, PLACES)]
+def _worst_gain(parameters: PlantParameters, places: list[float]) -> float | str:
+    """The smallest of the largest stable gains over some positions."""
+    gains = [_figure(_largest_gain, parameters, place) for place in places]
     numbers = [gain for gain in gains if isinstance(gain, float)]
     return min(numbers) if numbers else max(map(str, gains))  # "unlimited" comes after "cannot be held"
 

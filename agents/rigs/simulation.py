@@ -9,11 +9,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from agents.recordings.table import read_table
+from agents.report.canvas import WIDE, looks_of, render
 from agents.rigs.check import resting_place
 from agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
@@ -140,16 +140,12 @@ def trajectory_csv(run: Trajectory) -> str:
 
 
 def trajectory_picture(run: Trajectory) -> bytes:
-    """A PNG of :func:`trajectory_figure`."""
-    buffer = io.BytesIO()
-    trajectory_figure(run).savefig(buffer, format="png", dpi=110)
-    return buffer.getvalue()
+    """A PNG of :func:`paint_trajectory`."""
+    return render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")[0]
 
 
-def trajectory_figure(run: Trajectory) -> Figure:
+def paint_trajectory(figure: Figure, run: Trajectory) -> None:
     """Command and spool, position, pressures, flows, acceleration over time."""
-    figure = Figure(figsize=(9, 11), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(5, 1, sharex=True)
     flow = 1.0 / LITRE_PER_MINUTE
     panels = [
@@ -173,13 +169,11 @@ def trajectory_figure(run: Trajectory) -> Figure:
         ("acceleration, m/s²", [("acceleration", run.acceleration)]),
     ]
     for axis, (label, lines) in zip(axes, panels, strict=True):
-        for name, values in lines:
-            axis.plot(run.time, values, label=name, linewidth=1.2)
+        for (name, values), look in zip(lines, looks_of(range(3)).values(), strict=False):
+            axis.plot(run.time, values, label=name, linewidth=1.2, **look.stroke)
         axis.set_ylabel(label)
-        axis.grid(alpha=0.3)
         if len(lines) > 1:
             # Above the panel: inside, it would lie over one of the lines.
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
     axes[-1].set_xlabel("time, s")
     figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)
-    return figure

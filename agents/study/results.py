@@ -66,6 +66,7 @@ def evaluate_study(
         timings=dict(phases.seconds) if phases is not None else {},
         training_curve=training_curve if training_curve is not None else pd.DataFrame(),
         examples=example_traces(study.task, working, levels),
+        corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
     )
     write_report(folder / REPORT_FILE, evaluation, record)
     display.say(f"report: {(folder / REPORT_FILE).resolve()}")
@@ -95,6 +96,7 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
                 reference=first.reference[case],
                 position={name: run.position[case] for name, run in runs.items()},
                 command={name: run.command[case] for name, run in runs.items()},
+                preview=max(config.references.preview_times, default=0.0),
             )
         )
     return examples
