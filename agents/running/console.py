@@ -32,7 +32,8 @@ class PlainConsole(Console):
             self.print(*parts, **options)
         except OSError:
             self.quiet = True
-            discard_output()
+            if self.file is sys.stdout:
+                discard_output()
 
 
 def discard_output() -> None:
