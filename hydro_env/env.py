@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hydro_env.arguments import info_kind, numbers, shown, whole_number
 from hydro_env.axes import COLUMN, Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
-from hydro_env.plant.equations import State
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import State
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
 from hydro_env.task.record import FAILURES

@@ -12,6 +12,7 @@ from hydro_env.arguments import numbers, shown
 from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.record import Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
@@ -28,9 +29,6 @@ OPTION_NAMES = (
 )
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must be larger than another one (rod, Coulomb force, precharge): impossible when drawn too low."""
-
-LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
-"""Parameters that the group ``leakage`` of the task sets."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -1,8 +1,11 @@
-"""Units in which practice quotes leaks, and how they convert to SI."""
+"""Units in which practice quotes leaks, and numbers of a configuration with their unit, origin and bounds."""
 
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BeforeValidator, Field
 
 LITRE_PER_MINUTE = 1e-3 / 60
 """One litre per minute in m³/s."""
@@ -24,3 +27,25 @@ def flow_from_resistance(resistance: float) -> float:
 def orifice_gain_from_flow(flow_lpm: float) -> float:
     """Gain in m³/(s √Pa) of a throttle through which 100 bar press a leak quoted in l/min."""
     return flow_lpm * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
+
+
+def _no_truth_value(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number, not true/false")
+    return value
+
+
+def _no_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError("must be a number, not NaN")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_nan)]
+"""A float that is neither a truth value nor NaN."""
+
+
+def quantity(default: float, unit: str, origin: str, low: float, high: float, *, above: bool = False) -> Any:
+    """A numeric field with its unit, its origin and the range outside of which it must be a mistake."""
+    bounds: dict[str, Any] = {"gt" if above else "ge": low, "le": high}
+    return Field(default, description=origin, json_schema_extra={"unit": unit}, **bounds)

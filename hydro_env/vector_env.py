@@ -342,6 +342,6 @@ def _names(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> ND
     Filled code by code: NumPy 2.0 to 2.2.2 crash where two threads repeat an array of objects.
     """
     names = np.empty(len(codes), dtype=object)
-    for code in np.bincount(codes).nonzero()[0]:
+    for code in np.bincount(codes).nonzero()[0].tolist():
         names[(codes == code) & present] = known[code]
     return names

@@ -20,6 +20,8 @@ from agents.benchmark.timing import fresh_process
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
 from hydro_env.plant import equations, kernel
 from hydro_env.plant.arrays import coefficient_array
+from hydro_env.plant.parts import chambers, friction, load, valve
+from hydro_env.plant.states import State
 
 VOLTAGE = 1.0  # V; the square wave that drives the plants
 HALF_WAVE = 20  # control periods
@@ -39,7 +41,7 @@ class BareKernel:
         self._first = env.axes.state.copy()
         self.coefficients = env.axes.coefficient.copy()
         self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
-        self._accuracy = float(config.maximum_step), float(config.tolerance)
+        self._accuracy = kernel.Accuracy(float(config.maximum_step), float(config.tolerance))
         self._voltage = np.full((count, 2), VOLTAGE)
         self._peaks = np.zeros((count, kernel.N_PEAKS))
         self._bounds = [count * part // threads for part in range(threads + 1)]
@@ -67,16 +69,8 @@ class BareKernel:
         return self.count
 
     def _integrate(self, first: int, last: int) -> None:
-        kernel.integrate(
-            self.state,
-            self.coefficients,
-            self._voltage,
-            self._durations,
-            *self._accuracy,
-            self._peaks,
-            first,
-            last,
-        )
+        plants = kernel.Plants(self.state, self.coefficients, self._voltage, self._peaks)
+        kernel.integrate(plants, self._durations, self._accuracy, first, last)
 
     def mean_steps(self, periods: int) -> float:
         """Inner steps per plant and control period over the coming periods."""
@@ -148,9 +142,10 @@ def print_work() -> None:
     for name in ("lt", "le", "gt", "ge"):
         setattr(_Counted, f"__{name}__", _counting(f"__{name}__", "comparisons"))
     rest, voltage = equilibrium(PlantParameters(), 0.0)
-    state = equations.State(*(_Counted(value) for value in rest.values()))
+    state = State(*(_Counted(value) for value in rest.values()))
     coefficients = equations.Coefficients(*(_Counted(value) for value in coefficient_array(PlantParameters())))
-    setattr(equations, "math", _CountingMath())  # noqa: B010
+    for module in (chambers, friction, load, valve):
+        setattr(module, "math", _CountingMath())  # noqa: B010
     _Counted.counts = {}
     equations.derivatives(state, coefficients, _Counted(voltage))
     print(json.dumps({"kinds": _Counted.counts, "evaluations": evaluations}))

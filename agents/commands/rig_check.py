@@ -21,18 +21,17 @@ from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
     closed_port_stiffness,
-    fastest_eigenvalue,
     force_limits,
     leak_at_test_pressure,
-    linearise,
     reachable_range,
     softest_position,
     speed_limits,
 )
-from hydro_env.plant.arrays import coefficient_array, equilibrium
-from hydro_env.plant.equations import Coefficients, State
+from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
+from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
 from hydro_env.plant.probe import ENOUGH, PERIOD, probe
+from hydro_env.plant.states import State
 from hydro_env.plant.workable import InnerStep, inner_step, refuse_unworkable, shortest_inner_step
 from hydro_env.units import LITRE_PER_MINUTE
 
@@ -83,7 +82,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
 
 
 def _geometry(parameters: PlantParameters) -> list[Row]:
-    c = Coefficients(*coefficient_array(parameters))
+    c = plant_coefficients(parameters)
     rows = [
         Row("cylinder", "area a (bore side)", "", c.area_a / SQUARE_CENTIMETRE, "cm²"),
         Row("cylinder", "area b (rod side)", "", c.area_b / SQUARE_CENTIMETRE, "cm²"),
@@ -100,7 +99,7 @@ def _geometry(parameters: PlantParameters) -> list[Row]:
 
 
 def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
-    c = Coefficients(*coefficient_array(parameters))
+    c = plant_coefficients(parameters)
     supply, valve = parameters.supply, parameters.valve
     edge = c.edge_gain / LITRE_PER_MINUTE * math.sqrt(BAR)
     free = speed_limits(parameters)

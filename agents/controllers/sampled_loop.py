@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.errors import HydroError
-from hydro_env.plant.analysis import linearise
-from hydro_env.plant.arrays import TYPICAL_SIZE, coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
 
 Array = NDArray[np.float64]
 
@@ -157,7 +157,7 @@ def sampled_loop(
     b = FULL_COMMAND * plant.b[rows] / size
     force = np.zeros(len(rows))
     velocity = STATE_NAMES.index("velocity")
-    force[velocity] = -Coefficients(*coefficient_array(parameters)).inverse_mass / size[velocity]
+    force[velocity] = -plant_coefficients(parameters).inverse_mass / size[velocity]
     first, held_first = _hold(a, b, latency)
     rest, held_rest = _hold(a, b, control_period - latency)
     return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)

@@ -13,8 +13,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from agents.reproduction.drawing import LEAK_COLOURS, ReproducedFigure, legend, panel_title, plain
 from agents.reproduction.rig import Rig, simplified, with_leak
-from hydro_env.plant.analysis import linearise
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.states import STATE_NAMES
 
 LEAKS = (0.01, 0.3, 1.0, 2.0, 4.0)
 LOWEST, HIGHEST = 0.01, 200.0

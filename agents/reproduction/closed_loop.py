@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, FULL_COMMAND, SampledLoop, sampled_loop
 from agents.reproduction.rig import Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.states import STATE_NAMES
 
 Array = NDArray[np.float64]
 

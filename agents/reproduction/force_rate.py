@@ -14,7 +14,8 @@ from agents.reproduction.rig import LAWS, Law, Rig, simplified, with_leak
 from hydro_env import equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
 from hydro_env.plant.arrays import coefficient_array, derivative_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.states import STATE_NAMES
 
 LEAKS = (0.01, 0.3, 1.0, 4.0)
 DRAWN = 1.0

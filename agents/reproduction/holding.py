@@ -12,7 +12,7 @@ from agents.controllers.sampled_loop import FULL_COMMAND
 from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
 from agents.reproduction.rig import Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.states import STATE_NAMES
 
 LEAKS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
 PERIOD = 0.005  # s

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from agents.reproduction.drawing import ReproducedFigure, panel_title
 from agents.reproduction.rig import Rig, simplified, with_leak
 from hydro_env import HydroError
-from hydro_env.plant.analysis import linearise
+from hydro_env.plant.linearisation import linearise
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from agents.reproduction.force_rate import force_rate_table, shares
 from agents.reproduction.rig import Law, Rig, quick_stop, simplified, with_leak
 from agents.reproduction.settling import healthy_frequency, settling_of
 from hydro_env import PlantParameters, equilibrium, simulate
-from hydro_env.plant.analysis import linearise
+from hydro_env.plant.linearisation import linearise
 
 LEAK = 0.3
 """l/min at 100 bar; of all results that do not name another."""

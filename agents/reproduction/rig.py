@@ -11,7 +11,7 @@ import numpy as np
 
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
-from hydro_env.plant.equations import smooth_root
+from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import Sensor, Sensors
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE

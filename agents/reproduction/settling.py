@@ -13,8 +13,8 @@ from agents.reproduction.oscillation import SETTLED, band_envelope, last_above, 
 from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_leak
 from agents.reproduction.signals import recorded_acceleration
 from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
-from hydro_env.plant.analysis import Mode, linearise
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.linearisation import Mode, linearise
+from hydro_env.plant.states import STATE_NAMES
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from agents.reproduction.closed_loop import (
 from agents.reproduction.drawing import COLOURS, ReproducedFigure, millimetres, panel_title, plain
 from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters
-from hydro_env.plant.analysis import linearise
+from hydro_env.plant.linearisation import linearise
 
 LEAKS = (0.01, 0.03, 0.1, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0)
 """l/min at 100 bar."""

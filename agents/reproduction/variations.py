@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from agents.reproduction.rig import Rig, with_leak
 from hydro_env import ConfigurationError, PlantParameters, resistance_from_flow
 from hydro_env.plant.analysis import force_limits
-from hydro_env.plant.parameters import Friction
+from hydro_env.plant.parts.friction import FrictionModel
 
 CHANGE = 0.2
 FORCE_SHARE = 0.02
@@ -147,7 +147,7 @@ def _orifice_gain(base: PlantParameters) -> Variation:
 
 
 def _friction_model(base: PlantParameters) -> Variation:
-    known = [model for model in get_args(Friction.model_fields["model"].annotation) if model != base.friction.model]
+    known = [model for model in FrictionModel if model != base.friction.model]
     other = "lugre" if "lugre" in known else "stribeck"
     return _variation(base, "friction", "model", base.friction.model, "none", other)
 

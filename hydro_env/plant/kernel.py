@@ -1,7 +1,7 @@
 """Integration of one or many plants with the right-hand side of ``equations``, compiled; each at its own step.
 
 The method is the Runge–Kutta pair of order 5(4) of Tsitouras (2011). Every step of every plant is as long as its
-error estimate allows (:data:`TOLERANCE`), and ends at the next kink of the solution (``limits``) if that comes first.
+error estimate allows (:data:`TOLERANCE`), and ends at the next kink of the solution if that comes first.
 
 ``LANES`` plants are worked on at a time, each in one lane of the vector instructions that the loops over lanes become;
 a lane whose plant has come to the end of its time takes the next plant. No operation mixes lanes, so a plant's numbers
@@ -11,20 +11,15 @@ do not depend on its neighbours, on how many there are, or on threads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-import hydro_env.compiling as compiling
-from hydro_env.plant.equations import (
-    Coefficients,
-    State,
-    command_changed,
-    derivatives,
-)
-from hydro_env.plant.limits import hold_limits, time_to_kink
+from hydro_env.compiling import SOURCES, compiled, inline, lane_function, lane_reader, lane_writer, tuple_difference
+from hydro_env.plant.equations import Coefficients, command_changed, derivatives, hold_limits, time_to_kink
+from hydro_env.plant.states import N_STATES, State
 
 LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
@@ -33,10 +28,13 @@ GROUPS = 2
 """Groups of lanes that take turns, so that one calculates while another waits for its roots and divisions."""
 
 TOLERANCE = 1e-6
-"""Largest estimated error of a step, in parts of each state's size (the weights in ``coefficients``)."""
+"""Largest estimated error of a step, in parts of each state's size (the weights in ``states``)."""
 
 MAXIMUM_STEP = 2e-3
 """s; no step is longer."""
+
+MOST_STEPS_PER_PERIOD = 50_000.0
+"""Inner steps of one call after which a plant is given up: it stays where it is, and ``peaks`` shows the number."""
 
 FIRST_STEP = 1e-3 / 3
 """s; tried first in each hold interval."""
@@ -46,9 +44,6 @@ STABLE_PRODUCT = 3.2
 
 SHORTEST_STEP = 1e-8
 """s; accepted whatever its error, so that the integration always ends."""
-
-MOST_STEPS_PER_PERIOD = 100_000
-"""Inner steps of one plant in one control period after which its integration is given up (a fraction of a second)."""
 
 STAGES = (
     (0.161,),
@@ -71,89 +66,86 @@ ERROR = (
 )
 """Weights of the stages in the error estimate, order 5 minus order 4 (same table)."""
 
-N_STATES = len(State._fields)
 N_COEFFICIENTS = len(Coefficients._fields)
 N_PEAKS = 3
 PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
-"""Rows of what an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), steps."""
+"""What an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), inner steps."""
 
+
+class Plants(NamedTuple):
+    """Arrays of the plants that :func:`integrate` advances, one row each."""
+
+    state: NDArray[np.float64]  # (plants, N_STATES), changed in place
+    coefficients: NDArray[np.float64]  # (plants, N_COEFFICIENTS)
+    voltage: NDArray[np.float64]  # (plants, intervals), V, held in each interval
+    peaks: NDArray[np.float64]  # (plants, N_PEAKS), written
+
+
+class Accuracy(NamedTuple):
+    """How finely to integrate."""
+
+    maximum_step: float = MAXIMUM_STEP  # s, longest inner step
+    tolerance: float = TOLERANCE  # of a step's estimated error; infinity for steps of fixed length
+    most_steps: float = MOST_STEPS_PER_PERIOD  # after which a plant is given up
+
+
+# Working memory of a group of lanes: rows of LANES numbers.
+_STAGE_NAMES = [f"stage_{number}" for number in range(1, len(STAGES) + 1)]
 _SIZES = {
     "state": N_STATES,
     "coefficients": N_COEFFICIENTS,
     "peaks": N_PEAKS,
     "trial": N_STATES,
     "derivative": N_STATES,
-    **{f"stage_{number}": N_STATES for number in range(1, len(STAGES) + 1)},
+    **dict.fromkeys(_STAGE_NAMES, N_STATES),
     "error": N_STATES,
-    "voltage": 1,
-    "remaining": 1,
-    "proposed": 1,
-    "step": 1,
-    "repeated": 1,
-    "plant": 1,
-    "interval": 1,
+    **dict.fromkeys(("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval"), 1),
 }
 _ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
 _ROWS = sum(_SIZES.values())
-_COEFFICIENTS, _PEAKS, _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
-    LANES * _ROW[name]
-    for name in (
-        *("coefficients", "peaks", "voltage", "remaining", "proposed"),
-        *("step", "repeated", "plant", "interval"),
-    )
+_STATE, _COEFFICIENTS, _PEAKS, _TRIAL, _ERROR = (
+    LANES * _ROW[name] for name in ("state", "coefficients", "peaks", "trial", "error")
+)
+_VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
+    LANES * _ROW[name] for name in ("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval")
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
+_WEIGHTS = _COEFFICIENTS + LANES * Coefficients._fields.index("position_weight")
+
+_read_state, _read_trial, _read_derivative, _read_error = (
+    lane_reader(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
+)
+_read_coefficients = lane_reader(Coefficients, _ROW["coefficients"], LANES)
+_write_state, _write_trial, _write_derivative, _write_error = (
+    lane_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
+)
+_difference = tuple_difference(State)
+
+
+def _row(name: str) -> str:
+    return f"work[{LANES * _ROW[name]} + place]"
+
+
+def _sum(weights: Sequence[float], names: Sequence[str]) -> str:
+    """Step times a weighted sum of rows, as text: numba compiles no loop over a changing number of terms as quickly."""
+    terms = [f"{weight!r} * {_row(name)}" for weight, name in zip(weights, names, strict=True)]
+    return f"work[{_STEP} + lane] * ({' + '.join(terms)})"
 
 
 def _stage(number: int) -> Callable[..., Any]:
-    """A compiled function that keeps derivative ``number`` of every lane and sets its trial state (STAGES)."""
-    rows = [_ROW[f"stage_{kept}"] for kept in range(1, number)] + [_ROW["derivative"]]
-    terms = list(zip(STAGES[number - 1], rows, strict=True))
-    combine = compiling.lane_combination(_ROW["trial"], terms, N_STATES, LANES, base=_ROW["state"], factor=_ROW["step"])
-    keep = compiling.lane_writer(_ROW[f"stage_{number}"], N_STATES, LANES)
-
-    def stage(work):
-        for lane in range(LANES):
-            combine(work, lane)
-            keep(work, lane, _read_derivative(work, lane))
-
-    return compiling.inline(stage)
+    """``stage(work)``: set every lane's trial state from the derivatives so far (STAGES), and keep the newest one."""
+    known = [*_STAGE_NAMES[: number - 1], "derivative"]
+    trial = f"{_row('trial')} = {_row('state')} + {_sum(STAGES[number - 1], known)}"
+    return lane_function("work", N_STATES, LANES, trial, f"{_row(_STAGE_NAMES[number - 1])} = {_row('derivative')}")
 
 
-def _estimate() -> Callable[..., Any]:
-    """A compiled function that sets the estimated error of a step (ERROR)."""
-    rows = [_ROW[f"stage_{kept}"] for kept in range(1, len(STAGES) + 1)] + [_ROW["derivative"]]
-    terms = list(zip(ERROR, rows, strict=True))
-    return compiling.lane_combination(_ROW["error"], terms, N_STATES, LANES, factor=_ROW["step"])
-
-
-_read_state = compiling.lane_reader(State, _ROW["state"], LANES)
-_read_coefficients = compiling.lane_reader(Coefficients, _ROW["coefficients"], LANES)
-_read_trial = compiling.lane_reader(State, _ROW["trial"], LANES)
-_read_derivative = compiling.lane_reader(State, _ROW["derivative"], LANES)
-_read_error = compiling.lane_reader(State, _ROW["error"], LANES)
-_write_state, _write_trial, _write_derivative = (
-    compiling.lane_writer(_ROW[name], N_STATES, LANES) for name in ("state", "trial", "derivative")
-)
 _stage_2, _stage_3, _stage_4, _stage_5, _stage_6, _stage_7 = (_stage(number) for number in range(1, 7))
-_estimate_error = _estimate()
+_estimate_error = lane_function(
+    "work", N_STATES, LANES, f"{_row('error')} = {_sum(ERROR, [*_STAGE_NAMES, 'derivative'])}"
+)
 
 
-@compiling.inline
-def _largest(error, c):
-    """Largest error of a state in parts of its size; NaN if one is."""
-    p = max(abs(error.position * c.position_weight), abs(error.velocity * c.velocity_weight))
-    q = max(abs(error.pressure_a), max(abs(error.pressure_b), abs(error.supply_pressure))) * c.pressure_weight
-    r = max(abs(error.spool_position), abs(error.spool_velocity * c.spool_velocity_weight))
-    t = max(abs(error.coil_current * c.coil_current_weight), abs(error.gas_volume * c.gas_volume_weight))
-    return max(max(max(p, q), max(r, t)), abs(error.bristle_deflection * c.bristle_weight))
-
-
-_difference = compiling.tuple_difference(State)
-_chosen = compiling.tuple_choice(State)
-
-
-@compiling.inline
+@inline
 def _choose_step(work):
     """Each lane's next step: as proposed, but no further than the interval's end or the next kink."""
     for lane in range(LANES):
@@ -163,49 +155,57 @@ def _choose_step(work):
         halved = 0.5 * remaining if 2.0 * proposed > remaining and proposed < remaining else proposed
         c = _read_coefficients(work, lane)
         kink = time_to_kink(_read_state(work, lane), _read_derivative(work, lane), c)
-        work[_STEP + lane] = kink if kink < halved else halved  # also where a broken state knows no kink
+        work[_STEP + lane] = kink if kink < halved else halved  # also taken when the state is NaN
 
 
-@compiling.inline
-def _judge(work, strictness, maximum_step, most_steps):
+@inline
+def _judge(work, strictness, accuracy):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
+    _estimate_error(work)
     for lane in range(LANES):
-        _estimate_error(work, lane)
+        c = _read_coefficients(work, lane)
+        trial = _read_trial(work, lane)
+        held = hold_limits(trial, c)
+        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
+        _write_trial(work, lane, held)
+        _write_error(work, lane, _difference(held, other))
     for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = work[_PROPOSED + lane]
         step = work[_STEP + lane]
-        c = _read_coefficients(work, lane)
-        s = _read_state(work, lane)
-        trial = _read_trial(work, lane)
-        n = hold_limits(trial, c)
-        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
-        error = strictness * _largest(_difference(n, other), c)
+        largest = total = 0.0
+        for row in range(0, N_STATES * LANES, LANES):
+            weighted = abs(work[_ERROR + row + lane] * work[_WEIGHTS + row + lane])
+            largest = max(largest, weighted)
+            total += weighted
+        error = strictness * (largest if total == total else total)  # NaN if one is
         fits = error <= 1.0
         moving = remaining > 0.0
         accepted = moving and (fits or step <= SHORTEST_STEP)
         # err^(-3/16), near the -1/5 of theory, needs square roots alone.
         root = math.sqrt(math.sqrt(math.sqrt(math.sqrt(max(error, 1e-12)))))
         factor = min(max(0.9 / (root * root * root), 0.2), 4.0) if error < 1e300 else 0.2
-        grown = min(step * factor, maximum_step)
+        grown = min(step * factor, accuracy.maximum_step)
         # A step that a kink or the end cut short says nothing against the proposed one.
         work[_PROPOSED + lane] = max(grown, proposed) if fits and step < proposed else grown
         left = remaining - step if accepted else remaining
-        # The caller finds the state that is no number, or the count of steps.
-        broken = (accepted and not error < 1e300) or work[_STEP_COUNT + lane] >= most_steps
-        work[_REMAINING + lane] = 0.0 if broken or left <= 1e-12 else left
-        work[_REPEATED + lane] = 1.0 if moving and not accepted else 0.0
-        _write_state(work, lane, _chosen(accepted, n, s))
+        broken = accepted and not error < 1e300  # the caller finds the state that is no number
+        given_up = work[_STEP_COUNT + lane] > accuracy.most_steps
+        work[_REMAINING + lane] = 0.0 if broken or given_up or left <= 1e-12 else left
+        work[_REPEATED + lane] = 1.0 if moving and not accepted and not given_up else 0.0
         # Peaks: of pressure over all steps, of speed where an end stop has just been met.
-        highest = max(n.pressure_a, n.pressure_b) if accepted else -1e300
+        old, new = _read_state(work, lane), _read_trial(work, lane)
+        highest = max(new.pressure_a, new.pressure_b) if accepted else -1e300
         work[_PRESSURE_PEAK + lane] = max(work[_PRESSURE_PEAK + lane], highest)
-        beyond = accepted and abs(n.position) > c.end_stop_position
-        outwards = max(s.velocity, 0.0) if n.position > 0.0 else max(-s.velocity, 0.0)
+        beyond = accepted and abs(new.position) > _read_coefficients(work, lane).end_stop_position
+        outwards = max(old.velocity, 0.0) if new.position > 0.0 else max(-old.velocity, 0.0)
         work[_SPEED_PEAK + lane] = max(work[_SPEED_PEAK + lane], outwards if beyond else 0.0)
         work[_STEP_COUNT + lane] += 1.0 if moving else 0.0
+        for row in range(0, N_STATES * LANES, LANES):
+            work[_STATE + row + lane] = work[_TRIAL + row + lane] if accepted else work[_STATE + row + lane]
 
 
-@compiling.inline
+@inline
 def _begin_interval(work, lane, voltage, duration, first_step):
     """Let a new command act in one lane."""
     s = command_changed(_read_state(work, lane), _read_coefficients(work, lane), voltage)
@@ -215,20 +215,19 @@ def _begin_interval(work, lane, voltage, duration, first_step):
     work[_PROPOSED + lane] = first_step
 
 
-def _build(stamp: int) -> Callable[..., None]:
-    def integrate(
-        state: NDArray[np.float64],
-        coefficients: NDArray[np.float64],
-        voltage: NDArray[np.float64],
-        durations: NDArray[np.float64],
-        maximum_step: float,
-        tolerance: float,
-        peaks: NDArray[np.float64],
-        first: int,
-        last: int,
-        most_steps: float = np.inf,
-    ) -> None:
-        assert stamp >= 0  # keys numba's cache
+def _build(sources: int) -> Callable[..., None]:
+    def integrate(plants, durations, accuracy, first, last):
+        """Advance plants in place through consecutive hold intervals.
+
+        Args:
+            plants: :class:`Plants`.
+            durations: (intervals,), s.
+            accuracy: :class:`Accuracy`.
+            first: of the half-open range of plants to advance.
+            last: the end of that range.
+        """
+        assert sources >= 0  # keys numba's cache
+        state, coefficients, voltage, peaks = plants
         groups = min(GROUPS, -(-(last - first) // LANES))
         # Aligned to cache lines: a vector that lies across two costs twice.
         room = np.empty(groups * _ROWS * LANES + LANES)
@@ -237,8 +236,8 @@ def _build(stamp: int) -> Callable[..., None]:
         for group in range(groups):
             for lane in range(LANES):
                 room[group * _ROWS * LANES + _PLANT + lane] = -1.0
-        strictness = 1.0 / tolerance
-        first_step = min(FIRST_STEP, maximum_step)
+        strictness = 1.0 / accuracy.tolerance
+        first_step = min(FIRST_STEP, accuracy.maximum_step)
         intervals = durations.shape[0]
         following = first
         active = 0
@@ -307,22 +306,12 @@ def _build(stamp: int) -> Callable[..., None]:
                         s = hold_limits(_read_trial(work, lane), c)
                         _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
             for group in range(groups):
-                _judge(room[group * _ROWS * LANES :], strictness, maximum_step, most_steps)
+                _judge(room[group * _ROWS * LANES :], strictness, accuracy)
 
     return integrate
 
 
-integrate = compiling.compiled(_build(compiling.source_stamp("plant/equations.py", "plant/limits.py")))
-"""Advance plants in place through consecutive hold intervals.
-
-Args:
-    state: (plants, N_STATES), changed in place.
-    coefficients: (plants, N_COEFFICIENTS).
-    voltage: (plants, intervals), V, held in each interval.
-    durations: (intervals,), s.
-    maximum_step: longest inner step, s.
-    tolerance: largest estimated error of a step, in parts of each state's size; infinity for steps of fixed length.
-    peaks: (plants, N_PEAKS), written.
-    first, last: the half-open range of plants to advance.
-    most_steps: of one plant, after which it stands still for the rest of its time; its count of steps then is larger.
-"""
+_integrate = _build(SOURCES)
+integrate = compiled(_integrate)
+integrate_part = inline(_integrate)
+"""The same as a part of another kernel."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.errors import InvalidStateError
-from hydro_env.plant import kernel
-from hydro_env.plant.arrays import coefficient_array, equilibrium
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.arrays import coefficient_array, equilibrium, plant_coefficients
+from hydro_env.plant.kernel import N_PEAKS, STEPS, TOLERANCE, Accuracy, Plants, integrate
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import EMPHASIS, STATE_NAMES
 
 Array = NDArray[np.float64]
 
@@ -29,7 +28,7 @@ ENOUGH = 1e-4
 """Error of any state, in parts of its range, up to which the inner step is small enough."""
 
 LEAST_RANGE = 0.01
-"""A state that hardly moves counts as ranging over this part of its size."""
+"""A state that hardly moves counts as ranging over this part of its full scale."""
 
 
 class Probe(NamedTuple):
@@ -42,25 +41,14 @@ class Probe(NamedTuple):
 
 
 def state_ranges(parameters: PlantParameters, states: Array) -> Array:
-    """Range of each state along a run, states (samples, N_STATES), at least 1 % of its size."""
-    c = Coefficients(*coefficient_array(parameters))
-    sizes = {
-        "position": c.end_stop_position,
-        "velocity": c.edge_gain * math.sqrt(0.5 * c.relief_pressure) / c.area_a,  # without load
-        "pressure_a": c.relief_pressure,
-        "pressure_b": c.relief_pressure,
-        "spool_position": 1.0,
-        "spool_velocity": c.slew_limit,
-        "coil_current": 10.0 * c.drive_rate / c.coil_rate,
-        "supply_pressure": c.relief_pressure,
-        "gas_volume": parameters.supply.accumulator_volume,
-        "bristle_deflection": 1.0 / c.bristle_weight,
-    }
-    ranges: Array = np.maximum(np.ptp(states, axis=0), LEAST_RANGE * np.array([sizes[name] for name in STATE_NAMES]))
+    """Range of each state along a run, states (samples, N_STATES), at least 1 % of its full scale."""
+    c = plant_coefficients(parameters)
+    full_scale = EMPHASIS / np.array([getattr(c, f"{name}_weight") for name in STATE_NAMES])
+    ranges: Array = np.maximum(np.ptp(states, axis=0), LEAST_RANGE * full_scale)
     return ranges
 
 
-def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float = kernel.TOLERANCE) -> Probe:
+def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float = TOLERANCE) -> Probe:
     """Full voltage to and fro for 0.2 s from rest at a position (m), with ``tolerance`` and a thousandth of it.
 
     Raises:
@@ -79,13 +67,17 @@ def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float =
 def _run(parameters: PlantParameters, position: float, tolerance: float) -> tuple[Array, Array]:
     """Steps in each period, (periods,), and states at their ends, (periods, N_STATES)."""
     start, _ = equilibrium(parameters, position)
-    state = np.array([[start[name] for name in STATE_NAMES]])
-    packed, peaks = coefficient_array(parameters)[None], np.empty((1, kernel.N_PEAKS))
+    plants = Plants(
+        state=np.array([[start[name] for name in STATE_NAMES]]),
+        coefficients=coefficient_array(parameters)[None],
+        voltage=np.empty((1, 1)),
+        peaks=np.empty((1, N_PEAKS)),
+    )
     steps, states = [], []
     for number, periods in enumerate(HELD):
-        voltage = np.array([[10.0 if number % 2 == 0 else -10.0]])
+        plants.voltage[:] = 10.0 if number % 2 == 0 else -10.0
         for _ in range(periods):
-            kernel.integrate(state, packed, voltage, np.array([PERIOD]), kernel.MAXIMUM_STEP, tolerance, peaks, 0, 1)
-            steps.append(peaks[0, kernel.STEPS])
-            states.append(state[0].copy())
+            integrate(plants, np.array([PERIOD]), Accuracy(tolerance=tolerance), 0, 1)
+            steps.append(plants.peaks[0, STEPS])
+            states.append(plants.state[0].copy())
     return np.array(steps), np.array(states)

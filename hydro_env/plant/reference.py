@@ -1,8 +1,8 @@
 """The reference solver: SciPy's implicit Radau IIA at tight tolerance on the same right-hand side.
 
 It shares nothing with the fast integrator but the equations. Limits are treated in another way too: the solver stops
-where one is met or left (by root finding on its own interpolant), and between those events the rate of what is held is
-zero, of what is free unlimited, so that it never integrates over a jump.
+where one is met or left (by root finding on its own interpolant). Between those events a held quantity has zero rate,
+and a free one is not limited, so that it never integrates over a jump.
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from hydro_env.errors import InvalidStateError
-from hydro_env.plant.arrays import TYPICAL_SIZE, command_changed_array, derivative_array, hold_limits_array
-from hydro_env.plant.equations import STATE_NAMES, VAPOUR_PRESSURE, Coefficients
+from hydro_env.plant.arrays import command_changed_array, derivative_array, hold_limits_array
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.parts.valve import spool_pull
+from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE, VAPOUR_PRESSURE, State
 
 Array = NDArray[np.float64]
 
@@ -87,7 +89,7 @@ def reference_states(
 
 
 class _Plant:
-    """One plant whose limits are held or let go by whom integrates it."""
+    """Plant whose limits the integrator switches on and off."""
 
     def __init__(self, coefficients: Array) -> None:
         self.limits = Coefficients(*coefficients)
@@ -97,11 +99,8 @@ class _Plant:
         """The derivative as it would be without limits."""
         rate: Array = derivative_array(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
-            inside = y.copy()
-            inside[_SPOOL] = 0.0
-            unlimited = derivative_array(inside, self.free, voltage)
-            rate[_SPOOL] = unlimited[_SPOOL]
-            rate[_SPOOL_VELOCITY] = unlimited[_SPOOL_VELOCITY] - self.limits.spool_stiffness * y[_SPOOL]
+            rate[_SPOOL] = y[_SPOOL_VELOCITY]
+            rate[_SPOOL_VELOCITY] = spool_pull(State(*y), self.limits)
         for row in (_PRESSURE_A, _PRESSURE_B):
             if y[row] <= VAPOUR_PRESSURE:  # what the oil would do were it not cavitating
                 above = y.copy()

@@ -2,69 +2,89 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Any, Literal, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.errors import HydroError, InvalidStateError
-from hydro_env.plant import equations, kernel
-from hydro_env.plant.arrays import DERIVED_NAMES, DERIVED_UNITS, coefficient_array, derived_array, equilibrium
-from hydro_env.plant.equations import STATE_NAMES, STATE_UNITS
-from hydro_env.plant.limits import valid_limits
+from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium, plant_coefficients
+from hydro_env.plant.equations import Derived
+from hydro_env.plant.kernel import (
+    MAXIMUM_STEP,
+    MOST_STEPS_PER_PERIOD,
+    N_PEAKS,
+    STEPS,
+    TOLERANCE,
+    Accuracy,
+    Plants,
+    integrate,
+)
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, valid_range
 
 Array = NDArray[np.float64]
 
+DERIVED_NAMES = Derived._fields
+DERIVED_UNITS = tuple(hint.__metadata__[0] for hint in get_type_hints(Derived, include_extras=True).values())
+TRAJECTORY_NAMES = ("time", "voltage", *STATE_NAMES, *DERIVED_NAMES)
+TRAJECTORY_UNITS = dict(zip(TRAJECTORY_NAMES, ("s", "V", *STATE_UNITS, *DERIVED_UNITS), strict=True))
 
-@dataclass(frozen=True)
+LONGEST_PERIOD = 0.02
+"""s; a sample that is longer may take more inner steps."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Trajectory:
     """A simulated run: n held inputs give n + 1 samples.
 
-    ``time`` (s), one array per state (:data:`STATE_NAMES`, units :data:`STATE_UNITS`), ``voltage`` (V; the input that
-    acts from each sample on, the last one repeated), and derived quantities by name (:data:`DERIVED_NAMES`, units
-    :data:`DERIVED_UNITS`). All have the shape (n + 1,). ``trajectory["flow_a"]`` works as well.
+    ``time`` (s), ``voltage`` (V; the input that acts from each sample on, the last one repeated), and by name every
+    state (:data:`STATE_NAMES`) and every derived quantity (:data:`DERIVED_NAMES`), each of shape (n + 1,):
+    ``trajectory.position`` or ``trajectory["position"]``; units in :data:`TRAJECTORY_UNITS`.
     """
 
     parameters: PlantParameters
     time: Array
     voltage: Array
-    position: Array
-    velocity: Array
-    pressure_a: Array
-    pressure_b: Array
-    spool_position: Array
-    spool_velocity: Array
-    coil_current: Array
-    supply_pressure: Array
-    gas_volume: Array
-    bristle_deflection: Array
-    flow_a: Array
-    flow_b: Array
-    leakage_flow: Array
-    external_leakage_flow: Array
-    supply_flow: Array
-    load_force: Array
-    friction_force: Array
-    acceleration: Array
+    states: Array  # (n + 1, N_STATES), columns as in STATE_NAMES
+    derived: Array  # (n + 1, len(DERIVED_NAMES))
+
+    def __getattr__(self, name: str) -> Array:
+        if name in STATE_NAMES:
+            return self.states[:, STATE_NAMES.index(name)]
+        if name in DERIVED_NAMES:
+            return self.derived[:, DERIVED_NAMES.index(name)]
+        raise AttributeError(f"a trajectory has no '{name}'; it has: {', '.join(TRAJECTORY_NAMES)}")
 
     def __getitem__(self, name: str) -> Array:
         if name not in TRAJECTORY_NAMES:
             raise KeyError(f"no quantity '{name}'; there are: {', '.join(TRAJECTORY_NAMES)}")
-        return cast("Array", getattr(self, name))
+        values: Array = getattr(self, name)
+        return values
 
-    @property
-    def states(self) -> Array:
-        """All states, shape (n + 1, 10), columns as in :data:`STATE_NAMES`."""
-        return np.column_stack([getattr(self, name) for name in STATE_NAMES])
+    def __len__(self) -> int:
+        return len(self.time)
 
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self)} samples, {self.time[-1]:g} s, {', '.join(TRAJECTORY_NAMES[2:5])}, …)"
 
-TRAJECTORY_NAMES = ("time", "voltage", *STATE_NAMES, *DERIVED_NAMES)
-TRAJECTORY_UNITS = dict(
-    zip(TRAJECTORY_NAMES, ("s", "V", *STATE_UNITS, *DERIVED_UNITS), strict=True),
-)
+    def to_dataframe(self) -> Any:
+        """All quantities as a pandas DataFrame (n + 1 rows), indexed by time; ``frame.attrs["units"]`` has the units.
+
+        Raises:
+            HydroError: pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame, Index
+        except ModuleNotFoundError:
+            raise HydroError("to_dataframe: needs pandas; pip install pandas") from None
+        names = TRAJECTORY_NAMES[1:]
+        frame = DataFrame({name: self[name] for name in names}, index=Index(self.time, name="time"))
+        frame.attrs["units"] = dict(TRAJECTORY_UNITS)
+        return frame
 
 
 def simulate(
@@ -74,8 +94,8 @@ def simulate(
     initial_state: Mapping[str, float] | None = None,
     method: Literal["fast", "radau"] = "fast",
     *,
-    tolerance: float = kernel.TOLERANCE,
-    maximum_step: float = kernel.MAXIMUM_STEP,
+    tolerance: float = TOLERANCE,
+    maximum_step: float = MAXIMUM_STEP,
     relative_tolerance: float = 1e-10,
 ) -> Trajectory:
     """Run one plant open loop, each input held for one sample.
@@ -101,39 +121,36 @@ def simulate(
         HydroError: impossible input, unknown state name or method, or a start that cannot be held.
         InvalidStateError: a state left the range in which the model is valid; says which, when and its value.
     """
-    inputs = _checked_input(voltage, sample_time, tolerance, maximum_step)
+    if not isinstance(parameters, PlantParameters):
+        raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")
+    inputs = _checked_input(voltage)
+    sample_time = _positive("sample_time", sample_time, "s")
+    accuracy = Accuracy(
+        maximum_step=_positive("maximum_step", maximum_step, "s"),
+        tolerance=_positive("tolerance", tolerance, "", np.inf),
+        most_steps=MOST_STEPS_PER_PERIOD * max(sample_time / LONGEST_PERIOD, 1.0),
+    )
+    _positive("relative_tolerance", relative_tolerance, "", 1.0)
     start = _checked_start(parameters, initial_state)
     coefficients = coefficient_array(parameters)
     if method == "fast":
-        states = _run(start, coefficients, inputs, float(sample_time), tolerance, maximum_step)
+        states = _run(start, coefficients, inputs, sample_time, accuracy)
     elif method == "radau":
         from hydro_env.plant.reference import reference_states  # SciPy's solvers are loaded when first needed
 
-        states = reference_states(start, coefficients, inputs, float(sample_time), relative_tolerance)
+        states = reference_states(start, coefficients, inputs, sample_time, relative_tolerance)
     else:
         raise HydroError(f"method = {method!r}: must be 'fast' or 'radau'")
     time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
-    columns = {name: states[:, row].copy() for row, name in enumerate(STATE_NAMES)}
-    derived = derived_array(states, coefficients)
-    columns |= {name: derived[:, row].copy() for row, name in enumerate(DERIVED_NAMES)}
-    return Trajectory(parameters=parameters, time=time, voltage=acting, **columns)
+    return Trajectory(parameters, time, acting, states, derived_array(states, coefficients))
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:
-    """Lowest and highest value of each state for which the model holds, shapes (10,) each, order of STATE_NAMES."""
-    c = equations.Coefficients(*coefficient_array(parameters))
-    low, high = valid_limits(
-        c.end_stop_position,
-        c.slew_limit,
-        c.volume_b0,
-        c.area_a,
-        c.area_b,
-        c.supply_dynamics,
-        parameters.supply.accumulator_volume,
-    )
-    return np.array(low), np.array(high)
+    """Lowest and highest value of each state for which the model holds, shapes (N_STATES,)."""
+    lowest, highest = valid_range(plant_coefficients(parameters))
+    return np.array(lowest), np.array(highest)
 
 
 def _check_range(parameters: PlantParameters, time: Array, states: Array) -> None:
@@ -147,7 +164,7 @@ def _check_range(parameters: PlantParameters, time: Array, states: Array) -> Non
         )
 
 
-def _checked_input(voltage: ArrayLike, sample_time: float, tolerance: float, maximum_step: float) -> Array:
+def _checked_input(voltage: ArrayLike) -> Array:
     try:
         inputs = np.asarray(voltage, dtype=np.float64)
     except (TypeError, ValueError):
@@ -158,42 +175,53 @@ def _checked_input(voltage: ArrayLike, sample_time: float, tolerance: float, max
     if wrong.any():
         first = int(np.argmax(wrong))
         raise HydroError(f"voltage[{first}] = {inputs[first]:g} V: must be within -10 to 10 V")
-    if not 0.0 < sample_time < np.inf:
-        raise HydroError(f"sample_time = {sample_time} s: must be positive")
-    if not 0.0 < maximum_step < np.inf:
-        raise HydroError(f"maximum_step = {maximum_step} s: must be positive")
-    if not tolerance > 0.0:
-        raise HydroError(f"tolerance = {tolerance}: must be positive")
     return inputs
 
 
+def _positive(name: str, value: Any, unit: str, largest: float = 1e6) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not 0.0 < number <= largest:
+        shown = f"{value} {unit}".strip() if isinstance(value, int | float) else repr(value)
+        raise HydroError(f"{name} = {shown}: must be positive, at most {largest:g} {unit}".rstrip())
+    return number
+
+
 def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, float] | None) -> Array:
-    given = dict(initial_state or {})
-    for name, value in given.items():
+    if not isinstance(initial_state, Mapping | None):
+        raise HydroError(f"initial_state = {initial_state!r}: must be a mapping of state names to values")
+    given: dict[str, float] = {}
+    for name, value in (initial_state or {}).items():
         if name not in STATE_NAMES:
             raise HydroError(f"initial_state: unknown state '{name}'; known: {', '.join(STATE_NAMES)}")
-        if not np.isfinite(value):
+        try:
+            given[name] = float(value)
+        except (TypeError, ValueError):
+            raise HydroError(f"initial_state: {name} = {value!r}: must be a number") from None
+        if not np.isfinite(given[name]):
             raise HydroError(f"initial_state: {name} = {value}: must be a finite number")
     if len(given) < len(STATE_NAMES):
         rest, _ = equilibrium(parameters, given.get("position", 0.0))
         given = rest | given
-    start = np.array([float(given[name]) for name in STATE_NAMES])
+    start = np.array([given[name] for name in STATE_NAMES])
     _check_range(parameters, np.zeros(1), start[None])
     return start
 
 
-def _run(
-    start: Array, coefficients: Array, inputs: Array, sample_time: float, tolerance: float, maximum_step: float
-) -> Array:
-    state = start[None].copy()
-    packed = coefficients[None]
-    peaks = np.empty((1, kernel.N_PEAKS))
+def _run(start: Array, coefficients: Array, inputs: Array, sample_time: float, accuracy: Accuracy) -> Array:
+    plants = Plants(start[None].copy(), coefficients[None], np.empty((1, 1)), np.empty((1, N_PEAKS)))
     durations = np.array([sample_time])
     states = np.empty((len(inputs) + 1, len(start)))
     states[0] = start
-    for sample in range(len(inputs)):
-        kernel.integrate(
-            state, packed, inputs[sample : sample + 1, None], durations, maximum_step, tolerance, peaks, 0, 1
-        )
-        states[sample + 1] = state[0]
+    for sample, voltage in enumerate(inputs):
+        plants.voltage[0, 0] = voltage
+        integrate(plants, durations, accuracy, 0, 1)
+        if plants.peaks[0, STEPS] > accuracy.most_steps:
+            raise InvalidStateError(
+                f"more than {accuracy.most_steps:,.0f} inner steps in the sample at t = {sample * sample_time:g} s: "
+                f"the parameters make the axis too stiff, or the tolerance is too small"
+            )
+        states[sample + 1] = plants.state[0]
     return states

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_env.errors import ConfigurationError, HydroError
-from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
-from hydro_env.plant.arrays import DERIVED_NAMES, coefficient_array, derived_array, equilibrium
-from hydro_env.plant.equations import STATE_NAMES, Coefficients, Rates, State, rates
+from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
+from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium, plant_coefficients
 from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.simulate import valid_ranges
+from hydro_env.plant.parts.friction import FrictionModel
+from hydro_env.plant.rates import Rates, rates
+from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
+from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.units import LITRE_PER_MINUTE
 
 LEAST_TRAVEL = 1e-3
@@ -69,12 +71,10 @@ def inner_step(parameters: PlantParameters, position: float = 0.0) -> InnerStep:
     tolerance of the integration (:mod:`hydro_env.plant.probe`). LuGre friction relaxes the faster, the faster the
     piston slides: it is judged at the speed without load.
     """
-    zeros = dict.fromkeys(State._fields, 0.0)
-    at = {
-        "position": position,
-        "velocity": max(speed_limits(parameters)) if parameters.friction.model == "lugre" else 0.0,
-    }
-    found = rates(State(**(zeros | at)), Coefficients(*coefficient_array(parameters)))
+    still = State(**dict.fromkeys(STATE_NAMES, 0.0))
+    lugre = parameters.friction.model == FrictionModel.LUGRE
+    at = still._replace(position=float(position), velocity=max(speed_limits(parameters)) if lugre else 0.0)
+    found = rates(at, plant_coefficients(parameters))
     cause = max(Rates._fields, key=lambda name: getattr(found, name))
     rate = float(getattr(found, cause))
     steps = max(
@@ -100,9 +100,9 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
     """
     load, supply = parameters.load, parameters.supply
     out, back = force_limits(parameters)
+    full_out, full_back = full_pressure_forces(parameters)
     least = load.spring_stiffness * LEAST_TRAVEL
-    for force, direction in ((out, "out"), (back, "in")):
-        own = force + load.external_force if direction == "out" else force - load.external_force
+    for force, own, direction in ((out, full_out, "out"), (back, full_back, "in")):
         where = f"{supply.pressure / 1e5:g} bar give {max(own, 0.0):.4g} N {direction}"
         if own <= 0.0:
             raise ConfigurationError(
@@ -112,25 +112,25 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
         if force <= 0.0:
             raise ConfigurationError(
                 f"{source}: load.external_force = {load.external_force:g} N: {where}; "
-                f"it must stay within {-_inward(parameters):.4g} to {_outward(parameters):.4g} N"
+                f"it must stay within {-full_back:.4g} to {full_out:.4g} N"
             )
         if least >= force:
             raise ConfigurationError(
                 f"{source}: load.spring_stiffness = {load.spring_stiffness:g} N/m: {where}, which does not move it "
                 f"{1e3 * LEAST_TRAVEL:g} mm; the limit is {force / LEAST_TRAVEL:.4g} N/m"
             )
-    rubbing, weaker = _largest_friction(parameters), min(out, back)
-    if rubbing >= weaker - least:
-        name = "coulomb_force" if parameters.friction.model == "coulomb" else "breakaway_force"
+    largest_friction, weaker = parameters.friction.largest_force, min(out, back)
+    if largest_friction >= weaker - least:
+        name = "coulomb_force" if parameters.friction.model == FrictionModel.COULOMB else "breakaway_force"
         raise ConfigurationError(
-            f"{source}: friction.{name} = {rubbing:g} N: {supply.pressure / 1e5:g} bar give {weaker:.4g} N "
+            f"{source}: friction.{name} = {largest_friction:g} N: {supply.pressure / 1e5:g} bar give {weaker:.4g} N "
             f"{'out' if out < back else 'in'}, which does not move it {1e3 * LEAST_TRAVEL:g} mm; the limit is "
             f"{weaker - least:.4g} N"
         )
     _refuse_valve_and_pump(parameters, source)
     shortest = shortest_inner_step(parameters)
     if shortest.steps > MOST_STEPS:
-        causes = CAUSES | LUGRE_CAUSES if parameters.friction.model == "lugre" else CAUSES
+        causes = CAUSES | LUGRE_CAUSES if parameters.friction.model == FrictionModel.LUGRE else CAUSES
         raise ConfigurationError(
             f"{source}: {causes[shortest.cause]} at {shortest.rate:.3g} 1/s, which asks for {shortest.steps:,} inner "
             f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
@@ -138,13 +138,6 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
         )
     if not _can_rest(parameters):
         raise ConfigurationError(f"{source}: {_why_no_rest(parameters)}")
-
-
-def _largest_friction(parameters: PlantParameters) -> float:
-    friction = parameters.friction
-    if friction.model == "none":
-        return 0.0
-    return friction.coulomb_force if friction.model == "coulomb" else friction.breakaway_force
 
 
 def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
@@ -164,8 +157,7 @@ def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
             f"{100.0 * current * valve.spool_gain:.3g} %; it must be at least {100.0 * LEAST_OPENING:g} %"
         )
     highest = limits["supply_pressure"][1]
-    regulated = supply.model != "constant" and supply.pump_flow > 0.0
-    if regulated and supply.pressure + supply.pump_flow / supply.relief_slope > highest:
+    if supply.is_regulated and supply.pressure + supply.pump_flow / supply.relief_slope > highest:
         raise ConfigurationError(
             f"{source}: supply.relief_slope = {supply.relief_slope:g} m³/(s Pa): a pump of {supply.pump_flow:g} m³/s "
             f"raises the supply above {highest / 1e5:g} bar; it must be at least "
@@ -224,11 +216,3 @@ def _leak_limit(parameters: PlantParameters, name: str, value: float) -> float:
         middle = math.sqrt(value * good)
         value, good = (value, middle) if _can_rest(parameters.replace(leakage={name: middle})) else (middle, good)
     return good
-
-
-def _outward(parameters: PlantParameters) -> float:
-    return force_limits(parameters).extending + parameters.load.external_force
-
-
-def _inward(parameters: PlantParameters) -> float:
-    return force_limits(parameters).retracting - parameters.load.external_force

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Number, PlantParameters, quantity
+from hydro_env.plant.parameters import PlantParameters
+from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
+from hydro_env.units import Number, quantity
 
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
@@ -25,72 +27,34 @@ LEAKAGE_LIMIT = 20.0
 Range = tuple[Number, Number]
 
 
-def _rising(name: str, bounds: tuple[float, float]) -> None:
-    if bounds[0] > bounds[1]:
-        raise ValueError(f"{name} = [{bounds[0]:g}, {bounds[1]:g}]: the lower bound must not exceed the upper one")
+def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
+    """A pair of rising numbers with its unit and the bounds outside of which it must be a mistake."""
+    return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})
 
 
-class Distribution(Group):
-    """How one parameter is drawn in each episode: uniformly or log-uniformly between two bounds.
-
-    ``times`` multiplies the draw by another parameter; with ``otherwise_probability`` the value is ``otherwise``.
-    """
-
-    uniform: Range | None = None
-    log_uniform: Range | None = None
-    times: str | None = Field(None, description="path of a parameter that multiplies the draw")
-    otherwise: Number | None = None
-    otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
+class TaskGroup(Group):
+    """A group whose intervals rise within their bounds."""
 
     @model_validator(mode="after")
-    def _consistent(self) -> Distribution:
-        if (self.uniform is None) == (self.log_uniform is None):
-            raise ValueError("needs either 'uniform: [low, high]' or 'log_uniform: [low, high]'")
-        _rising("bounds", self.bounds)
-        if self.log_uniform is not None and self.log_uniform[0] <= 0.0:
-            raise ValueError("log_uniform needs positive bounds")
-        if self.times is not None and self.times not in PARAMETER_PATHS:
-            raise ValueError(f"times = {self.times!r} is no parameter of the plant")
-        if (self.otherwise is None) != (self.otherwise_probability == 0.0):
-            raise ValueError("'otherwise' and 'otherwise_probability' belong together")
+    def _intervals_rise(self) -> Self:
+        for name, info in type(self).model_fields.items():
+            extra = info.json_schema_extra
+            if isinstance(extra, dict) and "low" in extra:
+                low, high = getattr(self, name)
+                if not extra["low"] <= low <= high <= extra["high"]:
+                    unit = "" if extra["unit"] == "1" else f" {extra['unit']}"
+                    raise ValueError(
+                        f"{name} = [{low:g}, {high:g}]: must rise within {extra['low']:g} to {extra['high']:g}{unit}"
+                    )
         return self
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Lower and upper bound of the draw."""
-        chosen = self.uniform if self.uniform is not None else self.log_uniform
-        assert chosen is not None
-        return chosen
 
-
-def _default_randomisation() -> dict[str, Distribution]:
-    """The assumed parameters over the ranges of published rigs (docs/model.md, section 3)."""
-    return {
-        "cylinder.dead_volume": Distribution(uniform=(20e-6, 60e-6)),
-        "valve.rated_flow": Distribution(uniform=(0.9 * 10e-3 / 60, 1.1 * 10e-3 / 60)),
-        "valve.natural_frequency": Distribution(uniform=(380.0, 630.0)),
-        "valve.damping_ratio": Distribution(uniform=(0.6, 1.0)),
-        "valve.underlap": Distribution(uniform=(0.005, 0.025)),
-        "fluid.bulk_modulus": Distribution(uniform=(1.0e9, 1.5e9)),
-        "fluid.air_fraction": Distribution(log_uniform=(0.001, 0.01)),
-        "load.mass": Distribution(uniform=(40.0, 80.0)),
-        "load.spring_stiffness": Distribution(uniform=(71.2e3, 106.8e3), otherwise=0.0, otherwise_probability=0.1),
-        "load.viscous_damping": Distribution(uniform=(100.0, 800.0)),
-        "friction.coulomb_force": Distribution(uniform=(50.0, 300.0)),
-        "friction.breakaway_force": Distribution(uniform=(1.2, 1.8), times="friction.coulomb_force"),
-        "supply.pressure": Distribution(uniform=(60e5, 100e5)),
-        "leakage.external_resistance": Distribution(
-            log_uniform=(1e12, 1e13), otherwise=float("inf"), otherwise_probability=0.8
-        ),
-    }
-
-
-class LeakageDraw(Group):
+class LeakageDraw(TaskGroup):
     """Internal leakage of an episode, in l/min at 100 bar across the piston."""
 
     healthy_share: Number = Field(0.25, ge=0.0, le=1.0, description="share of episodes with a healthy seal")
-    healthy_range: Range = Field((0.003, 0.03), description="l/min at 100 bar; drawn log-uniformly")
-    faulty_range: Range = Field((0.1, 4.0), description="l/min at 100 bar; drawn log-uniformly")
+    healthy_range: Range = interval((0.003, 0.03), "l/min", "at 100 bar; drawn log-uniformly", 1e-6, LEAKAGE_LIMIT)
+    faulty_range: Range = interval((0.1, 4.0), "l/min", "at 100 bar; drawn log-uniformly", 1e-6, LEAKAGE_LIMIT)
     class_bounds: tuple[Number, Number, Number] = Field(
         (0.03, 0.3, 1.0), description="l/min at 100 bar; highest of healthy, incipient, moderate; above is severe"
     )
@@ -98,22 +62,16 @@ class LeakageDraw(Group):
     schedule: Literal["constant", "onset", "growth"] = Field(
         "constant", description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode"
     )
-    start_range: Range = Field((0.25, 0.75), description="onset or start of growth, as a share of the episode")
+    start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
 
     @model_validator(mode="after")
-    def _consistent(self) -> LeakageDraw:
-        for name in ("healthy_range", "faulty_range"):
-            low, high = getattr(self, name)
-            _rising(name, (low, high))
-            if not 0.0 < low <= high <= LEAKAGE_LIMIT:
-                raise ValueError(
-                    f"{name} = [{low:g}, {high:g}] must lie within 0 (excluded) to {LEAKAGE_LIMIT:g} l/min"
-                )
-        if not 0.0 < self.class_bounds[0] < self.class_bounds[1] < self.class_bounds[2]:
-            raise ValueError("class_bounds must be positive and rising")
-        _rising("start_range", self.start_range)
-        if not (self.start_range[0] >= 0.0 and self.start_range[1] <= 1.0):
-            raise ValueError("start_range must lie within 0 to 1")
+    def _classes_rise(self) -> LeakageDraw:
+        low, middle, high = self.class_bounds
+        if not 0.0 < low < middle < high <= LEAKAGE_LIMIT:
+            raise ValueError(
+                f"class_bounds = [{low:g}, {middle:g}, {high:g}]: must be positive and rising up to "
+                f"{LEAKAGE_LIMIT:g} l/min"
+            )
         return self
 
 
@@ -123,22 +81,22 @@ def _families() -> tuple[str, ...]:
     return REFERENCE_FAMILIES
 
 
-class References(Group):
+class References(TaskGroup):
     """Which references are asked for, within what force and speed of each plant allow."""
 
     weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
         default_factory=lambda: {name: 1.0 for name in _families() if name != "user"},
         description="relative frequency of each family; absent families do not occur",
     )
-    user: list[float] | None = Field(
+    user: list[Number] | None = Field(
         None, description="m, one value per control period from the start; held at its end"
     )
     range_share: Number = Field(0.6, gt=0.0, le=0.95, description="of the range that the supply can hold")
     largest_amplitude: Number = quantity(0.10, "m", "farthest from mid-stroke", 1e-3, 5.0)
     speed_share: Number = Field(0.7, gt=0.0, le=1.0, description="of the speed at full opening on that stretch")
     acceleration_limit: Number = quantity(4.0, "m/s²", "of smooth moves and sines", 0.01, 100.0)
-    frequency_range: Range = Field((0.3, 4.0), description="Hz, of sines")
-    step_range: Range = Field((0.002, 0.02), description="m, of steps")
+    frequency_range: Range = interval((0.3, 4.0), "Hz", "of sines", 1e-3, 1e3)
+    step_range: Range = interval((0.002, 0.02), "m", "of steps", 1e-6, 10.0)
     preview_times: tuple[Number, ...] = Field(
         (0.005, 0.010, 0.020, 0.040), description="s; the observation holds the reference this far ahead"
     )
@@ -152,11 +110,6 @@ class References(Group):
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
             raise ValueError("weights: family 'user' needs 'user', an array of positions in m")
-        for name in ("frequency_range", "step_range"):
-            low, high = getattr(self, name)
-            _rising(name, (low, high))
-            if low <= 0.0:
-                raise ValueError(f"{name} must be positive")
         if any(not 0.0 < t <= 0.5 for t in self.preview_times) or list(self.preview_times) != sorted(
             set(self.preview_times)
         ):
@@ -167,14 +120,14 @@ class References(Group):
 class Sensor(Group):
     """One measured signal: white noise, a bias drawn per episode, 16-bit steps, and its range."""
 
-    noise: Number = Field(ge=0.0, description="standard deviation, unit of the signal")
-    bias: Number = Field(ge=0.0, description="largest constant error of an episode, unit of the signal")
-    resolution: Number = Field(ge=0.0, description="step of the 16-bit acquisition, unit of the signal; 0 = none")
-    low: Number = Field(description="lower end of the range")
-    high: Number = Field(description="upper end of the range")
+    noise: Number = Field(ge=0.0, le=1e9, description="standard deviation, unit of the signal")
+    bias: Number = Field(ge=0.0, le=1e9, description="largest constant error of an episode, unit of the signal")
+    resolution: Number = Field(ge=0.0, le=1e9, description="step of the 16-bit acquisition, unit; 0 = none")
+    low: Number = Field(ge=-1e9, le=1e9, description="lower end of the range, unit of the signal")
+    high: Number = Field(ge=-1e9, le=1e9, description="upper end of the range, unit of the signal")
 
     @model_validator(mode="after")
-    def _range(self) -> Sensor:
+    def _range_rises(self) -> Sensor:
         if not self.low < self.high:
             raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
         return self
@@ -222,11 +175,11 @@ class Reward(Group):
     discount of 0.98, so that failing never pays.
     """
 
-    tracking: Number = Field(1.0, ge=0.0)
+    tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
-    error_limit: Number = Field(5.0, gt=0.0, description="largest tracking cost of a step, in units of error_scale")
-    effort: Number = Field(0.05, ge=0.0)
-    failure: Number = Field(250.0, ge=0.0)
+    error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, in parts of error_scale", 1e-6, 1e6)
+    effort: Number = quantity(0.05, "1", "weight of the change of command", 0.0, 1e6)
+    failure: Number = quantity(250.0, "1", "cost of a failure", 0.0, 1e9)
 
 
 class Failure(Group):
@@ -236,23 +189,17 @@ class Failure(Group):
     pressure_rating: Number = quantity(250e5, "Pa", "paper, Table 1; of valve and cylinder", 1e5, 2e8)
 
 
-class Disturbance(Group):
+class Disturbance(TaskGroup):
     """External force besides the plant's own: none by default."""
 
     kind: Literal["none", "step", "pulse", "sine"] = "none"
-    force_range: Range = Field((200.0, 1000.0), description="N, amplitude; the sign is drawn")
-    start_range: Range = Field((0.2, 0.6), description="start as a share of the episode")
+    force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
+    start_range: Range = interval((0.2, 0.6), "1", "start as a share of the episode", 0.0, 1.0)
     pulse_duration: Number = quantity(0.05, "s", "of a pulse", 1e-3, 100.0)
-    frequency_range: Range = Field((0.5, 5.0), description="Hz, of a sine")
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Disturbance:
-        for name in ("force_range", "start_range", "frequency_range"):
-            _rising(name, getattr(self, name))
-        return self
+    frequency_range: Range = interval((0.5, 5.0), "Hz", "of a sine", 0.0, 1e3)
 
 
-class TaskConfig(Group):
+class TaskConfig(TaskGroup):
     """The whole task; every field may be given to ``gym.make("ServoHydraulic-v0", ...)`` or stand in a YAML file."""
 
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
@@ -263,11 +210,11 @@ class TaskConfig(Group):
     )
     maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
     plant: PlantParameters = Field(default_factory=PlantParameters, description="the rig around which is drawn")
-    randomisation: dict[str, Distribution] = Field(default_factory=_default_randomisation)
+    randomisation: dict[str, Distribution] = Field(default_factory=default_randomisation)
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)
     references: References = Field(default_factory=References)
-    initial_position_range: Range = Field(
-        (-1.0, 1.0), description="start, as a share of the range of references on either side of mid-stroke"
+    initial_position_range: Range = interval(
+        (-1.0, 1.0), "1", "start, as a share of the range of references on either side of mid-stroke", -1.0, 1.0
     )
     sensors: Sensors = Field(default_factory=Sensors)
     reward: Reward = Field(default_factory=Reward)
@@ -283,40 +230,8 @@ class TaskConfig(Group):
             )
         if self.episode_duration < self.control_period:
             raise ValueError("episode_duration must be at least one control_period")
-        for path, distribution in self.randomisation.items():
-            if path not in PARAMETER_PATHS or path in MODEL_CODES:
-                raise ValueError(f"randomisation: '{path}' is no number of the plant; see PlantParameters")
-            if path in ("leakage.internal_resistance", "leakage.orifice_gain"):
-                raise ValueError(f"randomisation: '{path}' is drawn by the group 'leakage'")
-            self._check_bounds(path, distribution)
-        _rising("initial_position_range", self.initial_position_range)
-        if max(map(abs, self.initial_position_range)) > 1.0:
-            raise ValueError("initial_position_range must lie within -1 to 1")
+        check_draws(self.randomisation, self.plant)
         return self
-
-    def _check_bounds(self, path: str, distribution: Distribution) -> None:
-        """Every value that may be drawn must be a valid parameter."""
-
-        group, field = path.split(".")
-        values = list(distribution.bounds)
-        if distribution.times is not None:
-            other = distribution.times.split(".")
-            factors = (
-                self.randomisation[distribution.times].bounds
-                if distribution.times in self.randomisation
-                else (getattr(getattr(self.plant, other[0]), other[1]),) * 2
-            )
-            values = [value * factor for value, factor in zip(values, factors, strict=True)]
-        if distribution.otherwise is not None:
-            values.append(distribution.otherwise)
-        info = type(getattr(self.plant, group)).model_fields[field]
-        for value in values:
-            for bound in info.metadata:
-                low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
-                if (low is not None and value < low) or (above is not None and value <= above):
-                    raise ValueError(f"randomisation: {path} = {value:g} is below its limit {low or above:g}")
-                if high is not None and value > high:
-                    raise ValueError(f"randomisation: {path} = {value:g} is above its limit {high:g}")
 
     @property
     def steps(self) -> int:

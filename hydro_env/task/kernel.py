@@ -9,12 +9,20 @@ import math
 
 import numpy as np
 
-import hydro_env.compiling as compiling
-from hydro_env.plant import kernel
-from hydro_env.plant.equations import Coefficients, Physical, State, coefficients
+from hydro_env.compiling import SOURCES, compiled, inline
+from hydro_env.plant.arrays import read_coefficients, read_physical, read_state, write_coefficients, write_state
+from hydro_env.plant.equations import coefficients
 from hydro_env.plant.equilibrium import equilibrium_state
-from hydro_env.plant.kernel import IMPACT_SPEED, MOST_STEPS_PER_PERIOD, N_STATES, PEAK_PRESSURE, STEPS
-from hydro_env.plant.limits import valid_limits
+from hydro_env.plant.kernel import (
+    IMPACT_SPEED,
+    MOST_STEPS_PER_PERIOD,
+    PEAK_PRESSURE,
+    STEPS,
+    Accuracy,
+    Plants,
+    integrate_part,
+)
+from hydro_env.plant.states import first_outside, valid_range
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -58,12 +66,8 @@ PREVIOUS, NEW = range(COMMANDS)
 _FAMILY_NUMBER = 1_000_000
 """The number of the reference's key that chooses the family; beyond those that shape a reference."""
 
-_read_physical = compiling.tuple_reader(Physical)
-_read_coefficients = compiling.tuple_reader(Coefficients)
-_read_state = compiling.tuple_reader(State)
 
-
-@compiling.inline
+@inline
 def _draw_plant(physical, key, chances, fixed):
     """Physical parameters of an episode: base and drawn values, except where the caller fixed them (not NaN)."""
     for index in range(fixed.shape[0]):
@@ -82,7 +86,7 @@ def _draw_plant(physical, key, chances, fixed):
             physical[draw.parameter] = value
 
 
-@compiling.inline
+@inline
 def _draw_family(key, fixed, weights):
     """Family of the reference; ``fixed`` replaces the draw if it is not negative."""
     if fixed >= 0:
@@ -95,7 +99,7 @@ def _draw_family(key, fixed, weights):
     return family
 
 
-@compiling.inline
+@inline
 def _reaches(row, c, f):
     """Whether the supply holds each position of a user's reference against spring and external force."""
     reaches = True
@@ -106,38 +110,26 @@ def _reaches(row, c, f):
     return reaches
 
 
-@compiling.inline
-def _failure(state, peaks, c, settings):
+@inline
+def _failure(s, peaks, c, settings):
     """Why an axis has failed in this period; the last reason that holds."""
     failure = NO_FAILURE
     if peaks[IMPACT_SPEED] > settings.failure.end_stop_speed:
         failure = HIT_END_STOP
     if peaks[PEAK_PRESSURE] > settings.failure.pressure_rating:
         failure = OVERPRESSURE
-    low, high = valid_limits(
-        c.end_stop_position,
-        c.slew_limit,
-        c.volume_b0,
-        c.area_a,
-        c.area_b,
-        c.supply_dynamics,
-        1.0 / c.gas_volume_weight,
-    )
-    for index in range(N_STATES):
-        if not (low[index] <= state[index] <= high[index]):
-            failure = FIRST_INVALID_STATE + index
+    lowest, highest = valid_range(c)
+    invalid = first_outside(s, lowest, highest)
+    if invalid >= 0:
+        failure = FIRST_INVALID_STATE + invalid
     if peaks[STEPS] > MOST_STEPS_PER_PERIOD:
         failure = OVER_BUDGET
     return failure
 
 
-# Compiled with its caller. A global: as a closure variable it would be a new cache key in every process.
-_integrate = compiling.part(kernel.integrate)
-
-
-def _build(stamp):
+def _build(sources):
     def begin_episodes(chosen, task, layout, chances, fixed, physical, record, plant, references, observation):
-        assert stamp >= 0  # keys numba's cache
+        assert sources >= 0  # keys numba's cache
         settings = task[0]
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
@@ -159,10 +151,9 @@ def _build(stamp):
                 row.redraws = attempt
                 drawn = redrawn(root, attempt)
                 _draw_plant(physical[axis], source_key(drawn, episode, PLANT), chances, fixed.parameters[axis])
-                p = _read_physical(physical[axis])
+                p = read_physical(physical[axis])
                 c = coefficients(p)
-                for index, value in enumerate(c):
-                    coefficient[axis, index] = value
+                write_coefficients(coefficient[axis], c)
                 draw_leak(row, source_key(drawn, episode, LEAKAGE), fixed.leakage_flow_lpm[axis], settings)
                 set_leak(row, coefficient[axis], 0.0, settings)
 
@@ -188,18 +179,17 @@ def _build(stamp):
                     )
 
                 # The axis holds its initial position.
-                held = _read_coefficients(coefficient[axis])
+                held = read_coefficients(coefficient[axis])
                 s, voltage, found = equilibrium_state(start, p, held)
-                for index, value in enumerate(s):
-                    states[axis, index] = value
-                if found == 0.0 or abs(start) > c.end_stop_position:
+                write_state(states[axis], s)
+                if not found or abs(start) > c.end_stop_position:
                     row.failure = CANNOT_BE_HELD
                 row.command = (1.0 / FULL_VOLTAGE) * voltage
                 row.force_base = c.external_force
                 attempt += 1
 
             draw_force(row, source_key(root, episode, DISTURBANCE), settings)
-            s = _read_state(states[axis])
+            s = read_state(states[axis])
             row.true_a = row.sensed_a = s.pressure_a
             row.true_b = row.sensed_b = s.pressure_b
             row.position = s.position
@@ -210,7 +200,7 @@ def _build(stamp):
             write_observation(observation[axis], row, reference, layout)
 
     def step_axes(task, layout, record, plant, reference, observation, actions, first, last):
-        assert stamp >= 0
+        assert sources >= 0
         settings = task[0]
         period = settings.control_period
         states = plant[:, :FIRST_COEFFICIENT]
@@ -226,22 +216,17 @@ def _build(stamp):
             row.command = command
             follow_schedules(row, coefficient[axis], settings)
 
-        _integrate(
-            states,
-            coefficient,
-            voltage,
+        integrate_part(
+            Plants(states, coefficient, voltage, peaks),
             settings.durations,
-            settings.maximum_step,
-            settings.tolerance,
-            peaks,
+            Accuracy(settings.maximum_step, settings.tolerance, MOST_STEPS_PER_PERIOD),
             first,
             last,
-            MOST_STEPS_PER_PERIOD,
         )
 
         for axis in range(first, last):
             row = record[axis]
-            s = _read_state(states[axis])
+            s = read_state(states[axis])
             row.step = min(row.step + 1.0, settings.steps)
             row.position = s.position
             row.velocity = s.velocity
@@ -259,8 +244,8 @@ def _build(stamp):
             integral = row.error_integral + period * (error - row.error_integral / settings.integral_time)
             row.error_integral = min(max(integral, -settings.integral_limit), settings.integral_limit)
 
-            c = _read_coefficients(coefficient[axis])
-            failure = _failure(states[axis], peaks[axis], c, settings)
+            c = read_coefficients(coefficient[axis])
+            failure = _failure(s, peaks[axis], c, settings)
             row.failure = failure
             for index, cost in enumerate(costs(row, row.change, failure != NO_FAILURE, settings.reward)):
                 row.costs[index] = cost
@@ -274,19 +259,10 @@ def _build(stamp):
                 total += row.costs[index]
             row.reward = -total
 
-    return compiling.compiled(begin_episodes), compiling.compiled(step_axes)
+    return compiled(begin_episodes), compiled(step_axes)
 
 
-begin_episodes, step_axes = _build(
-    compiling.source_stamp(
-        "plant/equations.py",
-        "plant/kernel.py",
-        "plant/limits.py",
-        "plant/equilibrium.py",
-        *(f"task/{name}.py" for name in ("random_numbers", "record", "reference_signals", "rewards")),
-        *(f"task/{name}.py" for name in ("schedules", "settings", "signals", "configuration")),
-    )
-)
+begin_episodes, step_axes = _build(SOURCES)
 begin_episodes.__doc__ = """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
 
 A plant that cannot hold its start is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in the record says

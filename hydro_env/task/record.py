@@ -8,8 +8,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.plant.equations import State
-from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS, N_STATES
+from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
+from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.rewards import REWARD_TERMS
 

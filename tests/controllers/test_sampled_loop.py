@@ -8,8 +8,8 @@ import pytest
 from agents.controllers.sampled_loop import sampled_loop
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.errors import HydroError
-from hydro_env.plant.analysis import linearise
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.states import STATE_NAMES
 
 
 def leaking(flow, **groups):

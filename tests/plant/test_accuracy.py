@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from agents.benchmark.accuracy import INPUTS, LIMIT, convergence_order, errors, random_cases, references
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.states import STATE_NAMES
 
 
 def test_a_few_drawn_rigs_are_within_the_limit():
@@ -43,6 +43,6 @@ def test_the_cases_cover_what_is_claimed():
     assert max(leaks) > 2.0
     slew = 0
     for case in cases[:12]:
-        limits = Coefficients(*coefficient_array(case.parameters))
+        limits = plant_coefficients(case.parameters)
         slew += bool((np.abs(case.run()[:, STATE_NAMES.index("spool_velocity")]) >= limits.slew_limit).any())
     assert slew >= 3  # limits are met

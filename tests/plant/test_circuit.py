@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicEnv, equilibrium, simulate
-from hydro_env.plant.analysis import leak_at_test_pressure, linearise
-from hydro_env.plant.equations import ATMOSPHERIC_PRESSURE, STATE_NAMES
+from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import from_vector, to_vector
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, STATE_NAMES
 
 SAMPLE = 0.5e-3
 

@@ -2,8 +2,10 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +31,12 @@ def drawn_plants(count, seed=0):
 
 
 DURATIONS = np.array([1e-3, 4e-3])
-SETTINGS = (kernel.MAXIMUM_STEP, kernel.TOLERANCE)
+ROOT = Path(hydro_env.__file__).parents[1]
+
+
+def advance(state, coefficients, voltage, durations, peaks, first, last):
+    plants = kernel.Plants(state, coefficients, voltage, peaks)
+    kernel.integrate(plants, durations, kernel.Accuracy(), first, last)
 
 
 @pytest.mark.parametrize("count", [2, 7, 8, 9, 16, 17, 33])
@@ -40,7 +47,7 @@ def test_a_plant_among_others_moves_exactly_as_it_does_alone(count):
     together, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
     taken = np.zeros(count)
     for voltage in inputs:
-        kernel.integrate(together, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+        advance(together, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
         taken += peaks[:, kernel.STEPS]
     assert np.abs(together[:, 0] - axes.state[:, 0]).max() > 1e-3  # they did move
     assert len(set(taken)) > count / 2  # each in its own steps
@@ -48,7 +55,7 @@ def test_a_plant_among_others_moves_exactly_as_it_does_alone(count):
         state, own_peaks = axes.state[axis : axis + 1].copy(), np.empty((1, kernel.N_PEAKS))
         for voltage in inputs:
             held = voltage[axis : axis + 1]
-            kernel.integrate(state, axes.coefficient[axis : axis + 1], held, DURATIONS, *SETTINGS, own_peaks, 0, 1)
+            advance(state, axes.coefficient[axis : axis + 1], held, DURATIONS, own_peaks, 0, 1)
         np.testing.assert_array_equal(state[0], together[axis])
         np.testing.assert_array_equal(own_peaks[0], peaks[axis])
 
@@ -59,9 +66,9 @@ def test_the_order_in_which_plants_stand_does_not_matter():
     voltage = 10.0 * np.random.default_rng(3).uniform(-1, 1, (count, 2))
     order = np.random.default_rng(4).permutation(count)
     state, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
-    kernel.integrate(state, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+    advance(state, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
     mixed, mixed_peaks = axes.state[order], np.empty((count, kernel.N_PEAKS))
-    kernel.integrate(mixed, axes.coefficient[order], voltage[order], DURATIONS, *SETTINGS, mixed_peaks, 0, count)
+    advance(mixed, axes.coefficient[order], voltage[order], DURATIONS, mixed_peaks, 0, count)
     np.testing.assert_array_equal(mixed, state[order])
     np.testing.assert_array_equal(mixed_peaks, peaks[order])
 
@@ -70,7 +77,7 @@ def test_only_the_given_plants_move():
     axes = drawn_plants(24)
     state, peaks = axes.state.copy(), np.full((24, kernel.N_PEAKS), -1.0)
     voltage = np.full((24, 1), 5.0)
-    kernel.integrate(state, axes.coefficient, voltage, np.array([5e-3]), *SETTINGS, peaks, 5, 18)
+    advance(state, axes.coefficient, voltage, np.array([5e-3]), peaks, 5, 18)
     moved = np.zeros(24, dtype=bool)
     moved[5:18] = True
     np.testing.assert_array_equal(state[~moved], axes.state[~moved])
@@ -84,11 +91,11 @@ def test_a_broken_state_ends_and_harms_no_neighbour(value):
     axes = drawn_plants(count)
     voltage = np.full((count, 2), 3.0)
     clean, peaks = axes.state.copy(), np.empty((count, kernel.N_PEAKS))
-    kernel.integrate(clean, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+    advance(clean, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
     for row in range(kernel.N_STATES):
         state = axes.state.copy()
         state[7, row] = value
-        kernel.integrate(state, axes.coefficient, voltage, DURATIONS, *SETTINGS, peaks, 0, count)
+        advance(state, axes.coefficient, voltage, DURATIONS, peaks, 0, count)
         others = np.arange(count) != 7
         np.testing.assert_array_equal(state[others], clean[others])
         assert not (np.abs(state[7] - clean[7]) <= 1e-12).all()
@@ -142,32 +149,82 @@ def test_the_same_source_uncompiled_gives_the_same_numbers():
     np.testing.assert_allclose(uncompiled["observations"], rows, rtol=0, atol=1e-6)
 
 
-def test_source_stamp_changes_with_the_source(tmp_path, monkeypatch):
-    (tmp_path / "plant").mkdir()
-    source = tmp_path / "plant" / "equations.py"
-    other = tmp_path / "plant" / "kernel.py"
-    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "compiling.py"))
-    source.write_text("a = 1\n")
-    other.write_text("b = 1\n")
-    stamp = compiling.source_stamp("plant/equations.py")
-    both = compiling.source_stamp("plant/equations.py", "plant/kernel.py")
-    assert stamp == compiling.source_stamp("plant/equations.py")
-    assert 0 <= stamp < 2**63
-    assert stamp != both
-    source.write_text("a = 2\n")
-    assert compiling.source_stamp("plant/equations.py") != stamp
-    source.write_text("a = 1\n")
-    assert compiling.source_stamp("plant/equations.py") == stamp
-    other.write_text("b = 2\n")
-    assert compiling.source_stamp("plant/equations.py", "plant/kernel.py") != both
+def test_one_digest_covers_every_source_file(tmp_path, monkeypatch):
+    shutil.copytree(
+        Path(compiling.__file__).parent, tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__")
+    )
+    monkeypatch.setattr(compiling, "__file__", str(tmp_path / "hydro_env" / "compiling.py"))
+    assert compiling._digest_of_sources() == compiling.SOURCES
+    for name in ("plant/parts/valve.py", "task/configuration.py", "env.py"):
+        source = tmp_path / "hydro_env" / name
+        text = source.read_bytes()
+        source.write_bytes(text + b"\n# changed\n")
+        assert compiling._digest_of_sources() != compiling.SOURCES
+        source.write_bytes(text)
+        assert compiling._digest_of_sources() == compiling.SOURCES
 
 
-@pytest.mark.parametrize("function", [task_kernel.begin_episodes, task_kernel.step_axes, kernel.integrate])
-def test_the_cache_is_keyed_by_the_source_stamp_alone(function):
+KERNELS = (task_kernel.begin_episodes, task_kernel.step_axes, kernel.integrate)
+
+
+@pytest.mark.parametrize("function", KERNELS, ids=lambda function: function.__name__)
+def test_the_cache_is_keyed_by_the_digest_alone(function):
     """A compiled function as closure variable would be another key in every process: compiled anew each time."""
     cells = dict(zip(function.py_func.__code__.co_freevars, function.py_func.__closure__, strict=True))
-    assert set(cells) == {"stamp"}
-    assert isinstance(cells["stamp"].cell_contents, int)
+    assert {name: cell.cell_contents for name, cell in cells.items()} == {"sources": compiling.SOURCES}
+
+
+CHEAP = """
+import hydro_env.compiling as compiling
+import numpy as np
+
+def build(sources):
+    def double(values):
+        assert sources >= 0
+        return 2.0 * values.sum()
+    return compiling.compiled(double)
+
+print(build(compiling.SOURCES)(np.ones(3)))
+"""
+
+
+def run_cheap_kernel(folder, code=CHEAP):
+    script = folder / "cheap.py"
+    if not script.exists():  # its time of change is part of numba's key
+        script.write_text(code)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(
+        [sys.executable, script], env=environment, capture_output=True, text=True, cwd=folder, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == "6.0"
+    return sorted(file for file in (folder / "cache").rglob("*.nb[ic]"))
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x80\x04K", bytes(range(256)) * 8])
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_a_damaged_cache_is_dropped_and_made_again(tmp_path, damage, ending):
+    files = run_cheap_kernel(tmp_path)
+    assert len(files) == 2
+    (damaged,) = (file for file in files if file.suffix == f".{ending}")
+    damaged.write_bytes(damage)
+    run_cheap_kernel(tmp_path)
+    again = run_cheap_kernel(tmp_path)
+    assert not again or damaged not in again or damaged.read_bytes() != damage
+
+
+def test_a_full_disk_does_not_stop_a_kernel(tmp_path):
+    """Writing fails while the machine code is stored: the kernel is compiled for this process alone."""
+    full = CHEAP.replace(
+        "import numpy as np",
+        """import numpy as np
+import tempfile, os
+real = os.replace
+def no_space(*arguments):
+    raise OSError(28, "No space left on device")
+os.replace = no_space""",
+    )
+    assert run_cheap_kernel(tmp_path, full) is not None
 
 
 def test_every_kind_of_action_array_uses_one_compiled_step():
@@ -175,7 +232,7 @@ def test_every_kind_of_action_array_uses_one_compiled_step():
     env = hydro_env.ServoHydraulicEnv()
     env.reset(seed=0)
     env.step(np.zeros(1, dtype=np.float32))
-    compiled = len(task_kernel.step_axes.signatures)
+    compiled = len(task_kernel.step_axes.dispatcher.signatures)
     fixed = np.zeros(1, dtype=np.float32)
     fixed.flags.writeable = False
     for action in (np.zeros(1), [0.5], np.ones(1, dtype=np.int64), np.zeros((2, 1))[::2, 0], fixed):
@@ -184,4 +241,4 @@ def test_every_kind_of_action_array_uses_one_compiled_step():
     envs.reset(seed=0)
     for action in (np.zeros((5, 1)), np.zeros((5, 1), np.float32), np.zeros((1, 5)).T, [[0.0]] * 5):
         envs.step(action)
-    assert len(task_kernel.step_axes.signatures) == compiled
+    assert len(task_kernel.step_axes.dispatcher.signatures) == compiled

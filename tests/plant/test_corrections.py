@@ -7,13 +7,14 @@ import pytest
 
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
-from hydro_env.plant.arrays import coefficient_array, derivative_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, edge_flows
+from hydro_env.plant.arrays import derivative_array, plant_coefficients
+from hydro_env.plant.parts.valve import edge_flows
+from hydro_env.plant.states import STATE_NAMES, State
 
 PLANT = PlantParameters().replace(
     fluid={"air_fraction": 0.0}, valve={"underlap": 0.0, "transition_pressure": 1.0}, supply={"model": "constant"}
 )
-C = Coefficients(*coefficient_array(PLANT))
+C = plant_coefficients(PLANT)
 TANK = PLANT.supply.tank_pressure
 RATED_DROP = PLANT.valve.rated_pressure_drop / 2
 
@@ -75,7 +76,7 @@ def test_external_leakage_raises_the_force():
 def test_leakage_acts_at_standstill_and_lowers_chamber_b_outwards():
     """(21), (22): as a factor of dV/dt the leak would do nothing while the piston stands; + P_b/R_e would fill b."""
     plant = PLANT.replace(leakage={"internal_resistance": resistance_from_flow(1.0), "external_resistance": 5e12})
-    c = Coefficients(*coefficient_array(plant))
+    c = plant_coefficients(plant)
     state = at(pressure_a=50e5, pressure_b=20e5)
     rate = State(*derivative_array(np.array(state), np.array(c), 0.0))
     leak = 30e5 / resistance_from_flow(1.0)

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_env import ConfigurationError, PlantParameters, simulate
-from hydro_env.plant.analysis import linearise
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients, friction
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.parts.friction import friction
+from hydro_env.plant.states import STATE_NAMES
 
 LUGRE = PlantParameters().replace(friction={"model": "lugre"})
-C = Coefficients(*coefficient_array(LUGRE))
+C = plant_coefficients(LUGRE)
 F = LUGRE.friction
 
 
@@ -28,7 +29,7 @@ def test_steady_sliding_is_stribecks(velocity):
     force, rate = friction(velocity, deflection, C)
     assert rate == pytest.approx(0.0, abs=1e-12)
     assert force == pytest.approx(math.copysign(sliding_force(velocity), velocity), rel=1e-12)
-    stribeck = Coefficients(*coefficient_array(PlantParameters()))
+    stribeck = plant_coefficients(PlantParameters())
     smooth = velocity / F.transition_velocity
     expected = sliding_force(velocity) * smooth / math.sqrt(1.0 + smooth**2)
     assert friction(velocity, 0.0, stribeck) == (pytest.approx(expected, rel=1e-12), 0.0)

@@ -7,14 +7,9 @@ import pytest
 
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.errors import HydroError, InvalidStateError
-from hydro_env.plant.analysis import (
-    closed_port_natural_frequency,
-    force_rate_terms,
-    linearise,
-    reachable_range,
-    speed_limits,
-)
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.analysis import closed_port_natural_frequency, force_rate_terms, reachable_range, speed_limits
+from hydro_env.plant.linearisation import linearise
+from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import LITRE_PER_MINUTE
 
 CLOSED_VALVE = {"underlap": 0.0}

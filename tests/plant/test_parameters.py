@@ -8,8 +8,7 @@ import pytest
 
 from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
 from hydro_env.errors import ConfigurationError
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, from_vector, to_vector
 from hydro_env.task.configuration import task_config
 
@@ -23,7 +22,7 @@ CHANGED = PlantParameters().replace(
 
 
 def test_derived_values_of_the_model():
-    c = Coefficients(*coefficient_array(PlantParameters()))
+    c = plant_coefficients(PlantParameters())
     assert c.area_a == pytest.approx(1.2566e-3, rel=1e-4)
     assert c.area_b == pytest.approx(6.409e-4, rel=1e-4)
     assert c.edge_gain == pytest.approx(8.909e-8, rel=1e-4)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hydro_env import simulate
-from hydro_env.plant.arrays import TYPICAL_SIZE
+from hydro_env.plant.states import TYPICAL_SIZE
 
 PATH = Path(__file__).parents[1] / "reference" / "make.py"
 SPEC = importlib.util.spec_from_file_location("reference_make", PATH)

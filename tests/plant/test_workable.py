@@ -13,15 +13,17 @@ from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
     closed_port_stiffness,
-    fastest_rate_bound,
     force_limits,
     reachable_range,
     softest_position,
     speed_limits,
 )
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.probe import ENOUGH, HELD, PERIOD, probe, state_ranges
+from hydro_env.plant.rates import rates
 from hydro_env.plant.simulate import valid_ranges
+from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
 
 RIGS = sorted((Path(__file__).parents[2] / "configs" / "rigs").glob("*.yaml"))
@@ -108,7 +110,7 @@ def test_the_longest_stable_step():
     rig = PlantParameters()
     found = inner_step(rig, 0.05)
     state, _ = equilibrium(rig, 0.05)
-    assert found.rate == fastest_rate_bound(rig, list(state.values()))
+    assert found.rate == max(rates(State(**state), plant_coefficients(rig)))
     assert found.step * found.rate <= STABLE_PRODUCT
     assert found.stable * found.rate == pytest.approx(STABLE_PRODUCT)
     shortest = shortest_inner_step(rig)

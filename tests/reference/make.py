@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_env import PlantParameters, resistance_from_flow, simulate
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.states import STATE_NAMES
 
 FOLDER = Path(__file__).parent
 RIGS = FOLDER.parents[1] / "configs" / "rigs"

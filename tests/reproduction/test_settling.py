@@ -19,8 +19,9 @@ from agents.reproduction.settling_figure import settling_figure, trends
 from agents.reproduction.signals import ACCELEROMETER_RANGE, accelerometer_noise, recorded, recorded_acceleration
 from hydro_env import PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
-from hydro_env.plant.arrays import coefficient_array
-from hydro_env.plant.equations import STATE_NAMES, Coefficients, State, internal_leakage
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.leakage import internal_leakage
+from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.task.configuration import Sensors
 from hydro_env.units import LITRE_PER_MINUTE
 
@@ -114,7 +115,7 @@ def test_known_settling_times(flow_lpm, seconds):
 def test_a_leak_is_quoted_at_100_bar(law):
     plant = with_leak(PlantParameters(), 0.7, law)
     state = State(**{**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": 100e5})
-    flow = internal_leakage(state, Coefficients(*coefficient_array(plant)))
+    flow = internal_leakage(state, plant_coefficients(plant))
     assert flow / LITRE_PER_MINUTE == pytest.approx(0.7, rel=1e-9)
 
 

@@ -163,7 +163,10 @@ WRONG = {
         {"randomisation": {"load.mass": {"uniform": [1, 2], "log_uniform": [1, 2]}}},
         "needs either 'uniform",
     ),
-    "falling": ({"randomisation": {"load.mass": {"uniform": [70, 50]}}}, r"bounds = \[70, 50\]: the lower bound"),
+    "falling": (
+        {"randomisation": {"load.mass": {"uniform": [70, 50]}}},
+        r"bounds = \[70, 50\]: must be finite and rising",
+    ),
     "NaN bounds": ({"randomisation": {"load.mass": {"uniform": [NAN, 50]}}}, "must be a number, not NaN"),
     "log of zero": ({"randomisation": {"load.mass": {"log_uniform": [0, 50]}}}, "log_uniform needs positive bounds"),
     "below the limit": (
@@ -183,7 +186,10 @@ WRONG = {
         {"randomisation": {"load.mass": {"uniform": [50, 60], "otherwise": 55, "otherwise_probability": 2}}},
         "otherwise_probability = 2: .*within 0 to 1",
     ),
-    "initial range": ({"initial_position_range": [-2.0, 1.0]}, "initial_position_range must lie within -1 to 1"),
+    "initial range": (
+        {"initial_position_range": [-2.0, 1.0]},
+        r"initial_position_range = \[-2, 1\]: must rise within -1 to 1",
+    ),
     "initial range NaN": ({"initial_position_range": [NAN, 1.0]}, "must be a number, not NaN"),
     "precharge may exceed supply": (
         {"plant": {"supply": {"precharge_pressure": 65e5}}},
@@ -206,6 +212,68 @@ WRONG = {
     "negative weight": ({"reward": {"effort": -1}}, "reward.effort = -1: must be a number"),
     "rating": ({"failure": {"pressure_rating": 250}}, "failure.pressure_rating = 250: .*unit: Pa"),
 }
+
+INF = math.inf
+EVERY_NUMBER = [
+    (path, field, bad)
+    for path, fields in {
+        ("sensors", "position"): ("low", "high", "noise", "bias", "resolution"),
+        ("sensors",): ("pressure_rise_time", "velocity_filter_time"),
+        ("reward",): ("tracking", "error_scale", "error_limit", "effort", "failure"),
+        ("failure",): ("end_stop_speed", "pressure_rating"),
+        ("disturbance",): ("pulse_duration",),
+        ("references",): ("range_share", "largest_amplitude", "speed_share", "acceleration_limit"),
+        ("leakage",): ("healthy_share",),
+        (): ("control_period", "command_latency", "episode_duration", "tolerance", "maximum_step"),
+    }.items()
+    for field in fields
+    for bad in (INF, -INF, NAN, 1e300, -1e300)
+] + [
+    (path, field, bad)
+    for path, fields in {
+        ("references",): ("frequency_range", "step_range"),
+        ("disturbance",): ("force_range", "start_range", "frequency_range"),
+        ("leakage",): ("healthy_range", "faulty_range", "start_range"),
+        (): ("initial_position_range",),
+        ("randomisation", "load.mass"): ("uniform", "log_uniform"),
+        ("randomisation", "leakage.external_resistance"): ("uniform", "log_uniform"),
+    }.items()
+    for field in fields
+    for bad in ([0.5, INF], [-INF, 0.5], [NAN, 1.0], [0.5, 1e300], [-1e300, 0.5])
+]
+
+
+@pytest.mark.parametrize(("path", "field", "bad"), EVERY_NUMBER)
+def test_every_number_of_the_task_has_bounds(path, field, bad):
+    """A number that is infinite, absurd or none would poison observations or rewards."""
+    changes = {field: bad}
+    for name in reversed(path):
+        changes = {name: changes}
+    with pytest.raises(ConfigurationError, match=field if path[:1] != ("randomisation",) else "") as caught:
+        task_config(None, **changes)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_numbers_at_their_bounds_poison_nothing():
+    """The largest force, noise, weights and frequencies that are allowed: finite numbers, and failures with a name."""
+    absurd = {
+        "disturbance": {"kind": "sine", "force_range": [0.0, 1e6], "start_range": [0.0, 0.0]},
+        "sensors": {"position": {"noise": 1e9, "bias": 1e9}, "spool_position": {"resolution": 1e9}},
+        "reward": {"tracking": 1e6, "error_scale": 1e-6, "error_limit": 1e6, "effort": 1e6, "failure": 1e9},
+        "references": {"frequency_range": [1e-3, 1e3], "acceleration_limit": 100.0, "largest_amplitude": 5.0},
+        "leakage": {"schedule": "growth", "healthy_range": [1e-6, 20.0], "faulty_range": [1e-6, 20.0]},
+    }
+    envs = ServoHydraulicVectorEnv(60, **absurd)
+    observation, _ = envs.reset(seed=0)
+    rng = np.random.default_rng(0)
+    failures = set()
+    for _ in range(60):
+        assert (np.abs(observation) <= envs.single_observation_space.high).all()
+        observation, reward, terminated, _, info = envs.step(rng.uniform(-1, 1, (60, 1)))
+        assert np.isfinite(reward).all()
+        failures |= set(info["failure"][terminated])
+    assert failures
+    assert "none" not in failures
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)

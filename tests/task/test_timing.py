@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, equilibrium, simulate
-from hydro_env.plant.equations import STATE_NAMES
+from hydro_env.plant.states import STATE_NAMES
 
 PERIOD = 5e-3
 CLEAN = {"sensors": {"enabled": False}}

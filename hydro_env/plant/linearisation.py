@@ -1,0 +1,212 @@
+"""The axis linearised at a state: matrices, modes, and a state space that control libraries take as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env.errors import HydroError
+from hydro_env.plant.arrays import coefficient_array, command_changed_array, derivative_array, equilibrium
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.states import N_STATES, STATE_NAMES, STATES, TYPICAL_SIZE, State
+
+Array = NDArray[np.float64]
+
+AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_pressure")
+"""The states of the axis without its valve."""
+
+INPUT_UNITS = {"voltage": "V", "external_force": "N"}
+
+IDEAL_RATE = 1e5
+"""1/s; rate at which an ideal part of the valve follows in a linearisation, where it must have one."""
+
+NO_RATE = 1e-6
+"""1/s; an effect of one state on another below this rate, both in parts of their typical size, counts as none."""
+
+
+class Mode(NamedTuple):
+    """One eigenvalue, or a complex pair, of the linearised axis."""
+
+    natural_frequency: float  # rad/s
+    damping_ratio: float
+    eigenvalue: complex
+
+
+class StateSpace(NamedTuple):
+    """dx/dt = A x + B u, y = C x + D u, of deviations; names and units say what x, u and y are.
+
+    ``scipy.signal.StateSpace(*space.matrices)`` and ``control.ss(*space.matrices, **space.names)`` take it as it is.
+    """
+
+    A: Array  # (n, n)
+    B: Array  # (n, m)
+    C: Array  # (p, n)
+    D: Array  # (p, m)
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    units: dict[str, str]
+
+    @property
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        """A, B, C, D."""
+        return self.A, self.B, self.C, self.D
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        """Names of states, inputs and outputs, as python-control takes them."""
+        return {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """d(state)/dt = A (state − state_0) + B (voltage − voltage_0) + E F, F the change of the external force."""
+
+    a: Array  # (N_STATES, N_STATES), states in the order of STATE_NAMES
+    b: Array  # (N_STATES,), per V
+    force: Array  # E, (N_STATES,), per N
+    state: Array  # (N_STATES,)
+    voltage: float
+
+    @property
+    def active_states(self) -> tuple[str, ...]:
+        """States that move and act on another one (or are the position); the others would be poles at zero.
+
+        At rest the gas volume acts on nothing; a constant supply pressure and the bristles of a friction law without
+        them do not move.
+        """
+        rates = np.abs(self.a) * TYPICAL_SIZE / TYPICAL_SIZE[:, None]
+        moves = rates.max(axis=1) + np.abs(self.b) / TYPICAL_SIZE > NO_RATE
+        acts = rates.max(axis=0) > NO_RATE
+        acts[STATE_NAMES.index("position")] = True
+        return tuple(name for name, active in zip(STATE_NAMES, moves & acts, strict=True) if active)
+
+    def state_space(self, outputs: Sequence[str] = ("position",), inputs: Sequence[str] = ("voltage",)) -> StateSpace:
+        """The active states alone, with the outputs (names of states) and inputs (``voltage``, ``external_force``).
+
+        Raises:
+            HydroError: an unknown output or input, or a state that is not active.
+        """
+        active = self.active_states
+        for kind, given, known in (("outputs", outputs, active), ("inputs", inputs, tuple(INPUT_UNITS))):
+            unknown = [name for name in given if name not in known]
+            if isinstance(given, str) or unknown:
+                shown = repr(given) if isinstance(given, str) else repr(unknown[0])
+                raise HydroError(f"state_space: {kind} = {shown}: must be names of {', '.join(known)}")
+        rows = [STATE_NAMES.index(name) for name in active]
+        columns = {"voltage": self.b, "external_force": self.force}
+        b = np.column_stack([columns[name][rows] for name in inputs])
+        c = np.array([[float(name == state) for state in active] for name in outputs])
+        units = {name: STATES[name].unit for name in active} | {name: INPUT_UNITS[name] for name in inputs}
+        d = np.zeros((len(outputs), len(inputs)))
+        return StateSpace(self.a[np.ix_(rows, rows)], b, c, d, active, tuple(inputs), tuple(outputs), units)
+
+    @property
+    def modes(self) -> list[Mode]:
+        """Modes of the active states by rising natural frequency; complex pairs appear once."""
+        rows = [STATE_NAMES.index(name) for name in self.active_states]
+        values = [complex(value) for value in np.linalg.eigvals(self.a[np.ix_(rows, rows)]) if value.imag >= 0]
+        values = [value if abs(value) > NO_RATE else 0j for value in values]
+        modes = [Mode(abs(v), -v.real / abs(v) if v else 1.0, v) for v in values]
+        return sorted(modes, key=lambda mode: mode.natural_frequency)
+
+    @property
+    def hydraulic_mode(self) -> Mode:
+        """The oscillation of the mass on the oil columns: of position, velocity and pressures, the fastest pair.
+
+        The axis does not act back on the valve, so that these states have eigenvalues of their own. Dry friction at
+        standstill is part of the linearisation; the damping of a moving axis is that with ``friction.model: none``.
+
+        Raises:
+            ArithmeticError: no oscillation.
+        """
+        rows = [STATE_NAMES.index(name) for name in AXIS_STATES]
+        values = np.linalg.eigvals(self.a[np.ix_(rows, rows)])
+        pairs = [complex(value) for value in values if value.imag > 1e-3 * np.abs(values).max()]
+        if not pairs:
+            raise ArithmeticError("the linearised axis has no oscillation: it is overdamped here")
+        best = max(pairs, key=abs)
+        return Mode(abs(best), -best.real / abs(best), best)
+
+
+def linearise(
+    parameters: PlantParameters,
+    state: State | Mapping[str, float] | Array | None = None,
+    voltage: float | None = None,
+    position: float = 0.0,
+) -> Linearisation:
+    """Linearise the right-hand side by central differences.
+
+    Args:
+        parameters: the plant.
+        state: where, as values in the order of :data:`STATE_NAMES` or by name; ``None`` is the equilibrium at
+            ``position`` (m).
+        voltage: V; ``None`` is the one that holds the equilibrium (0 with a given state).
+        position: m, used without ``state``.
+
+    Raises:
+        HydroError: a state that is incomplete or of another shape, or a position that cannot be held.
+    """
+    holding = 0.0
+    if state is None:
+        state, holding = equilibrium(parameters, position)
+    at = _state_array(state)
+    voltage = holding if voltage is None else float(voltage)
+    c = coefficient_array(parameters)
+    columns = [
+        _difference(lambda step, column=column: derivative_array(at + _unit(column) * step, c, voltage), 1e-6 * size)
+        for column, size in enumerate(TYPICAL_SIZE)
+    ]
+    a = np.column_stack(columns)
+    b = _difference(lambda step: derivative_array(at, c, voltage + step), 1e-3)
+    acting = np.eye(len(c))[Coefficients._fields.index("external_force")]
+    force = _difference(lambda step: derivative_array(at, c + acting * step, voltage), 1.0)
+    _make_ideal(a, b, at, c, voltage)
+    return Linearisation(a, b, force, at, voltage)
+
+
+def _state_array(state: Any) -> Array:
+    if isinstance(state, Mapping):
+        missing = next((name for name in STATE_NAMES if name not in state), None)
+        if missing is not None:
+            raise HydroError(f"state: '{missing}' is missing; it needs {', '.join(STATE_NAMES)}")
+        state = [state[name] for name in STATE_NAMES]
+    try:
+        values = np.array(state, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise HydroError("state: must be numbers") from None
+    if values.shape != (N_STATES,):
+        raise HydroError(f"state: shape {values.shape}: must be ({N_STATES},): {', '.join(STATE_NAMES)}")
+    return values
+
+
+def _unit(column: int) -> Array:
+    unit = np.zeros(N_STATES)
+    unit[column] = 1.0
+    return unit
+
+
+def _difference(function: Any, step: float) -> Array:
+    difference: Array = (function(step) - function(-step)) / (2.0 * step)
+    return difference
+
+
+def _make_ideal(a: Array, b: Array, at: Array, c: Array, voltage: float) -> None:
+    """Give the states that a new command sets at once (ideal parts of the valve) a lag of 10 µs."""
+    elsewhere = at + 1e-3 * TYPICAL_SIZE
+    gains = _difference(lambda step: command_changed_array(at, c, voltage + step), 1e-3)
+    for row in np.flatnonzero(command_changed_array(elsewhere, c, voltage) != elsewhere):
+        a[row] = 0.0
+        a[row, row] = -IDEAL_RATE
+        b[row] = IDEAL_RATE * gains[row]
+
+
+def fastest_eigenvalue(parameters: PlantParameters, state: State | Array, voltage: float = 0.0) -> float:
+    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state; ideal parts of the valve have none."""
+    found = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
+    return float(found[np.abs(found - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())

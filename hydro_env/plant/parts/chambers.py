@@ -1,0 +1,121 @@
+"""The cylinder's two chambers and the oil in them: volumes, pressure rates, cavitation; (8), (9), (12), (13)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from pydantic import model_validator
+
+from hydro_env.compiling import inline
+from hydro_env.files import Group
+from hydro_env.plant.kinks import FAR
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE, VAPOUR_PRESSURE
+from hydro_env.units import Number, quantity
+
+
+class Cylinder(Group):
+    """Cylinder; chamber a is the bore side, chamber b the rod side.
+
+    A second rod through chamber a (``rod_diameter_a``) makes a double-rod cylinder, symmetric if both are equal.
+    """
+
+    bore_diameter: Number = quantity(0.040, "m", "paper, Table 1", 0.005, 1.0)
+    rod_diameter: Number = quantity(0.028, "m", "paper, Table 1", 0.0, 0.95)
+    rod_diameter_a: Number = quantity(0.0, "m", "paper, Table 1: no rod through chamber a", 0.0, 0.95)
+    stroke: Number = quantity(0.400, "m", "paper, Table 1", 0.01, 10.0)
+    dead_volume: Number = quantity(30e-6, "m³", "assumed; oil on each side at the stroke's end", 1e-7, 0.1)
+    piston_mass: Number = quantity(3.0, "kg", "assumed; piston and rod", 0.0, 1e4)
+    end_stop_stiffness: Number = quantity(1e7, "N/m", "assumed", 1e4, 1e10)
+    end_stop_damping: Number = quantity(1e4, "N s/m", "assumed", 0.0, 1e7)
+
+    @model_validator(mode="after")
+    def _rod_fits_in_bore(self) -> Cylinder:
+        for name in ("rod_diameter", "rod_diameter_a"):
+            if getattr(self, name) >= self.bore_diameter:
+                raise ValueError(
+                    f"{name} = {getattr(self, name):g} m does not fit: it must be smaller than "
+                    f"bore_diameter = {self.bore_diameter:g} m"
+                )
+        return self
+
+
+class Fluid(Group):
+    """Hydraulic oil."""
+
+    density: Number = quantity(872.0, "kg/m³", "paper, Table 1", 500.0, 2000.0)
+    bulk_modulus: Number = quantity(1.4e9, "Pa", "paper, section 3 (printed there in N/m)", 1e7, 1e10)
+    air_fraction: Number = quantity(0.005, "1", "assumed; free air at atmospheric pressure", 0.0, 0.2)
+
+
+class ChamberCoefficients(NamedTuple):
+    """Numbers of the chambers that the right-hand side needs."""
+
+    area_a: float  # A_a, m²
+    area_b: float  # A_b, m²
+    volume_a0: float  # V_a0, m³, chamber and dead volume at mid-stroke
+    volume_b0: float  # V_b0, m³
+    bulk_modulus: float  # β, Pa
+    dissolved_ratio: float  # 1 − η
+    free_air_pressure: float  # η p_atm, Pa
+
+
+@inline
+def chamber_coefficients(p):
+    """:class:`ChamberCoefficients` of the physical parameters ``p``."""
+    bore = 0.25 * math.pi * p.cylinder_bore_diameter**2
+    area_a = bore - 0.25 * math.pi * p.cylinder_rod_diameter_a**2
+    area_b = bore - 0.25 * math.pi * p.cylinder_rod_diameter**2
+    return ChamberCoefficients(
+        area_a=area_a,
+        area_b=area_b,
+        volume_a0=p.cylinder_dead_volume + area_a * 0.5 * p.cylinder_stroke,
+        volume_b0=p.cylinder_dead_volume + area_b * 0.5 * p.cylinder_stroke,
+        bulk_modulus=p.fluid_bulk_modulus,
+        dissolved_ratio=1.0 - p.fluid_air_fraction,
+        free_air_pressure=p.fluid_air_fraction * ATMOSPHERIC_PRESSURE,
+    )
+
+
+@inline
+def chamber_volumes(position, c):
+    """Oil volumes V_a and V_b in m³ at a position (8), (9)."""
+    return c.volume_a0 + c.area_a * position, c.volume_b0 - c.area_b * position
+
+
+@inline
+def pressure_rate(net_flow, volume, pressure, c):
+    """dP/dt = β_eff / V · net_flow of one chamber (8), (9), (12), (13), in Pa/s.
+
+    1/β_eff = 1/β + η p_atm / {[(1−η) p_abs + η p_atm] p_abs}: oil with isothermally compressed free air.
+    Below the vapour pressure the chamber cavitates: its pressure falls no further.
+    """
+    absolute = max(pressure, VAPOUR_PRESSURE) + ATMOSPHERIC_PRESSURE
+    oil = (c.dissolved_ratio * absolute + c.free_air_pressure) * absolute
+    rate = net_flow * c.bulk_modulus * oil / (volume * (oil + c.bulk_modulus * c.free_air_pressure))
+    return rate if pressure > VAPOUR_PRESSURE else max(rate, 0.0)
+
+
+@inline
+def pressure_within_limits(pressure):
+    """Gauge pressure of a chamber in Pa, no lower than the vapour pressure."""
+    return max(pressure, VAPOUR_PRESSURE)
+
+
+@inline
+def time_to_cavitation(s, rate):
+    """Time in s until a chamber begins to cavitate, extrapolated."""
+    over_a, over_b = s.pressure_a - VAPOUR_PRESSURE, s.pressure_b - VAPOUR_PRESSURE
+    chamber_a = over_a / -rate.pressure_a if rate.pressure_a < 0.0 and over_a > 0.0 else FAR
+    chamber_b = over_b / -rate.pressure_b if rate.pressure_b < 0.0 and over_b > 0.0 else FAR
+    return min(chamber_a, chamber_b)
+
+
+@inline
+def smallest_volumes(position, c):
+    """Oil volumes in m³ near a position, a little smaller than any that one control period can bring."""
+    margin = 2e-3  # m; further than the piston goes within one control period
+    return (
+        max(c.volume_a0 + c.area_a * (position - margin), 0.2 * (c.volume_a0 - c.area_a * c.end_stop_position)),
+        max(c.volume_b0 - c.area_b * (position + margin), 0.2 * (c.volume_b0 - c.area_b * c.end_stop_position)),
+    )

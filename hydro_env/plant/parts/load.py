@@ -1,0 +1,99 @@
+"""The load that the rod moves: mass, spring, damper, end stops; (14), (17)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hydro_env.compiling import inline
+from hydro_env.files import Group
+from hydro_env.units import Number, quantity
+
+
+class Load(Group):
+    """Mass, spring and damper that the rod moves."""
+
+    mass: Number = quantity(60.0, "kg", "paper, Table 1", 0.01, 1e6)
+    spring_stiffness: Number = quantity(89e3, "N/m", "paper, Table 1 (89 N/mm)", 0.0, 1e9)
+    viscous_damping: Number = quantity(300.0, "N s/m", "assumed; load and seals", 0.0, 1e7)
+    external_force: Number = quantity(0.0, "N", "assumed; positive against extension", -1e7, 1e7)
+
+
+class LoadCoefficients(NamedTuple):
+    """Numbers of the load that the right-hand side needs."""
+
+    inverse_mass: float  # 1 / (M + m_d), 1/kg
+    spring_stiffness: float  # k, N/m
+    viscous_damping: float  # c, N s/m
+    external_force: float  # F_ext, N
+    end_stop_position: float  # L / 2, m
+    end_stop_stiffness: float  # N/m
+    end_stop_damping: float  # N s/m
+
+
+@inline
+def load_coefficients(p):
+    """:class:`LoadCoefficients` of the physical parameters ``p``."""
+    return LoadCoefficients(
+        inverse_mass=1.0 / (p.load_mass + p.cylinder_piston_mass),
+        spring_stiffness=p.load_spring_stiffness,
+        viscous_damping=p.load_viscous_damping,
+        external_force=p.load_external_force,
+        end_stop_position=0.5 * p.cylinder_stroke,
+        end_stop_stiffness=p.cylinder_end_stop_stiffness,
+        end_stop_damping=p.cylinder_end_stop_damping,
+    )
+
+
+@inline
+def piston_force(pressure_a, pressure_b, c):
+    """Force P_a A_a − P_b A_b of the oil on the piston, N."""
+    return pressure_a * c.area_a - pressure_b * c.area_b
+
+
+@inline
+def holding_force(position, c):
+    """Force in N that holds the load at rest at a position: against spring and external force."""
+    return c.spring_stiffness * position + c.external_force
+
+
+@inline
+def balancing_pressure_b(pressure_a, force, c):
+    """Pressure of chamber b in Pa with which the piston gives a force (N): :func:`piston_force` solved for it."""
+    return (pressure_a * c.area_a - force) / c.area_b
+
+
+@inline
+def end_stop_force(position, velocity, c):
+    """F_stop in N: stiff spring and damper beyond ± stroke/2 that only push, never pull."""
+    beyond_out = max(position - c.end_stop_position, 0.0)
+    beyond_in = max(-position - c.end_stop_position, 0.0)
+    push_out = max(c.end_stop_stiffness * beyond_out + c.end_stop_damping * velocity, 0.0)
+    push_in = max(c.end_stop_stiffness * beyond_in - c.end_stop_damping * velocity, 0.0)
+    return (push_out if beyond_out > 0.0 else 0.0) - (push_in if beyond_in > 0.0 else 0.0)
+
+
+@inline
+def acceleration(s, friction_force, c):
+    """dv_d/dt in m/s²: (14), (17) with the friction that (18) drops."""
+    resisting = (
+        c.spring_stiffness * s.position
+        + c.viscous_damping * s.velocity
+        + friction_force
+        + end_stop_force(s.position, s.velocity, c)
+        + c.external_force
+    )
+    return (piston_force(s.pressure_a, s.pressure_b, c) - resisting) * c.inverse_mass
+
+
+@inline
+def oil_column_rate(volume_a, volume_b, c):
+    """Upper estimate in 1/s of the natural frequency of the mass on both oil columns, spring and bristles."""
+    oil_column = c.bulk_modulus * (c.area_a * c.area_a / volume_a + c.area_b * c.area_b / volume_b)
+    return math.sqrt((oil_column + c.spring_stiffness + c.has_bristles * c.bristle_stiffness) * c.inverse_mass)
+
+
+@inline
+def end_stop_rate(c):
+    """Upper estimate in 1/s of the rate of the mass on an end stop."""
+    return c.end_stop_damping * c.inverse_mass + math.sqrt(c.end_stop_stiffness * c.inverse_mass)

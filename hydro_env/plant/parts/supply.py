@@ -1,0 +1,126 @@
+"""The supply: pump, relief valve, and accumulator or oil in the line (Figs 3 and 11)."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from pydantic import Field, model_validator
+
+from hydro_env.compiling import inline
+from hydro_env.files import Group
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
+from hydro_env.units import Number, quantity
+
+
+class SupplyModel(StrEnum):
+    """What holds the supply pressure."""
+
+    CONSTANT = "constant"
+    ACCUMULATOR = "accumulator"  # pump, relief valve and accumulator
+    PUMP = "pump"  # the same without accumulator: the oil in the line alone
+
+
+class Supply(Group):
+    """Pump, relief valve and accumulator (``accumulator``), the same without it (``pump``), or a constant pressure.
+
+    ``pump_flow`` 0 is a pump that stands still, ``relief_slope`` 0 a circuit without relief valve.
+    """
+
+    model: SupplyModel = Field(SupplyModel.ACCUMULATOR, description="paper, Figs 3 and 11")
+    pressure: Number = quantity(70e5, "Pa", "assumed; constant supply, or setting of the relief valve", 1e5, 1e8)
+    tank_pressure: Number = quantity(1e5, "Pa", "assumed; back pressure of the return line", 0.0, 1e7)
+    pump_flow: Number = quantity(2.15e-4, "m³/s", "derived; 9.4 cm³ × 1450 1/min × 0.95", 0.0, 1.0)
+    relief_slope: Number = quantity(4e-10, "m³/(s Pa)", "assumed; of the relief valve", 0.0, 1e-4)
+    line_volume: Number = quantity(0.5e-3, "m³", "assumed; oil between pump and valve (model pump)", 1e-6, 1.0)
+    accumulator_volume: Number = quantity(1e-3, "m³", "paper, Table 1 (1 l)", 1e-6, 10.0)
+    precharge_pressure: Number = quantity(55e5, "Pa", "assumed", 1e4, 1e8)
+    polytropic_index: Number = quantity(1.3, "1", "assumed", 1.0, 1.7)
+
+    @model_validator(mode="after")
+    def _supply_above_tank(self) -> Supply:
+        if self.pressure <= self.tank_pressure:
+            raise ValueError(f"pressure = {self.pressure:g} Pa must be above tank_pressure = {self.tank_pressure:g} Pa")
+        if self.model != SupplyModel.CONSTANT and self.relief_slope == 0.0 and self.pump_flow > 0.0:
+            raise ValueError(
+                f"relief_slope = 0 with pump_flow = {self.pump_flow:g} m³/s: nothing limits the pressure; without a "
+                f"relief valve pump_flow must be 0 (a pump that stands still) or model constant"
+            )
+        if self.model == SupplyModel.ACCUMULATOR and self.precharge_pressure >= self.pressure:
+            raise ValueError(
+                f"precharge_pressure = {self.precharge_pressure:g} Pa must be below pressure = "
+                f"{self.pressure:g} Pa, else the accumulator stays empty"
+            )
+        return self
+
+    @property
+    def is_regulated(self) -> bool:
+        """Whether pump and relief valve together hold the pressure."""
+        return self.model != SupplyModel.CONSTANT and self.pump_flow > 0.0
+
+
+class SupplyCoefficients(NamedTuple):
+    """Numbers of the supply that the right-hand side needs."""
+
+    tank_pressure: float  # P_T, Pa
+    relief_pressure: float  # P_set, Pa
+    relief_slope: float  # m³/(s Pa)
+    pump_flow: float  # Q_pump, m³/s
+    supply_dynamics: float  # n with an accumulator, 0 without
+    line_stiffness: float  # β / V_line with a pump and no accumulator, Pa/m³; 0 else
+    accumulator_volume: float  # V_0, m³
+
+
+_ACCUMULATOR, _PUMP = (float(list(SupplyModel).index(model)) for model in (SupplyModel.ACCUMULATOR, SupplyModel.PUMP))
+
+
+@inline
+def supply_coefficients(p):
+    """:class:`SupplyCoefficients` of the physical parameters ``p``."""
+    return SupplyCoefficients(
+        tank_pressure=p.supply_tank_pressure,
+        relief_pressure=p.supply_pressure,
+        relief_slope=p.supply_relief_slope,
+        pump_flow=p.supply_pump_flow,
+        supply_dynamics=p.supply_polytropic_index if p.supply_model == _ACCUMULATOR else 0.0,
+        line_stiffness=p.fluid_bulk_modulus / p.supply_line_volume if p.supply_model == _PUMP else 0.0,
+        accumulator_volume=p.supply_accumulator_volume,
+    )
+
+
+@inline
+def supply_rates(s, drawn_flow, c):
+    """dP_s/dt in Pa/s and dV_gas/dt in m³/s while the valve draws a flow (m³/s); both 0 with a constant supply."""
+    relief = c.relief_slope * max(s.supply_pressure - c.relief_pressure, 0.0)
+    surplus = c.pump_flow - drawn_flow - relief
+    gas_stiffness = c.supply_dynamics * (s.supply_pressure + ATMOSPHERIC_PRESSURE) / s.gas_volume
+    pressure_rate = (gas_stiffness + c.line_stiffness) * surplus
+    return pressure_rate, -surplus if c.supply_dynamics > 0.0 else 0.0
+
+
+@inline
+def regulated_pressure(drawn_flow, c):
+    """Supply pressure in Pa at which the relief valve passes what the valve does not draw.
+
+    Where nothing regulates it, the pressure is the set value; below that value the pump cannot feed the flow.
+    """
+    regulated = (c.supply_dynamics > 0.0 or c.line_stiffness > 0.0) and c.pump_flow > 0.0 and c.relief_slope > 0.0
+    return c.relief_pressure + (c.pump_flow - drawn_flow) / c.relief_slope if regulated else c.relief_pressure
+
+
+@inline
+def gas_volume_at(supply_pressure, p):
+    """Volume in m³ of the accumulator's gas, compressed from its precharge pressure (polytropic)."""
+    ratio = (p.supply_precharge_pressure + ATMOSPHERIC_PRESSURE) / (supply_pressure + ATMOSPHERIC_PRESSURE)
+    return p.supply_accumulator_volume * ratio ** (1.0 / p.supply_polytropic_index)
+
+
+@inline
+def supply_line_rate(edge_slope, c):
+    """Upper estimate in 1/s of the rate of pump and relief valve on the oil in the line.
+
+    Args:
+        edge_slope: largest flow per pressure drop of one edge, m³/(s Pa).
+        c: coefficients of the plant.
+    """
+    return c.line_stiffness * (c.relief_slope + 2.0 * edge_slope)

@@ -1,0 +1,123 @@
+"""A plant that cannot hold its start is drawn again: counted, reproducible, whatever the number of axes."""
+
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env.plant.kernel import MOST_STEPS_PER_PERIOD, STEPS
+from hydro_env.task.kernel import MOST_DRAWS
+
+HARD = {
+    "a leak of 12 l/min": ({}, {"leakage_flow_lpm": 12.0}),
+    "a leak of 20 l/min": ({}, {"leakage_flow_lpm": 20.0}),
+    "8 l/min through an orifice": ({"leakage": {"law": "orifice"}}, {"leakage_flow_lpm": 8.0}),
+    "no underlap and an external leak": (
+        {
+            "plant": {"valve": {"underlap": 0.0}},
+            "randomisation": {
+                "leakage.external_resistance": {"log_uniform": [1e12, 1e13]},
+                "load.mass": {"uniform": [40.0, 80.0]},
+                "supply.pressure": {"uniform": [60e5, 100e5]},
+            },
+        },
+        {},
+    ),
+    "a drawn leak of up to 20 l/min": ({"leakage": {"faulty_range": [10.0, 20.0]}}, {}),
+}
+
+
+@pytest.mark.parametrize("what", HARD)
+def test_no_reset_is_refused_where_a_draw_can_be_held(what):
+    config, options = HARD[what]
+    envs = ServoHydraulicVectorEnv(1000, **config)
+    for number in range(3):
+        observation, info = envs.reset(seed=1000 * number, options=options)
+        assert np.isfinite(observation).all()
+        if "leakage_flow_lpm" in options:  # what the caller has fixed is not drawn again
+            assert (info["leakage_flow_lpm"] == options["leakage_flow_lpm"]).all()
+        assert (info["failure"] == "none").all()
+    redraws = envs.axes.column("redraws")
+    assert redraws.max() < MOST_DRAWS - 1
+    if options:
+        assert redraws.max() > 0  # the case is hard indeed
+
+
+def test_a_redrawn_axis_is_the_same_alone_and_among_others():
+    options = {"leakage_flow_lpm": 20.0}
+    envs = ServoHydraulicVectorEnv(60)
+    rows, _ = envs.reset(seed=0, options=options)
+    redrawn = np.flatnonzero(envs.axes.column("redraws"))
+    assert len(redrawn) > 3
+    for axis in redrawn[:4].tolist():
+        env = ServoHydraulicEnv()
+        np.testing.assert_array_equal(env.reset(seed=axis, options=options)[0], rows[axis])
+        assert env.axes.column("redraws")[0] == envs.axes.column("redraws")[axis]
+        assert env.parameters == envs.axes.parameters(axis)
+
+
+def test_what_decides_nothing_is_not_drawn_again():
+    """Family, noise and bias of a redrawn episode are those of its first draw."""
+    options = {"leakage_flow_lpm": 20.0}
+    envs, easy = ServoHydraulicVectorEnv(60), ServoHydraulicVectorEnv(60)
+    _, info = envs.reset(seed=0, options=options)
+    _, other = easy.reset(seed=0, options={"leakage_flow_lpm": 0.01})
+    assert envs.axes.column("redraws").any()
+    assert not easy.axes.column("redraws").any()
+    np.testing.assert_array_equal(info["reference_family"], other["reference_family"])
+    for name in ("bias", "noise_key"):
+        np.testing.assert_array_equal(envs.axes.column(name), easy.axes.column(name))
+    moved = info["position"] != other["position"]
+    np.testing.assert_array_equal(moved, envs.axes.column("redraws") > 0)
+
+
+def test_ordinary_episodes_are_drawn_once():
+    envs = ServoHydraulicVectorEnv(2000, info=False)
+    envs.reset(seed=0)
+    assert not envs.axes.column("redraws").any()
+
+
+def test_automatic_resets_draw_again_too():
+    envs = ServoHydraulicVectorEnv(200, episode_duration=0.05, info=False)
+    envs.reset(seed=0, options={"leakage_flow_lpm": 20.0, "persist": True})
+    redraws = 0
+    for _ in range(44):
+        envs.step(np.zeros((200, 1)))
+        redraws += int((envs.axes.column("redraws") > 0).sum())
+    assert redraws > 100
+    assert (envs.axes.column("leak_target_flow") == 20.0).all()
+
+
+@pytest.mark.parametrize("make", [ServoHydraulicEnv, lambda: ServoHydraulicVectorEnv(3)])
+def test_where_nothing_drawn_can_help_one_line_says_so(make):
+    fixed = {"initial_position": -0.15, "parameters": {"load": {"spring_stiffness": 1e5}}}
+    with pytest.raises(
+        ConfigurationError, match=r"axis 0: initial position -150 mm cannot be held by its plant"
+    ) as caught:
+        make().reset(seed=0, options=fixed)
+    assert len(str(caught.value).splitlines()) == 1
+    assert f"{MOST_DRAWS - 1} others" in str(caught.value)
+
+
+def test_a_period_that_takes_too_many_steps_ends_the_episode_with_a_name():
+    """A rig that check-rig would refuse: friction so stiff that a period would take minutes."""
+    stiff = {
+        "plant": {
+            "friction": {"transition_velocity": 1e-6, "coulomb_force": 1e6, "breakaway_force": 1e6},
+            "load": {"mass": 0.01, "spring_stiffness": 0.0},
+            "cylinder": {"piston_mass": 0.0},
+        },
+        "randomisation": {},
+        "leakage": {"healthy_share": 1.0},
+    }
+    envs = ServoHydraulicVectorEnv(2, **stiff)
+    untouched = ServoHydraulicVectorEnv(2, **stiff)
+    for each in (envs, untouched):
+        each.reset(seed=0)
+    observation, reward, terminated, _, info = envs.step(np.ones((2, 1)))
+    assert terminated.all()
+    assert info["failure"].tolist() == ["integration budget exceeded"] * 2
+    assert (envs.axes.peaks[:, STEPS] > MOST_STEPS_PER_PERIOD).all()
+    assert (envs.axes.peaks[:, STEPS] <= MOST_STEPS_PER_PERIOD + 2).all()
+    assert np.isfinite(observation).all()
+    assert (reward <= -250.0).all()
+    np.testing.assert_array_equal(untouched.step(np.ones((2, 1)))[0], observation)

@@ -1,0 +1,183 @@
+"""get_state and set_state: an episode that goes on from a saved state repeats bit for bit, wherever it goes on."""
+
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
+
+TASK = {
+    "episode_duration": 0.2,
+    "leakage": {"schedule": "growth"},
+    "disturbance": {"kind": "sine"},
+    "references": {"weights": {"sine": 1.0, "step": 1.0, "user": 1.0}, "user": [0.0, 0.001, 0.003]},
+}
+ACTIONS = np.random.default_rng(8).uniform(-1, 1, (70, 6, 1))
+OPTIONS = {"leakage_flow_lpm": 1.5, "persist": True}
+
+
+def continued(env, steps=70):
+    """All numbers of a single environment over several episodes: the rest of this one, resets, and the next."""
+    rows = []
+    for action in ACTIONS[:steps, 0]:
+        observation, reward, terminated, truncated, info = env.step(action)
+        rows += [observation, reward, terminated, truncated, info["leakage_flow_lpm"], info["tracking_error"]]
+        if terminated or truncated:
+            observation, info = env.reset()
+            rows += [observation, info["reference"]]
+    return rows
+
+
+def continued_many(envs, steps=70, axes=slice(None)):
+    rows = []
+    for action in ACTIONS[:steps]:
+        observation, reward, terminated, truncated, info = envs.step(action[: envs.num_envs])
+        rows += [array[axes] for array in (observation, reward, terminated, truncated, info["leakage_flow_lpm"])]
+    return rows
+
+
+def assert_same(first, second):
+    assert len(first) == len(second)
+    for a, b in zip(first, second, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def begun(**options):
+    env = ServoHydraulicEnv(**TASK)
+    env.reset(seed=3, options=options or None)
+    for action in ACTIONS[:12, 1]:
+        env.step(action)
+    return env
+
+
+@pytest.mark.parametrize("options", [{}, OPTIONS, {"reference": [0.0, 0.01]}], ids=["drawn", "persisting", "reference"])
+def test_an_episode_and_all_that_follow_repeat_from_a_saved_state(options):
+    env = begun(**options)
+    state = env.get_state()
+    first = continued(env)
+    env.set_state(state)
+    assert_same(continued(env), first)
+    env.reset(seed=99)
+    env.set_state(pickle.loads(pickle.dumps(state)))
+    assert_same(continued(env), first)
+    fresh = ServoHydraulicEnv(**TASK)  # never reset
+    fresh.set_state(state)
+    assert_same(continued(fresh), first)
+
+
+def test_a_seedless_generator_goes_on_too():
+    env = begun()
+    state = env.get_state()
+    drawn = env.np_random.random(3)
+    env.set_state(state)
+    np.testing.assert_array_equal(env.np_random.random(3), drawn)
+
+
+def test_a_state_is_a_copy():
+    env = begun()
+    state = env.get_state()
+    before = pickle.dumps(state)
+    continued(env)
+    env.set_state(state)
+    continued(env)
+    assert pickle.dumps(state) == before
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_a_vector_environment_repeats_with_its_automatic_resets(mode):
+    envs = ServoHydraulicVectorEnv(6, autoreset_mode=mode, **TASK)
+    envs.reset(seed=1)
+    continued_many(envs, 40)  # ends in the step in which all axes have ended
+    state = envs.get_state()
+    first = continued_many(envs)
+    envs.set_state(state)
+    assert_same(continued_many(envs), first)
+    fresh = ServoHydraulicVectorEnv(6, autoreset_mode=mode, **TASK)
+    fresh.set_state(state)
+    assert_same(continued_many(fresh), first)
+
+
+def test_some_axes_go_back_while_the_others_go_on():
+    envs, undisturbed = ServoHydraulicVectorEnv(6, **TASK), ServoHydraulicVectorEnv(6, **TASK)
+    for each in (envs, undisturbed):
+        each.reset(seed=1)
+        continued_many(each, 10)
+    state = envs.get_state([4, 1])
+    first = continued_many(envs, 20)
+    continued_many(undisturbed, 20)
+    envs.set_state(state, [4, 1])
+    again, rest = continued_many(envs, 20), continued_many(undisturbed, 20)
+    for row, of_first, other in zip(again, first, rest, strict=True):
+        np.testing.assert_array_equal(row[[1, 4]], of_first[[1, 4]])
+        np.testing.assert_array_equal(row[[0, 2, 3, 5]], other[[0, 2, 3, 5]])
+
+
+def test_states_move_between_single_and_vector_environments():
+    env = begun()
+    envs = ServoHydraulicVectorEnv(3, **TASK)
+    envs.reset(seed=50)
+    state = env.get_state()
+    generator = envs.np_random.bit_generator.state
+    envs.set_state(state)  # one state for all axes
+    assert envs.np_random.bit_generator.state == generator
+    for action in ACTIONS[:25, 0]:
+        mine = env.step(action)
+        others = envs.step(np.repeat(action[None], 3, axis=0))
+        for axis in range(3):
+            np.testing.assert_array_equal(others[0][axis], mine[0])
+            assert others[1][axis] == mine[1]
+    back = ServoHydraulicEnv(**TASK)
+    back.set_state(envs.get_state([2]))
+    assert_same(continued(back), continued(env))
+    envs.set_state([state, envs.get_state([0]), state])  # a list with one for each
+    rows = envs.step(np.repeat(ACTIONS[:1, 0], 3, axis=0))[0]
+    np.testing.assert_array_equal(rows[0], rows[2])
+    assert (rows[0] != rows[1]).any()
+
+
+def test_through_the_wrappers_of_gymnasium():
+    env = gym.make("ServoHydraulic-v0", **TASK)
+    env.reset(seed=0)
+    state = env.unwrapped.get_state()
+    first = env.unwrapped.step(np.ones(1))[0]
+    env.unwrapped.set_state(state)
+    np.testing.assert_array_equal(env.unwrapped.step(np.ones(1))[0], first)
+
+
+def test_the_drawn_past_belongs_to_the_state():
+    env = ServoHydraulicEnv(render_mode="rgb_array", **TASK)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.ones(1))
+    state, picture = env.get_state(), env.render()
+    env.step(-np.ones(1))
+    env.set_state(state)
+    np.testing.assert_array_equal(env.render(), picture)
+    env.close()
+
+
+def test_wrong_states_are_answered_with_one_line():
+    env, envs = begun(), ServoHydraulicVectorEnv(3, **TASK)
+    with pytest.raises(ConfigurationError, match="get_state: call reset first"):
+        envs.get_state()
+    with pytest.raises(ConfigurationError, match="set_state: call reset first, or give all axes a state"):
+        envs.set_state(env.get_state(), [0])
+    envs.reset(seed=0)
+    for wrong in (None, 3, "state", [], [None], {"arrays": 1}):
+        for each in (env, envs):
+            with pytest.raises(ConfigurationError, match="set_state: must be a state of get_state"):
+                each.set_state(wrong)
+    with pytest.raises(ConfigurationError, match="set_state: this is the state of another task"):
+        ServoHydraulicEnv().set_state(env.get_state())
+    with pytest.raises(ConfigurationError, match="set_state: the state of 3 axes for 1: must be as many, or one"):
+        env.set_state(envs.get_state())
+    for axes in ([3], [-1], [0.5], [True]):
+        with pytest.raises(ConfigurationError, match=r"axes = .*: must be a whole number within 0 to 2"):
+            envs.get_state(axes)
+    for axes in (1, [], "01"):
+        with pytest.raises(ConfigurationError, match=r"axes = .*: must be numbers of axes"):
+            envs.set_state(env.get_state(), axes)
+    with pytest.raises(ConfigurationError, match="each axis may be named once"):
+        envs.get_state([1, 1])

@@ -1,0 +1,272 @@
+"""What other libraries look for: errors that they understand, the spec, infos of numbers alone, NumPy integers."""
+
+import json
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers import TimeAwareObservation
+
+from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.rewards import REWARD_TERMS
+
+ID = "ServoHydraulic-v0"
+BOTH = (ServoHydraulicEnv, ServoHydraulicVectorEnv)
+
+
+@pytest.mark.parametrize("make", BOTH)
+def test_an_unknown_keyword_is_also_a_type_error(make):
+    """Libraries that try a keyword fall back on TypeError alone."""
+    for kind in (TypeError, ConfigurationError):
+        with pytest.raises(kind, match="frameskip"):
+            make(frameskip=4)
+        with pytest.raises(kind, match="unknown option 'leak'"):
+            make().reset(options={"leak": 1.0})
+    with pytest.raises(TypeError, match="frameskip"):
+        gym.make(ID, frameskip=4)
+
+
+@pytest.mark.parametrize("make", BOTH)
+def test_tools_may_inspect_an_environment_before_its_first_reset(make):
+    env = make()
+    assert not hasattr(env, "parameters")
+    if make is ServoHydraulicEnv:
+        with pytest.raises(ConfigurationError, match="parameters: call reset first"):
+            _ = env.parameters
+        env.reset(seed=0)
+        assert hasattr(env, "parameters")
+
+
+def test_the_spec_tells_the_length_of_an_episode_and_changes_no_episode():
+    env = gym.make(ID, episode_duration=0.1)
+    assert env.spec.max_episode_steps == 20
+    assert gym.make(ID).spec.max_episode_steps == 400
+    again = gym.make(env.spec)  # Gymnasium puts a limit of 20 steps around it
+    assert again.spec.max_episode_steps == 20
+    rows = []
+    for each in (env, again):
+        each.reset(seed=0)
+        rows.append([each.step(np.zeros(1))[:4] for _ in range(20)])
+    for mine, other in zip(*rows, strict=True):
+        np.testing.assert_array_equal(mine[0], other[0])
+        assert mine[1:] == other[1:]
+    assert [row[3] for row in rows[0]] == [False] * 19 + [True]
+    vector = gym.make_vec(ID, num_envs=2, episode_duration=0.1)
+    assert vector.spec.max_episode_steps == 20
+    recreated = gym.make_vec(vector.spec)
+    assert recreated.unwrapped.config == vector.unwrapped.config
+    assert gym.make(ID, max_episode_steps=7).spec.max_episode_steps == 7
+    assert gym.make_vec(ID, num_envs=2, max_episode_steps=7).spec.max_episode_steps == 7
+
+
+def test_wrappers_that_count_time_know_the_length():
+    env = TimeAwareObservation(gym.make(ID, episode_duration=0.1), flatten=False, normalize_time=True)
+    env.reset(seed=0)
+    for _ in range(5):
+        observation = env.step(np.zeros(1))[0]
+    assert observation["time"] == pytest.approx(5 / 20)
+
+
+def test_a_spec_holds_the_content_of_a_file_not_its_path(tmp_path):
+    path = tmp_path / "task.yaml"
+    path.write_text("leakage: {healthy_share: 0.9}\nepisode_duration: 0.5\n")
+    for make, count in ((gym.make, {}), (gym.make_vec, {"num_envs": 2})):
+        for given in (path, str(path)):
+            env = make(ID, **count, config=given, reward={"effort": 0.2})
+            text = env.spec.to_json() if make is gym.make else json.dumps(env.spec.kwargs)
+            assert str(path) not in text
+            assert "healthy_share" in text
+    path_of_config = env.unwrapped.config
+    single = gym.make(ID, config=path, reward={"effort": 0.2})
+    text = single.spec.to_json()
+    path.unlink()
+    assert gym.make(EnvSpec.from_json(text)).unwrapped.config == path_of_config
+
+
+def test_the_vector_environment_tells_how_it_restarts():
+    for mode in AutoresetMode:
+        envs = ServoHydraulicVectorEnv(2, autoreset_mode=mode)
+        assert envs.autoreset_mode is mode is envs.metadata["autoreset_mode"]
+
+
+def test_both_show_their_arrays():
+    single, vector = ServoHydraulicEnv(), ServoHydraulicVectorEnv(3)
+    single.reset(seed=1)
+    vector.reset(seed=1)
+    assert single.axes.column("position")[0] == vector.axes.column("position")[0]
+
+
+@pytest.mark.parametrize("whole", [np.int64, np.int32, np.uint8])
+def test_numpy_integers_are_whole_numbers(whole):
+    env = ServoHydraulicEnv()
+    np.testing.assert_array_equal(env.reset(seed=whole(3))[0], env.reset(seed=3)[0])
+    envs = ServoHydraulicVectorEnv(whole(2), threads=whole(1))
+    assert type(envs.num_envs) is int
+    rows = envs.reset(seed=3)[0]
+    np.testing.assert_array_equal(envs.reset(seed=whole(3))[0], rows)
+    np.testing.assert_array_equal(envs.reset(seed=np.array([3, 4], dtype=whole))[0], rows)
+    assert ServoHydraulicVectorEnv(2, max_episode_steps=whole(9)).config.steps == 9
+
+
+def test_a_flat_info_holds_the_same_numbers_and_nothing_else():
+    flat, full = (ServoHydraulicVectorEnv(3, info=kind, episode_duration=0.05) for kind in ("flat", True))
+    infos = [env.reset(seed=0)[1] for env in (flat, full)]
+    for _ in range(15):
+        mine, other = infos
+        for name, values in mine.items():
+            assert values.shape == (3,)
+            assert values.dtype.kind in "fib", name
+            if name.startswith("reward_"):
+                np.testing.assert_array_equal(values, other["reward_terms"][name.removeprefix("reward_")])
+            elif name.removeprefix("_") in ("reference_family", "failure") or name.startswith("_reward"):
+                assert values.shape == (3,)
+            else:
+                np.testing.assert_array_equal(values, other[name])
+        assert {f"reward_{name}" for name in REWARD_TERMS} <= set(mine)
+        infos = [env.step(np.ones((3, 1)))[-1] for env in (flat, full)]
+
+
+def test_a_flat_info_is_flat_when_episodes_end_too():
+    envs = ServoHydraulicVectorEnv(3, info="flat", episode_duration=0.05, autoreset_mode="SameStep")
+    named = ServoHydraulicVectorEnv(3, episode_duration=0.05, autoreset_mode="SameStep")
+    for each in (envs, named):
+        each.reset(seed=0)
+        for _ in range(10):
+            info = each.step(np.zeros((3, 1)))[-1]
+        if each is envs:
+            flat = info
+    assert flat["final_obs"].dtype == np.float32
+    np.testing.assert_array_equal(flat["final_obs"], np.stack(info["final_obs"]))
+    np.testing.assert_array_equal(flat["final_position"], info["final_info"]["position"])
+    assert all(values.dtype.kind in "fib" for values in flat.values())
+
+
+def test_a_flat_info_of_one_axis():
+    env, full = ServoHydraulicEnv(info="flat"), ServoHydraulicEnv()
+    mine, other = env.reset(seed=0)[1], full.reset(seed=0)[1]
+    assert all(type(value) in (int, float) for value in mine.values())
+    assert mine["position"] == other["position"]
+    mine, other = env.step(np.ones(1))[-1], full.step(np.ones(1))[-1]
+    assert mine["reward_tracking"] == other["reward_terms"]["tracking"]
+    assert ServoHydraulicEnv(info=False).reset(seed=0)[1] == {}
+
+
+NAN, HUGE = float("nan"), 10**400
+
+
+class Odd:
+    """An object that NumPy cannot make numbers of."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+
+BAD_ACTIONS = (
+    None,
+    "full",
+    ["0.5"],
+    [None],
+    [True],
+    [1j],
+    [HUGE],
+    {"a": 1},
+    Odd(),
+    [[0.1], [0.2, 0.3]],
+    object(),
+    b"1",
+)
+
+
+@pytest.mark.parametrize(
+    "action", BAD_ACTIONS, ids=[type(action).__name__ + str(n) for n, action in enumerate(BAD_ACTIONS)]
+)
+def test_wrong_actions(action):
+    env, envs = ServoHydraulicEnv(), ServoHydraulicVectorEnv(2)
+    for each in (env, envs):
+        each.reset(seed=0)
+        with pytest.raises(ConfigurationError, match=r"^action") as caught:
+            each.step(action)
+        assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("make", BOTH)
+def test_wrong_seeds(make):
+    env = make()
+    for seed in (True, -1, 1.5, "3", object(), {}, NAN, [[1]], b"1"):
+        with pytest.raises(ConfigurationError, match=r"^seed = .*: must be a whole number of at least 0"):
+            env.reset(seed=seed)
+    with pytest.raises(ConfigurationError, match="seed"):
+        ServoHydraulicVectorEnv(2).reset(seed=[1, 1.5])
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("num_envs", ("3", 1.5, 10**9, True, None, [], NAN, -1)),
+        ("threads", ("2", 0, 10**9, True, [])),
+        ("max_episode_steps", ("5", 0, 2.5, True, [])),
+        ("render_mode", ("human", 5, [], {})),
+        ("autoreset_mode", ("later", 3, [], None, {})),
+        ("info", ("round", 1, None, [])),
+        ("config", (5, [], b"a", object())),
+    ],
+)
+def test_wrong_arguments(name, values):
+    for value in values:
+        with pytest.raises(ConfigurationError, match=name) as caught:
+            ServoHydraulicVectorEnv(**{name: value})
+        assert len(str(caught.value).splitlines()) == 1
+        assert len(str(caught.value)) < 300
+    if name in ("render_mode", "info", "config"):
+        for value in values:
+            if value != "human":
+                with pytest.raises(ConfigurationError, match=name):
+                    ServoHydraulicEnv(**{name: value})
+
+
+@pytest.mark.parametrize("make", BOTH)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"leakage_flow_lpm": "1"},
+        {"leakage_flow_lpm": None},
+        {"leakage_flow_lpm": [[1.0]]},
+        {"leakage_flow_lpm": HUGE},
+        {"initial_position": object()},
+        {"initial_position": 1j},
+        {"reference": ["0.1", 0.2]},
+        {"reference": [[0.1], [0.2, 0.3]]},
+        {"reference": Odd()},
+        {"parameters": [1]},
+        {"parameters": {"load": {"mass": "60"}}},
+        {"parameters": {3: {"mass": 60.0}}},
+        {"parameters": {"load": {None: 60.0}}},
+        {"parameters": {"supply": {"model": None}}},
+        {"persist": 1},
+        {3: 4},
+        7,
+        "persist",
+    ],
+    ids=str,
+)
+def test_wrong_options(make, options):
+    with pytest.raises(ConfigurationError, match=r"^reset options") as caught:
+        make().reset(seed=0, options=options)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("mask", [[True], "TF", [[True], [True, False]], [1, 0], [False, False], None])
+def test_wrong_masks(mask):
+    envs = ServoHydraulicVectorEnv(2)
+    envs.reset(seed=0)
+    if mask is not None:
+        with pytest.raises(ConfigurationError, match="reset_mask must be a boolean array"):
+            envs.reset(options={"reset_mask": mask})
+    assert np.isfinite(envs.step(np.zeros((2, 1)))[0]).all()
+
+
+def test_axes_that_do_not_fit_into_memory():
+    with pytest.raises(ConfigurationError, match="num_envs = 1000000 with 7200000 steps: too large for memory"):
+        ServoHydraulicVectorEnv(10**6, TaskConfig(control_period=0.5e-3, command_latency=0.0, episode_duration=3600.0))
