@@ -88,7 +88,7 @@ def test_impossible_settings_are_refused(values, message):
     ProtocolSettings(leak_levels=(20.0,), plants=3, detection_episodes=100)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
 def evaluation():
     network = LeakageNetwork(4)
     head = LeakageHead(network, HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))

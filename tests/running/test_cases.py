@@ -146,7 +146,7 @@ def test_commands_beyond_one_are_recorded_as_they_acted():
         np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
 def failing():
     """Axes 0 and 2 of four are driven into the end stop; their episodes last long enough to see it."""
     cases = Cases(np.array([21, 22, 23, 24]), families=np.array(["sine"] * 4))
