@@ -20,7 +20,7 @@ def main() -> int:
     """Print the share of killed mutations of each module."""
     killed_of_all = count_of_all = 0
     for file in sorted(FOLDER.rglob("*.meta")):
-        codes = [code for code in json.loads(file.read_text(encoding="utf-8"))["exit_code_by_key"].values()]
+        codes = list(json.loads(file.read_text(encoding="utf-8"))["exit_code_by_key"].values())
         tried = [code for code in codes if code is not None]
         if tried:
             killed = sum(code not in SURVIVED for code in tried)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.plant.equations import State
+from hydro_env.plant.states import State
 
 _SPOOL = State._fields.index("spool_position")
 
