@@ -74,7 +74,7 @@ def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> Co
     else:
         allowed = _allowed(schema)
         message = f"must be {allowed}" if allowed else "is not allowed here"
-    where = ".".join(map(str, path))
+    where = ".".join(str(part)[:60] for part in path)
     unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
     count = error.error_count() - 1
     more = f" (and {count} more mistake{'s' if count > 1 else ''})" if count else ""
@@ -177,6 +177,16 @@ class _Loader(yaml.SafeLoader):
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise _problem(f"more than {DEEPEST} levels", self.peek_event())  # type: ignore[no-untyped-call]
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep)
@@ -189,16 +199,14 @@ _Loader.add_implicit_resolver(
 )
 
 
-def _problem(problem: str, node: yaml.Node) -> yaml.MarkedYAMLError:
-    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
 
 
-def _count_nodes(node: yaml.Node, counted: dict[int, int], depth: int = 0) -> int:
+def _count_nodes(node: yaml.Node, counted: dict[int, int]) -> int:
     """Values below and including a node, those of an alias again each time; refuses repeated keys."""
     if id(node) in counted:
         return counted[id(node)]
-    if depth > DEEPEST:
-        raise _problem(f"more than {DEEPEST} levels", node)
     counted[id(node)] = MOST_NODES + 1  # what an alias within itself counts
     inner: list[yaml.Node] = []
     if isinstance(node, yaml.MappingNode):
@@ -213,7 +221,7 @@ def _count_nodes(node: yaml.Node, counted: dict[int, int], depth: int = 0) -> in
         inner = node.value
     total = 1
     for part in inner:
-        total += _count_nodes(part, counted, depth + 1)
+        total += _count_nodes(part, counted)
         if total > MOST_NODES:
             raise _problem(f"more than {MOST_NODES:,} values, aliases included", node)
     counted[id(node)] = total
@@ -240,8 +248,6 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         line = f" in line {mark.line + 1}" if mark else ""
         problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
         raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(problem).split())}") from None
-    except RecursionError:
-        raise ConfigurationError(f"{path}: not valid YAML: more than {DEEPEST} levels") from None
     return _mapping(values, path)
 
 
@@ -283,7 +289,12 @@ def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, whole or not at all."""
-    write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True).encode())
+    write_text(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text in UTF-8, whole or not at all; a file name in it that is not UTF-8 is escaped."""
+    write_whole(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

@@ -29,7 +29,7 @@ from agents.benchmark.table import (
 from agents.benchmark.timing import FULL, QUICK, Extent
 from agents.benchmark.training_rows import beating_cases, default_study, training_cases
 from agents.running.console import ProgressDisplay
-from agents.running.folders import prepare_folder
+from agents.running.folders import output_folder
 from agents.running.machine import machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
@@ -75,10 +75,7 @@ def benchmark_to_folder(
         KeyboardInterrupt: Ctrl-C; what is measured so far has been written.
     """
     chosen = _chosen(only)
-    prepare_folder(folder, resume, overwrite, CSV_FILE, CIRCUMSTANCES_FILE, can_resume=True)
     circumstances = {"quick": quick, "machine": machine_description(), "versions": package_versions()} | thread_counts()
-    results = _stored(folder, circumstances) if resume else []
-    write_yaml(folder / CIRCUMSTANCES_FILE, circumstances)
     extent = QUICK if quick else FULL
     heading = _heading(circumstances, command, extent)
     titles = {name: group.title for name, group in GROUPS.items()}
@@ -89,7 +86,10 @@ def benchmark_to_folder(
         write_csv(folder / CSV_FILE, results)
         write_markdown(folder / MARKDOWN_FILE, results, titles, heading)
 
-    with ProgressDisplay() as display:
+    files = (CSV_FILE, MARKDOWN_FILE, CIRCUMSTANCES_FILE)
+    with output_folder(folder, "benchmark", files, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        results = _stored(folder, circumstances) if resume else []
+        write_yaml(folder / CIRCUMSTANCES_FILE, circumstances)
         display.say(heading)
         for name in chosen:
             if not any(result.group == name for result in results):
@@ -198,4 +198,4 @@ def _show(group: str, results: Sequence[Result], display: ProgressDisplay) -> No
     for line in markdown_table(results, group).splitlines()[2:]:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         table.add_row(*cells[:4], cells[5] or ("" if cells[2] != "–" else cells[6]))
-    display.console.print(table)
+    display.console.lines(table)

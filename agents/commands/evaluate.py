@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents, stoppable
+from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents
 
 
 def evaluate(
@@ -42,7 +42,7 @@ def evaluate(
     controllers = study.with_weights(named_agents(agent))
     watching = load_head(head, study.task)
     settings_file = "evaluation.yaml"
-    with stoppable(False), output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
+    with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
         write_yaml(output / settings_file, study.model_dump(mode="json"))
         text = (output / settings_file).read_text(encoding="utf-8")
         with ProgressDisplay() as display:

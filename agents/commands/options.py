@@ -1,10 +1,9 @@
-"""Options that several commands share, and what Ctrl-C says."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -30,37 +29,23 @@ Agents = Annotated[
         "weights. A name of the study replaces that controller. May be given more than once.",
     ),
 ]
+Rig = Annotated[
+    Path | None,
+    typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
+]
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
 ]
 
 
 def command_line() -> str:
-    """The command as the user typed it."""
-    return " ".join(["hydro", *sys.argv[1:]])
+    """The command as the user typed it; a file name that is not UTF-8 is escaped."""
+    return " ".join(["hydro", *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
 
 
-@contextmanager
-def stoppable(kept: bool | Callable[[], bool]) -> Iterator[None]:
-    """Ctrl-C ends the command with one line that says what becomes of the work.
-
-    Args:
-        kept: whether ``--resume`` can go on with what was done; asked when Ctrl-C is pressed.
-    """
-    try:
-        yield
-    except KeyboardInterrupt:
-        resumable = kept if isinstance(kept, bool) else kept()
-        fate = (
-            "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
-        )
-        print(f"\nhydro: stopped; {fate}", file=sys.stderr)
-        raise typer.Exit(130) from None
-
-
-def checkpoints_in(folder: Path) -> Callable[[], bool]:
-    """Whether a folder, or one below it, holds weights or a checkpoint."""
-    return lambda: any(folder.rglob("*.safetensors"))
+def say(*lines: object) -> None:
+    """Print what a command leaves, as it is."""
+    print(*lines, sep="\n", flush=True)
 
 
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:

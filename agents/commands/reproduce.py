@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -25,8 +24,9 @@ from agents.reproduction.sensitivity import sensitivity_figure
 from agents.reproduction.settling_figure import settling_figure
 from agents.reproduction.stability import stability_figure
 from agents.running.console import ProgressDisplay
-from hydro_env import ConfigurationError, HydroError
-from hydro_env.files import write_whole
+from agents.running.folders import output_folder
+from hydro_env import HydroError
+from hydro_env.files import write_text, write_whole
 
 PAGE_FILE = "page.html"
 EQUATIONS_FILE = "equations.csv"
@@ -81,43 +81,21 @@ def reproduce_to_folder(
         rig_file: YAML file of a rig; ``None`` is the paper's.
 
     Raises:
-        ConfigurationError: the folder holds a page and ``overwrite`` is not asked for, or cannot be written; the rig
+        ConfigurationError: the folder cannot be used (:func:`~agents.running.folders.output_folder`); the rig
             is wrong or cannot work.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f"{folder}: is a file; --output needs a folder")
-    page = folder / PAGE_FILE
-    if page.exists() and not overwrite:
-        raise ConfigurationError(
-            f"{folder}: holds results already; --overwrite begins anew, --output takes another folder"
-        )
     rig = rig_from(rig_file)
-    _remove_earlier(folder)
-    equations = equation_table()
-    write_whole(folder / EQUATIONS_FILE, equations.to_csv(index=False).encode())
-    done = []
-    with ProgressDisplay() as display:
+    files = [PAGE_FILE, EQUATIONS_FILE, *(f"{entry.key}.{suffix}" for entry in FIGURES for suffix in SUFFIXES)]
+    with output_folder(folder, "reproduce", files, overwrite=overwrite), ProgressDisplay() as display:
+        equations = equation_table()
+        write_text(folder / EQUATIONS_FILE, equations.to_csv(index=False))
+        done = []
         display.update("figures", 0, len(FIGURES))
         for number, entry in enumerate(FIGURES, 1):
             done.append(_made(entry, rig, folder))
             display.update("figures", number, len(FIGURES), entry.title)
-    write_whole(page, render_page(done, equations, command, rig).encode())
-    return page
-
-
-def _remove_earlier(folder: Path) -> None:
-    """Remove what an earlier run left, figures that are no longer made as well: its page names them."""
-    page = folder / PAGE_FILE
-    if not page.exists():
-        return
-    try:
-        keys = re.findall(r'<section id="(\w+)">', page.read_text(encoding="utf-8", errors="replace"))
-        page.unlink()
-        for key in keys:
-            for suffix in SUFFIXES:
-                (folder / f"{key}.{suffix}").unlink(missing_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{folder}: earlier results cannot be removed: {error.strerror}") from None
+        write_text(folder / PAGE_FILE, render_page(done, equations, command, rig))
+    return folder / PAGE_FILE
 
 
 def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:
@@ -125,8 +103,6 @@ def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:
     try:
         figure = entry.make(rig)
     except (HydroError, ArithmeticError) as error:  # ArithmeticError: the axis does not oscillate
-        for file in files.values():
-            file.unlink(missing_ok=True)  # of an earlier run
         return PageFigure(
             entry.key, entry.title, entry.in_paper, entry.headline, None, "", " ".join(str(error).split())
         )

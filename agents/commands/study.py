@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.commands.options import Config, Output, Overwrite, Resume, Seed, checkpoints_in, command_line, stoppable
+from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line
 
 
 def study(
@@ -23,5 +23,4 @@ def study(
     from agents.study.settings import default_study
 
     settings = default_study(config)
-    with stoppable(checkpoints_in(output)):
-        run_study(settings, output, settings.seed if seed is None else seed, resume, overwrite, command_line())
+    run_study(settings, output, settings.seed if seed is None else seed, resume, overwrite, command_line())

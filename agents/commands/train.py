@@ -14,9 +14,8 @@ from agents.commands.options import (
     Overwrite,
     Resume,
     Seed,
-    checkpoints_in,
     named_agents,
-    stoppable,
+    say,
 )
 from hydro_env import ConfigurationError
 
@@ -53,18 +52,17 @@ def train(
     _refuse("--steps", steps is not None and part in ("head", "pid"), part)
     _refuse("--agent", agent is not None and part != "head", part)
     _refuse("--resume", resume and part == "pid", part)
-    with stoppable(checkpoints_in(output)):
-        if part == "head":
-            file = _head(study, output, seed, resume, overwrite, named_agents(agent))
-        elif part == "pid":
-            file = _gains(study, output, seed, overwrite)
-        else:
-            name = next((name for name in study.trained if name.lower() == part), None)
-            if name is None:
-                known = ", ".join([*(name.lower() for name in study.trained), "head", "pid"])
-                raise ConfigurationError(f"train '{what}': unknown; this study trains: {known}")
-            file = _controller(study, name, output, seed, resume, overwrite, steps)
-    typer.echo(f"written: {file}")
+    if part == "head":
+        file = _head(study, output, seed, resume, overwrite, named_agents(agent))
+    elif part == "pid":
+        file = _gains(study, output, seed, overwrite)
+    else:
+        name = next((name for name in study.trained if name.lower() == part), None)
+        if name is None:
+            known = ", ".join([*(name.lower() for name in study.trained), "head", "pid"])
+            raise ConfigurationError(f"train '{what}': unknown; this study trains: {known}")
+        file = _controller(study, name, output, seed, resume, overwrite, steps)
+    say(f"written: {file}")
 
 
 def _refuse(option: str, given: bool, part: str) -> None:
@@ -100,11 +98,11 @@ def _controller(
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from agents.study.training import HEAD_CHECKPOINT, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
+    from agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
     controllers = list(study.with_weights(agents).values())
-    if resume and not (folder / f"{HEAD_CHECKPOINT}.json").exists():
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no {HEAD_CHECKPOINT}; leave --resume out")
+    if resume and not any(folder.glob(HEAD_CHECKPOINTS)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint of the head; leave --resume out")
     with (
         output_folder(folder, "train head", HEAD_FILES, resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,
@@ -126,6 +124,7 @@ def _gains(study: StudySettings, folder: Path, seed: int, overwrite: bool) -> Pa
             note = f"mean cost {cost:.5f}, proportional {getattr(gains, 'proportional', 0.0):.4g} 1/m"
             display.update("tune PID", min(generation, generations), generations, note)
 
+        display.update("tune PID", 0, generations)
         gains, _ = tune_pid(study.task, generations=generations, seed=seed, progress=report)
         gains.to_yaml(path)
     return path

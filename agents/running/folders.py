@@ -84,6 +84,9 @@ def output_folder(
                 if overwrite:
                     _remove(folder, present)
                 yield folder
+            except KeyboardInterrupt as stop:
+                stop.add_note(_what_stays(folder, resume, _present(folder, writes)))
+                raise
             finally:
                 with suppress(ConfigurationError):  # a full disk: the list from above names the same files
                     _write_manifest(folder, {name: _owner(name, claimed) for name in _present(folder, claimed)})
@@ -91,6 +94,14 @@ def output_folder(
         for path in made:
             with suppress(OSError):  # holds results, as it should
                 path.rmdir()
+
+
+def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
+    if not files:
+        return "nothing had been written"
+    if resume is None:
+        return f"the results in {folder} are incomplete, --overwrite begins anew"
+    return f"{folder} keeps what is done so far, --resume goes on with it"
 
 
 @contextmanager
@@ -169,21 +180,3 @@ def _remove(folder: Path, names: Sequence[str]) -> None:
             (folder / name).unlink()
         except OSError as error:
             raise ConfigurationError(f"{folder / name}: cannot be removed: {error.strerror}") from None
-
-
-def prepare_folder(folder: Path, resume: bool, overwrite: bool, *written: str, can_resume: bool = False) -> None:
-    """Check that results may go into a folder; commands move to :func:`output_folder`.
-
-    Raises:
-        ConfigurationError: it holds results and neither resume nor overwrite is asked for, or cannot be written.
-    """
-    if resume and overwrite:
-        raise ConfigurationError("--resume and --overwrite exclude each other")
-    found = next((name for name in written if (folder / name).exists()), None)
-    if found is not None and not (resume or overwrite):
-        ways = "--resume goes on with them, " if can_resume else ""
-        raise ConfigurationError(
-            f"{folder}: holds results already ({found}); {ways}--overwrite replaces them, --output takes another folder"
-        )
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f"{folder}: is a file, a folder is needed")

@@ -122,7 +122,7 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     if len(names) > 1:
         equal = (ratio(name, "equal_weight") for name in names[1:])
         table.add_row("all, references weighing the same", *[""] * len(names), *equal)
-    display.console.print(table)
+    display.console.lines(table)
     if evaluation.detection_summary.empty:
         return
     bounds = evaluation.bounds
@@ -138,4 +138,4 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
             f"{100 * entry['detection_rate_moderate']:.2f} %",
             f"× {entry['median_size_error_factor']:.2f}",
         )
-    display.console.print(table)
+    display.console.lines(table)

@@ -25,7 +25,7 @@ from agents.study.results import REPORT_FILES, evaluate_study, print_summary
 from agents.study.settings import StudySettings
 from agents.study.training import (
     CHECKPOINTS,
-    HEAD_CHECKPOINT,
+    HEAD_CHECKPOINTS,
     HEAD_FILES,
     HEAD_WEIGHTS,
     TRAINING_FILES,
@@ -150,6 +150,6 @@ def _head(
     if HEAD_PHASE in phases.done:
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)
-    resume = (folder / f"{HEAD_CHECKPOINT}.json").exists()
+    resume = any(folder.glob(HEAD_CHECKPOINTS))
     acting = list(controllers.values())
     return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, resume, acting, display))

@@ -7,14 +7,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-import torch
 from pydantic import Field, StringConstraints, model_validator
 
 from agents.controllers.base import Controller
 from agents.controllers.registry import CONTROLLERS, imported, make_controller
 from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
 from agents.evaluation.protocol import ProtocolSettings
-from agents.leakage.head import SIGNALS, LeakageNetwork
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
 from agents.running.folders import config_folder
@@ -140,13 +138,6 @@ class StudySettings(Group):
             self.leakage_head.check(self.task)
         except ConfigurationError as error:
             raise ConfigurationError(f"{source}: {error}") from None
-        try:
-            LeakageNetwork(1)(torch.zeros(1, len(SIGNALS), self.task.steps))
-        except RuntimeError:
-            raise ConfigurationError(
-                f"{source}: task.episode_duration = {self.task.episode_duration:g} s: {self.task.steps} observations "
-                "are too few for the leakage head"
-            ) from None
 
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""

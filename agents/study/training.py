@@ -19,11 +19,11 @@ from hydro_env.files import Group
 WEIGHTS = "policy"
 HEAD_WEIGHTS = "leakage_head"
 CHECKPOINTS = "checkpoint*"
-HEAD_CHECKPOINT = "head_checkpoint"
+HEAD_CHECKPOINTS = "head_checkpoint*"
 TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
 """What the training of a controller writes; the checkpoints of a trainer begin with ``checkpoint``."""
 
-HEAD_FILES = (f"{HEAD_WEIGHTS}.*", f"{HEAD_CHECKPOINT}.*")
+HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
 
 def train_controller(

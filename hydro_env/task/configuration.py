@@ -157,7 +157,7 @@ class Sensors(Group):
             return values
         return {
             name: {**cls.model_fields[name].default.model_dump(), **value}
-            if isinstance(value, Mapping) and name in cls.model_fields
+            if isinstance(value, Mapping) and name in cls.model_fields and cls.model_fields[name].annotation is Sensor
             else value
             for name, value in values.items()
         }

@@ -1,15 +1,25 @@
 """Tables of an evaluation against figures worked out by hand."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
+from agents.evaluation.detection import (
+    LeakBounds,
+    detection_curves,
+    detection_rates,
+    detection_summary,
+    detection_table,
+    signal_columns,
+)
 from agents.evaluation.metrics import METRICS
 from agents.evaluation.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
 from agents.evaluation.tables import per_plant, ratio_table, summary_table
+from agents.leakage.head import LeakageEstimate
+from agents.running.cases import Cases
 from hydro_env import TaskConfig
 
 PLANTS = 4
@@ -118,7 +128,7 @@ CLASS = ["healthy"] * 3 + ["incipient"] * 5 + ["moderate", "severe"]
 THRESHOLD = 0.5
 
 
-def detection_table(controllers=("A", "B")):
+def episodes(controllers=("A", "B")):
     frames = []
     for name in controllers:
         score = SCORE if name == "A" else 1.0 - SCORE
@@ -144,7 +154,7 @@ def test_bounds_come_from_the_task():
 
 
 def test_rates_per_class_and_range():
-    table = detection_rates(detection_table(), TASK)
+    table = detection_rates(episodes(), TASK)
     own = table[table["controller"] == "A"]
     assert len(own) * 2 == len(table)
     expected = {
@@ -164,13 +174,13 @@ def test_rates_per_class_and_range():
         hits, total = expected[row.group, row.value]
         assert (row.flagged_share, row.low, row.high) == tuple(share_interval(hits, total))
         assert row.episodes == total
-    default = detection_rates(detection_table(), TaskConfig())
+    default = detection_rates(episodes(), TaskConfig())
     ranges = default[(default["controller"] == "A") & (default["group"] == "range")]["value"]
     assert list(ranges) == ["0.1–0.2", "0.2–0.3", "0.3–0.5", "0.5–1", "1–2", "2–4", "≥ 0.3"]
 
 
 def test_summary_counts_healthy_and_leaking_episodes_as_the_task_says():
-    table = detection_summary(detection_table(), THRESHOLD, TASK)
+    table = detection_summary(episodes(), THRESHOLD, TASK)
     assert list(table["controller"]) == ["A", "B"]
     row = table.iloc[0]
     # Healthy: 0.1, 0.9, 0.3; leaking (above 0.2 l/min): 0.35, 0.7, 0.8, 0.2, 0.95.
@@ -191,11 +201,11 @@ def test_summary_counts_healthy_and_leaking_episodes_as_the_task_says():
 
 
 def test_curves_of_each_controller():
-    table = detection_curves(detection_table(), TASK)
+    table = detection_curves(episodes(), TASK)
     assert set(table["controller"]) == {"A", "B"}
     for name in ("A", "B"):
         roc = table[(table["controller"] == name) & (table["curve"] == "roc")]
-        summary = detection_summary(detection_table((name,)), THRESHOLD, TASK).iloc[0]
+        summary = detection_summary(episodes((name,)), THRESHOLD, TASK).iloc[0]
         assert np.trapezoid(roc["y"], roc["x"]) == pytest.approx(summary["auroc"])
         assert len(roc) == 1 + 8  # between the two bounds nothing counts
         precision = table[(table["controller"] == name) & (table["curve"] == "precision_recall")]
@@ -203,3 +213,32 @@ def test_curves_of_each_controller():
         assert area == pytest.approx(summary["average_precision"])
         assert roc["threshold"].iloc[0] == np.inf
     assert list(table.index) == list(range(len(table)))
+
+
+def test_one_row_per_episode():
+    class Head:
+        settings = SimpleNamespace(threshold=0.5)
+
+        def estimate_signals(self, signals):
+            return LeakageEstimate(signals[:, 0, 0], 10.0 * signals[:, 0, 0])
+
+    probability = np.array([0.2, 0.5, 0.7])
+    cases = Cases(np.array([7, 8, 9]), np.array([0.01, 0.4, 3.0]))
+    rollout = SimpleNamespace(signals=probability[:, None, None], leakage_class=np.array([0, 2, 3]))
+    table = detection_table("mine", cases, rollout, Head())
+    assert table.to_dict("list") == {
+        "controller": ["mine"] * 3,
+        "seed": [7, 8, 9],
+        "leakage_flow_lpm": [0.01, 0.4, 3.0],
+        "class": ["healthy", "moderate", "severe"],
+        "probability": [0.2, 0.5, 0.7],
+        "estimated_flow_lpm": [2.0, 5.0, 7.0],
+        "flagged": [False, True, True],
+    }
+    assert signal_columns(("x", "position", "pressure_a", "pressure_b", "spool_position", "previous_command")) == [
+        1,
+        2,
+        3,
+        4,
+        5,
+    ]

@@ -14,7 +14,7 @@ from agents.reproduction.friction_scan import friction_scan_figure
 from agents.reproduction.page import true_minus
 from agents.reproduction.rig import Rig, own_rig, rig_from
 from agents.reproduction.settling_figure import settling_figure
-from agents.running.folders import config_folder
+from agents.running.folders import config_folder, output_folder
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -40,7 +40,6 @@ def test_the_file_of_the_papers_rig_is_the_papers_rig():
 @pytest.fixture(scope="module")
 def own_folder(tmp_path_factory):
     path = tmp_path_factory.mktemp("own_rig")
-    (path / "friction_scan.png").write_text("of an earlier run", encoding="utf-8")
     file = next(file for file in RIGS if "symmetric" in file.stem)
     quick = [entry for entry in command.FIGURES if entry.key != "sensitivity"]
     with pytest.MonkeyPatch.context() as patch:
@@ -64,15 +63,17 @@ def test_a_figure_that_a_rig_cannot_do_is_said_in_its_place(own_folder):
 
 def test_overwriting_removes_what_an_earlier_run_wrote(tmp_path, monkeypatch):
     """Figures that are no longer made go; what the command did not write stays."""
-    (tmp_path / "page.html").write_text('<section id="gone_figure"></section>', encoding="utf-8")
-    for name in ("gone_figure.png", "gone_figure.svg", "gone_figure.csv", "mine.png"):
-        (tmp_path / name).write_text("old", encoding="utf-8")
+    gone = ["page.html", "gone_figure.png", "gone_figure.svg"]
+    with output_folder(tmp_path, "reproduce", gone):
+        for name in gone:
+            (tmp_path / name).write_text("old", encoding="utf-8")
+    (tmp_path / "mine.png").write_text("mine", encoding="utf-8")
     monkeypatch.setattr(command, "FIGURES", ())
     with pytest.raises(ConfigurationError, match="--overwrite"):
         command.reproduce_to_folder(tmp_path, overwrite=False)
     assert (tmp_path / "gone_figure.png").exists()
     command.reproduce_to_folder(tmp_path, overwrite=True)
-    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png"}
+    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png", ".hydro.json"}
 
 
 def test_the_page_says_whose_rig_it_is(own_folder):

@@ -65,6 +65,9 @@ def test_each_case_is_the_episode_of_a_single_environment():
     assert run.position.shape == run.reference.shape == run.command.shape == run.spool.shape == (5, steps)
     np.testing.assert_allclose(run.time, 0.005 * np.arange(1, steps + 1))
     assert run.signals.shape == (5, 2, steps)
+    for array in (run.position, run.reference, run.command, run.spool, run.reward, run.signals):
+        assert array.dtype == np.float32  # half the memory, and finer than any sensor
+    assert run.failed_at.dtype == run.leakage_class.dtype == np.int64
     for case in range(5):
         rows, info = single_episode(
             CONFIG, int(CASES.seeds[case]), CASES.leakage_flow_lpm[case], str(CASES.families[case])

@@ -2,17 +2,15 @@
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 
 from agents.commands.evaluate import evaluate
-from agents.commands.options import checkpoints_in, named_agents, stoppable
+from agents.commands.options import named_agents
 from agents.commands.train import train
-from agents.study import results
+from agents.study import results, training
 from agents.study.run import run_study
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
@@ -159,6 +157,25 @@ def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_
     assert [call["resume"] for call in algorithm.calls] == [False, True, False, False]
 
 
+def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatch):
+    resumed = []
+    whole = training.train_head
+
+    def stopped(*arguments, folder, resume):
+        resumed.append(resume)
+        if not resume:
+            (folder / "head_checkpoint.safetensors").write_bytes(b"")
+            raise KeyboardInterrupt
+        (folder / "head_checkpoint.safetensors").unlink()
+        return whole(*arguments, folder=folder, resume=False)
+
+    monkeypatch.setattr(training, "train_head", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(settings, tmp_path / "out", seed=0)
+    run_study(settings, tmp_path / "out", seed=0, resume=True)
+    assert resumed == [False, True]
+
+
 def test_a_controller_that_cannot_act_stops_the_study_before_it_trains(algorithm, tmp_path):
     broken = {"kind": "my_study_algorithm:Broken"}
     study = StudySettings(**{**VALUES, "controllers": {**CONTROLLERS, "broken": broken}})
@@ -217,17 +234,6 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
         with pytest.raises(ConfigurationError, match=message):
             train(what, tmp_path / "new", file, **options)
     assert not (tmp_path / "new").exists()
-
-
-def test_ctrl_c_says_kept_only_where_something_was_kept(tmp_path, capsys):
-    for kept, fate in ((False, "begins anew"), (True, "--resume goes on")):
-        if kept:
-            (tmp_path / "controllers").mkdir()
-            (tmp_path / "controllers" / "checkpoint.safetensors").write_bytes(b"")
-        with pytest.raises(typer.Exit), stoppable(checkpoints_in(tmp_path)):
-            raise KeyboardInterrupt
-        assert fate in capsys.readouterr().err
-    assert not checkpoints_in(Path("/nowhere"))()
 
 
 def test_agents_of_the_command_line():

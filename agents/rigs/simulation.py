@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from agents.running.folders import prepare_folder
+from agents.recordings.table import read_table
+from agents.rigs.check import resting_place
+from agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
-from hydro_env.files import write_whole
+from hydro_env.files import write_text, write_whole
 from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
@@ -24,14 +27,17 @@ from hydro_env.units import LITRE_PER_MINUTE
 CSV_FILE = "trajectory.csv"
 PICTURE_FILE = "trajectory.png"
 RIG_FILE = "rig.yaml"
+FILES = (CSV_FILE, PICTURE_FILE, RIG_FILE)
 MOST_SAMPLES = 1_000_000
+LONGEST_RUN = 3600.0
+LARGEST_VOLTAGE = 10.0
 
 
 def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> NDArray[np.float64]:
-    """A built-in input in V, (samples,): about the voltage that holds the start.
+    """A built-in input in V, (samples,): ``voltage`` times a shape, added to the voltage that holds the start.
 
     ``step``: constant after 10 % of the time. ``stop``: constant, and the holding voltage for the last 60 %.
-    ``sine``: 1 Hz. ``sweep``: from 0.5 to 50 Hz, logarithmically.
+    ``sine``: 1 Hz. ``sweep``: from 0.5 to 50 Hz, logarithmically. The sum is limited to ±10 V.
     """
     time = sample_time * np.arange(samples)
     duration = samples * sample_time
@@ -45,36 +51,24 @@ def input_voltage(signal: str, voltage: float, samples: int, sample_time: float,
         low, high = 0.5, 50.0
         rate = math.log(high / low) / duration
         shape = np.sin(2 * math.pi * low * (np.exp(rate * time) - 1.0) / rate)
-    return np.clip(holding + voltage * shape, -10.0, 10.0)
+    return np.clip(holding + voltage * shape, -LARGEST_VOLTAGE, LARGEST_VOLTAGE)
 
 
 def read_voltage(path: Path) -> NDArray[np.float64]:
-    """Voltages of a CSV file, last column, one row per sample; a line of headings may come first.
+    """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
     Raises:
-        ConfigurationError: unreadable, empty, or not numbers.
+        ConfigurationError: no table of numbers (:func:`agents.recordings.table.read_table`), or beyond ±10 V.
     """
-    try:
-        rows = [row for row in csv.reader(path.read_text(encoding="utf-8").splitlines()) if row]
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'no text'}") from None
-    values = []
-    for number, row in enumerate(rows):
-        if any(";" in cell for cell in row):
-            raise ConfigurationError(f"{path}: line {number + 1}: separate columns by commas, decimals by points")
-        try:
-            value = float(row[-1])
-            if not abs(value) <= 10.0:
-                raise ConfigurationError(f"{path}: line {number + 1}: {value:g} V: must be within -10 to 10")
-            values.append(value)
-        except ConfigurationError:
-            raise
-        except ValueError:
-            if number > 0:
-                raise ConfigurationError(f"{path}: line {number + 1}: {row[-1]!r} is not a number") from None
-    if not values:
-        raise ConfigurationError(f"{path}: holds no voltages")
-    return np.array(values)
+    table = read_table(path)
+    names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
+    values = table.values[:, names.index("voltage") if "voltage" in names else -1]
+    wrong = np.flatnonzero(np.abs(values) > LARGEST_VOLTAGE)
+    if len(wrong):
+        raise ConfigurationError(
+            f"{path}: line {table.lines[wrong[0]]}: {values[wrong[0]]:g} V: must be within -10 to 10 V"
+        )
+    return values
 
 
 def simulate_to_folder(
@@ -86,40 +80,53 @@ def simulate_to_folder(
     duration: float,
     sample_time: float,
     leakage: float | None,
-    position: float,
+    position: float | None,
     overwrite: bool,
-) -> list[Path]:
+) -> list[str]:
     """Run and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
+
+    Returns:
+        Lines for the user: the start, the voltage that acts, and the files.
 
     Raises:
         ConfigurationError: an argument is impossible, or the folder cannot be used.
     """
+    source = str(rig) if rig is not None else "rig"
     parameters = PlantParameters.from_yaml(rig) if rig is not None else PlantParameters()
     if leakage is not None:
         if not 0.0 <= leakage <= LEAKAGE_LIMIT:
-            raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g}")
+            raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
         parameters = parameters.replace(leakage={"internal_resistance": resistance_from_flow(leakage)})
-    if not abs(voltage) <= 10.0:
-        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10")
-    if not (sample_time > 0.0 and sample_time <= duration and duration / sample_time <= MOST_SAMPLES):
+    if not abs(voltage) <= LARGEST_VOLTAGE:
+        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
+    if not sample_time > 0.0:
+        raise ConfigurationError(f"--sample-time = {sample_time:g} s: must be above 0 s")
+    inputs = read_voltage(input_file) if input_file is not None else None
+    samples = duration / sample_time if inputs is None else len(inputs)
+    if not (0.5 < samples <= MOST_SAMPLES and samples * sample_time <= LONGEST_RUN):
+        asked = f"--duration = {duration:g} s" if inputs is None else f"{input_file}"
         raise ConfigurationError(
-            f"--duration = {duration:g} s with --sample-time = {sample_time:g} s: needs 1 to {MOST_SAMPLES:,} samples"
+            f"{asked} with --sample-time = {sample_time:g} s: must be 1 to {MOST_SAMPLES:,} samples and at most "
+            f"{LONGEST_RUN:g} s"
         )
-    refuse_unworkable(parameters, str(rig) if rig is not None else "rig")
+    refuse_unworkable(parameters, source)
+    if position is None:
+        position = resting_place(parameters)
     _, holding = equilibrium(parameters, position)
-    if input_file is not None:
-        inputs = read_voltage(input_file)
-    else:
-        inputs = input_voltage(signal, voltage, max(round(duration / sample_time), 1), sample_time, holding)
+    if inputs is None:
+        inputs = input_voltage(signal, voltage, max(round(samples), 1), sample_time, holding)
     run = simulate(parameters, inputs, sample_time, {"position": position})
-    if rig is not None and rig.resolve() == (folder / RIG_FILE).resolve():
-        raise ConfigurationError(f"{rig}: would be replaced by the results; take another --output")
-    prepare_folder(folder, False, overwrite, CSV_FILE, PICTURE_FILE, RIG_FILE)
-    files = [folder / CSV_FILE, folder / PICTURE_FILE, folder / RIG_FILE]
-    write_whole(files[0], trajectory_csv(run).encode())
-    write_whole(files[1], trajectory_picture(run))
-    parameters.to_yaml(files[2])
-    return files
+    for given in (rig, input_file):
+        if given is not None and given.resolve() in {(folder / name).resolve() for name in FILES}:
+            raise ConfigurationError(f"{given}: would be replaced by the results; take another --output")
+    with output_folder(folder, "simulate", FILES, overwrite=overwrite):
+        write_text(folder / CSV_FILE, trajectory_csv(run))
+        write_whole(folder / PICTURE_FILE, trajectory_picture(run))
+        parameters.to_yaml(folder / RIG_FILE)
+    told = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
+    if input_file is None:
+        told += f" ({holding:.3g} V hold the start, --voltage {voltage:g} V acts on top)"
+    return [f"start: {1e3 * position:g} mm from mid-stroke", told, *(str(folder / name) for name in FILES)]
 
 
 def trajectory_csv(run: Trajectory) -> str:
