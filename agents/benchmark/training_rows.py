@@ -21,13 +21,12 @@ from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import ProtocolSettings
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
+from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import VALIDATION_SEEDS
 from agents.study.settings import default_study as read_default_study
 from hydro_env import ENVIRONMENT_ID, TaskConfig
-from hydro_env.task.configuration import task_config
 
 SINGLE_AXES = 16  # that stable-baselines3's own vector environments run
 NATIVE_ROW = "PPO, native vector environment"
@@ -93,8 +92,7 @@ def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVec
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
     features = make_features(settings.task, ppo, settings.pid)
-    task = task_config(settings.task, **ppo.practice)
-    env = AxisVecEnv(task, ppo.axes, features, 0, ppo.reward_scale, ppo.residual and ppo.paired)
+    env = make_env(settings.task, ppo, features, 0)
     return make_model(env, ppo, 0), env
 
 

@@ -35,14 +35,11 @@ class FeatureState(NamedTuple):
     """Memory of N axes; no call changes one that it is given."""
 
     pid: PIDState | None
-    history: tuple[NDArray[np.float32], ...]
-    """Signals (N, signals) of the last periods, as many as the longest lag, newest last."""
+    ring: NDArray[np.float32]
+    """Recent signals (N, length, signals), oldest first from ``slot`` on, around the end."""
 
-    first: NDArray[np.float32]
-    """Signals (N, signals) at the start of each axis' episode."""
-
-    age: NDArray[np.int64]
-    """Control periods since then, (N,)."""
+    slot: int
+    """Where the next signals go."""
 
     base_command: NDArray[np.float32]
     """Of the PID at the last call, (N, 1)."""
@@ -52,8 +49,7 @@ class FeatureState(NamedTuple):
         pid = self.pid
         if pid is not None:
             pid = PIDState(pid.integral[axes], pid.velocity[axes], pid.position[axes])
-        history = tuple(signals[axes] for signals in self.history)
-        return FeatureState(pid, history, self.first[axes], self.age[axes], self.base_command[axes])
+        return FeatureState(pid, self.ring[axes], self.slot, self.base_command[axes])
 
 
 class PolicyFeatures:
@@ -72,7 +68,7 @@ class PolicyFeatures:
         self.pid = PID(gains, layout) if gains is not None else None
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
-        self._longest = max(HISTORY_LAGS)
+        self._length = max(HISTORY_LAGS) + 1
         self.size = len(layout.names) + (1 if self.pid else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
@@ -84,22 +80,18 @@ class PolicyFeatures:
         past.
         """
         signals = np.asarray(observation[:, self._columns], dtype=np.float32)
-        count = len(signals)
         if state is None:
-            ages, commands = np.zeros(count, dtype=np.int64), np.zeros((count, 1), dtype=np.float32)
-            state = FeatureState(None, (signals,) * self._longest, signals, ages, commands)
-        first, age = state.first, state.age
+            ring = np.repeat(signals[:, None], self._length, axis=1)
+            state = FeatureState(None, ring, 0, np.zeros((len(signals), 1), dtype=np.float32))
+        ring = state.ring.copy()
         if episode_start is not None and np.any(episode_start):
-            first = np.where(episode_start[:, None], signals, first)
-            age = np.where(episode_start, 0, age)
-        history = (*state.history, signals)
-        past = np.stack([history[-1 - lag] for lag in HISTORY_LAGS], axis=1)
-        young = age[:, None] < self._lags
-        if young.any():
-            past = np.where(young[:, :, None], first[:, None], past)
-        changes = (signals[:, None] - past).reshape(count, -1)
+            started = np.flatnonzero(episode_start)
+            ring[started] = signals[started, None]
+        ring[:, state.slot] = signals
+        past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
+        changes = np.tile(signals, len(HISTORY_LAGS)) - past
+        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length)
         inputs = np.asarray(observation, dtype=np.float32)
-        state = state._replace(history=history[1:], first=first, age=age + 1)
         if self.pid is None:
             return np.concatenate([inputs, changes], axis=1), state
         base, pid = self.pid.predict(observation, state.pid, episode_start)

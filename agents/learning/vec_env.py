@@ -169,8 +169,8 @@ class AxisVecEnv(VecEnv):
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
         arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
         if self._state is not None:
-            *_, first, age, command = self._state
-            arrays |= {"history": np.stack(self._state.history), "first": first, "age": age, "base_command": command}
+            _, ring, slot, command = self._state
+            arrays |= {"ring": ring, "slot": np.array(slot), "base_command": command}
         for name, pid in (("pid", self._state.pid if self._state is not None else None), ("twin", self._twins)):
             if pid is not None:
                 arrays |= {f"{name}.{field}": value for field, value in vars(pid).items()}
@@ -198,8 +198,10 @@ class AxisVecEnv(VecEnv):
 
         self._twins = pid("twin")
         if self.features is not None:
-            history = tuple(state["history"])
-            self._state = FeatureState(pid("pid"), history, state["first"], state["age"], state["base_command"])
+            slot = int(state["slot"])
+            if not 0 <= slot < state["ring"].shape[1]:
+                raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
+            self._state = FeatureState(pid("pid"), state["ring"], slot, state["base_command"])
 
     def close(self) -> None:
         """Stop the worker threads."""

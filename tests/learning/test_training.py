@@ -231,3 +231,14 @@ def test_foreign_and_damaged_weights_are_refused(saved):
         PolicyController.load(saved)
     with pytest.raises(ConfigurationError, match="cannot be read"):
         PolicyController.load(saved.parent / "absent")
+
+
+def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path)
+    stored = events.EventAccumulator(str(tmp_path))
+    stored.Reload()
+    rows = read_progress(tmp_path / PROGRESS_FILE)
+    for name in ("train/approx_kl", "rollout/mean_reward"):
+        assert [scalar.step for scalar in stored.Scalars(name)] == [row[STEPS] for row in rows]
+        np.testing.assert_allclose([s.value for s in stored.Scalars(name)], [row[name] for row in rows], rtol=1e-5)

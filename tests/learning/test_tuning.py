@@ -5,7 +5,9 @@ import pytest
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.tuning import SEARCH, gains_from_vector, mean_costs, tune_pid
+from agents.running.folders import config_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import validate
 
 
 def test_search_improves_and_repeats():
@@ -76,3 +78,12 @@ def test_cost_is_the_mean_over_plants_that_are_the_same_for_every_candidate():
     env = ServoHydraulicVectorEnv(12, config, autoreset_mode="SameStep", info=False)
     controller = PID(PIDGains(**gains.model_dump()), ObservationLayout.of(config))
     assert cost == pytest.approx(mean_costs(env, controller, list(range(36, 48)), options).mean(), rel=1e-9)
+
+
+def test_search_space_holds_the_shipped_gains_and_only_valid_ones():
+    shipped = PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml")
+    for name, (low, high, logarithmic) in SEARCH.items():
+        assert low < getattr(shipped, name) < high
+        assert (low > 0.0) == logarithmic
+        for bound in (low, high):
+            validate(PIDGains, {name: bound}, "search")

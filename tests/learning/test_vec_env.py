@@ -206,7 +206,9 @@ def test_attributes_methods_and_indices():
     env.set_attr("reward_scale", 3.0)
     assert env.get_attr("reward_scale", [0, 1]) == [3.0, 3.0]
     assert [tuple(names) for names in env.get_attr("observation_names", 2)] == [LAYOUT.names]
-    assert env.env_method("close_extras", indices=[0, 2]) == [None, None]
+    env.reset()
+    assert [state.count for state in env.env_method("get_state", [1, 3, 5], indices=[0, 2])] == [3, 3]
+    assert env.env_method("get_state", axes=[1])[0].count == 1
     assert env.has_attr("features")
     assert env.has_attr("axes")
     assert not env.has_attr("absent")
