@@ -11,10 +11,9 @@ import numpy as np
 
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
-from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import Sensor, Sensors
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.units import orifice_gain_from_flow
 
 Law = Literal["laminar", "throttle"]
 
@@ -131,8 +130,7 @@ def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantPa
     """The plant with a leak of ``flow_lpm`` at 100 bar across the piston, and no other internal leak."""
     if law == "laminar":
         return parameters.replace(leakage={"internal_resistance": resistance_from_flow(flow_lpm), "orifice_gain": 0.0})
-    root = smooth_root(LEAKAGE_TEST_PRESSURE, parameters.valve.transition_pressure**2)
-    gain = flow_lpm * LITRE_PER_MINUTE / root
+    gain = orifice_gain_from_flow(flow_lpm)
     return parameters.replace(leakage={"internal_resistance": math.inf, "orifice_gain": gain})
 
 
