@@ -31,8 +31,12 @@ def floor_of(path: str) -> int | None:
 
 
 def imports_of(file: Path) -> list[str]:
+    """Modules that a file imports, pandas only where the whole file needs it: a method may hand its data over to it."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module == "pandas" and node not in tree.body:
+            continue
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
