@@ -9,7 +9,7 @@ import re
 import tempfile
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
@@ -26,8 +26,31 @@ DEEPEST = 50
 """Levels of a YAML file; a study has five."""
 
 
-class Group(BaseModel):
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _ModelType
+else:
+    _ModelType = type(BaseModel)
+
+
+class _OneLine(_ModelType):
+    """Answers a wrong keyword with one line, also where a group is made in Python: ``Load(mass=-1)``."""
+
+    def __call__(self, *arguments: Any, **values: Any) -> Any:
+        model = cast("type[BaseModel]", self)
+        name = model.model_config.get("title") or model.__name__
+        if arguments:
+            raise ConfigurationError(f"{name}: takes keywords alone, not {_kind(arguments[0])}")
+        try:
+            return super().__call__(**values)
+        except ValidationError as error:
+            raise _one_line(model, error, name) from None
+
+
+class Group(BaseModel, metaclass=_OneLine):
     """A frozen group of settings; unknown keys and NaN are errors."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise ConfigurationError(f"{type(self).__name__}.{name}: is frozen; make a copy with another value")
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
