@@ -4,10 +4,11 @@
 PYTHON ?= python3
 VENV ?= .venv
 OUTPUT ?= results/study
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: study test slow-test lint types check clean
+.PHONY: study test slow-test lint types check versions clean
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
@@ -27,11 +28,20 @@ types: $(VENV)/.installed-dev
 
 check: lint types test
 
-# torch comes first and by its exact version, so that no other package draws a larger build of it.
+versions:
+	$(PYTHON) benchmarks/versions.py
+
+# torch comes first and by its exact version, so that no other package draws a larger build of it. The plain index has
+# a build with several gigabytes of GPU libraries for some machines; PyTorch's own index has the one for processors.
 $(VENV)/.torch: constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "Installing (a few minutes on first use) ..."
-	$(PIP_INSTALL) $$(grep '^torch==' constraints.txt)
+	@torch=$$(grep '^torch==' constraints.txt); \
+	if $(PIP_INSTALL) --no-deps --timeout 10 --retries 1 --index-url $(TORCH_INDEX) $$torch 2>$(VENV)/torch.log; \
+	then echo "$$torch: installed the CPU build ($(TORCH_INDEX) was asked first)"; \
+	else echo "$$torch: not available from $(TORCH_INDEX) (see $(VENV)/torch.log); taking the plain package index," \
+	    "which may add 5 GB of GPU libraries (set TORCH_INDEX to another index with the CPU build)"; \
+	    $(PIP_INSTALL) --constraint constraints.txt $$torch; fi
 	@touch $@
 
 $(VENV)/.installed-agents: $(VENV)/.torch pyproject.toml
@@ -43,5 +53,5 @@ $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .versions build dist .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
