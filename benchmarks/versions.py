@@ -17,9 +17,10 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TESTS = ("tests/test_env.py", "tests/test_vector_env.py", "tests/plant/test_known_answers.py", "tests/test_pretrained.py")
+TESTS = [f"tests/{name}.py" for name in ("test_env", "test_vector_env", "plant/test_known_answers", "test_pretrained")]
 EXTRAS = ("render", "agents")
 TOOLS = ("pytest", "hypothesis")
+HYDRO = "from agents.commands.launcher import main; main()"
 
 
 def requirements() -> list[str]:
@@ -52,7 +53,8 @@ def environment(name: str, torch: str) -> Path:
 def versions(interpreter: Path) -> dict[str, str]:
     """Installed version of each requirement."""
     lines = subprocess.run([interpreter, "-m", "pip", "freeze"], capture_output=True, text=True, check=True).stdout
-    return {name.lower(): version for name, _, version in (line.partition("==") for line in lines.splitlines())}
+    pairs = (line.lower().replace("_", "-").partition("==") for line in lines.splitlines())
+    return {name: version for name, _, version in pairs}
 
 
 def outcome(interpreter: Path, arguments: list[str]) -> str:
@@ -61,14 +63,14 @@ def outcome(interpreter: Path, arguments: list[str]) -> str:
     settings = {"cwd": ROOT, "env": {**os.environ, **variables}, "capture_output": True, "text": True}
     tests = subprocess.run([interpreter, "-m", "pytest", "-q", *arguments], check=False, **settings)  # type: ignore[call-overload]
     (interpreter.parents[1] / "tests.log").write_text(tests.stdout + tests.stderr, encoding="utf-8")
-    page = subprocess.run([interpreter, "-m", "agents.commands.launcher", "--help"], check=False, **settings)  # type: ignore[call-overload]
+    page = subprocess.run([interpreter, "-c", HYDRO, "--help"], check=False, **settings)  # type: ignore[call-overload]
     last = (tests.stdout.strip().splitlines() or ["no tests ran"])[-1]
     return f"{last}; hydro --help {'fails' if page.returncode or 'simulate' not in page.stdout else 'works'}"
 
 
 def main() -> int:
     """Print the table; 1 if anything failed."""
-    arguments = sys.argv[1:] or list(TESTS)
+    arguments = sys.argv[1:] or TESTS
     torch = next(line for line in (ROOT / "constraints.txt").read_text().splitlines() if line.startswith("torch=="))
     interpreters = [environment(name, torch) for name in ("lowest", "highest")]
     installed = [versions(interpreter) for interpreter in interpreters]
