@@ -3,6 +3,8 @@
 #   make test    the same set-up, then the tests
 PYTHON ?= python3
 VENV ?= .venv
+# One process per core; a file of tests stays in one process, so that its fixtures are made once.
+WORKERS ?= -n auto --dist loadfile
 OUTPUT ?= results/study
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
@@ -14,10 +16,10 @@ study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(WORKERS)
 
 slow-test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(WORKERS)
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
