@@ -18,93 +18,42 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 HERE = Path(__file__).resolve().parents[1]
 ENVIRONMENT_ID = "ServoHydraulic-v0"
+NAMES = ("single", "vector", "kernel", "ppo")
 
 
-def single() -> Callable[[], int]:
-    """Steps of one environment through ``gym.make``."""
+def rates() -> dict[str, Callable[[float], float]]:
+    """What is measured, as functions of the seconds to take; made of what each checkout has itself."""
     import gymnasium as gym
 
-    import hydro_env  # noqa: F401  (registers the environment)
-
-    env = gym.make(ENVIRONMENT_ID)
-    env.reset(seed=0)
-    action = env.action_space.sample() * 0
-
-    def work() -> int:
-        for _ in range(500):
-            _, _, terminated, truncated, _ = env.step(action)
-            if terminated or truncated:
-                env.reset()
-        return 500
-
-    return work
-
-
-def vector() -> Callable[[], int]:
-    """Axis steps of 1024 environments through ``gym.make_vec``."""
-    import gymnasium as gym
-    import numpy as np
-
-    import hydro_env  # noqa: F401
-
-    env: Any = gym.make_vec(ENVIRONMENT_ID, num_envs=1024)
-    env.reset(seed=0)
-    actions = np.random.default_rng(0).uniform(-0.1, 0.1, (1024, 1)).astype(np.float32)
-
-    def work() -> int:
-        for _ in range(10):
-            env.step(actions)
-        return 10_240
-
-    return work
-
-
-def kernel() -> Callable[[], int]:
-    """Plants × control periods of the bare integrator, 1024 plants, one thread."""
+    from agents.benchmark.environment_rows import single_rate, vector_rate
     from agents.benchmark.kernel_access import BareKernel
-
-    bare = BareKernel(1024, 1)
-    return lambda: sum(bare.advance() for _ in range(10))
-
-
-def ppo() -> Callable[[], int]:
-    """Environment steps of PPO's training, updates included."""
+    from agents.benchmark.timing import rate
     from agents.benchmark.training_rows import default_study, native_model
 
-    settings = default_study()
+    bare, settings = BareKernel(1024, 1), default_study()
     model, _ = native_model(settings, settings.ppo)
     steps = settings.ppo.axes * settings.ppo.steps_per_rollout
-
-    def work() -> int:
-        model.learn(steps)
-        return steps
-
-    return work
-
-
-RATES: dict[str, Callable[[], Callable[[], int]]] = {"single": single, "vector": vector, "kernel": kernel, "ppo": ppo}
+    return {
+        "single": lambda seconds: single_rate(gym.make(ENVIRONMENT_ID), seconds),
+        "vector": lambda seconds: vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=1024), seconds),
+        "kernel": lambda seconds: rate(bare.advance, seconds),
+        "ppo": lambda seconds: steps * rate(lambda: int(bool(model.learn(steps))), seconds),
+    }
 
 
-def serve(checkout: str, names: list[str], seconds: float, clock: Callable[[], float]) -> None:
-    """Prepare the rates of a checkout; then print one measured rate for each name read from standard input."""
+def serve(checkout: Path, seconds: float) -> None:
+    """Print one measured rate for each name read from standard input."""
     import hydro_env
 
-    if not Path(hydro_env.__file__).resolve().is_relative_to(Path(checkout).resolve()):
+    if not Path(hydro_env.__file__).resolve().is_relative_to(checkout.resolve()):
         raise SystemExit(f"{checkout}: hydro_env was imported from {hydro_env.__file__}")
-    works = {name: RATES[name]() for name in names}
-    for work in works.values():
-        work()  # compile and warm up
+    measures = rates()
     print("ready", flush=True)
     for line in sys.stdin:
-        work = works[line.strip()]
-        done, wall, began = 0, time.perf_counter(), clock()
-        while time.perf_counter() - wall < seconds:
-            done += work()
-        print(done / (clock() - began), flush=True)
+        print(measures[line.strip()](seconds), flush=True)
 
 
 class Checkout:
@@ -140,23 +89,23 @@ def main() -> int:
     parser.add_argument("other", type=Path, help="folder of the other checkout")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--seconds", type=float, default=0.3, help="duration of one measurement")
-    parser.add_argument("--only", nargs="+", choices=list(RATES), default=list(RATES))
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES)
     parser.add_argument("--cpu", action="store_true", help="per second of processor time, not of wall time")
     parser.add_argument("--floor", type=float, default=0.0, help="exit with 1 if a median ratio is lower")
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.serve:
-        serve(
-            str(options.other), options.only, options.seconds, time.process_time if options.cpu else time.perf_counter
-        )
+        if options.cpu:
+            time.perf_counter = time.process_time
+        serve(options.other, options.seconds)
         return 0
     if not (options.other / "hydro_env").is_dir():
         parser.error(f"{options.other}: no checkout of this project, it has no folder hydro_env")
-    passed = ["--seconds", str(options.seconds), "--only", *options.only, *(["--cpu"] if options.cpu else [])]
+    passed = ["--seconds", str(options.seconds), *(["--cpu"] if options.cpu else [])]
     checkouts = [Checkout(folder, passed) for folder in (HERE, options.other.resolve())]
-    rates: dict[str, list[tuple[float, float]]] = {name: [] for name in options.only}
+    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in options.only}
     for number in range(options.rounds):
-        for name, pairs in rates.items():
+        for name, pairs in measured.items():
             own, other = checkouts
             if number % 2:
                 second, first = other.measure(name), own.measure(name)
@@ -166,7 +115,7 @@ def main() -> int:
     print("| rate, 1/s | this checkout | other checkout | ratio, median | middle half | lowest–highest |")
     print("|---|---:|---:|---:|---|---|")
     lowest = float("inf")
-    for name, pairs in rates.items():
+    for name, pairs in measured.items():
         rate, other_rate = (statistics.median(values) for values in zip(*pairs, strict=True))
         ratios = [first / second for first, second in pairs]
         low, median, high = statistics.quantiles(ratios, n=4) if len(ratios) > 1 else ratios * 3

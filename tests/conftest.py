@@ -3,7 +3,7 @@
 import os
 import signal
 
-# Threads of torch wait actively for each other: where other processes hold the cores, two are many times slower than one.
+# Threads of torch wait actively for each other: two are many times slower than one where other processes hold a core.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 

@@ -46,12 +46,9 @@ FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
 """s; steps of fixed length, between which the order is computed."""
 
 SETTINGS: dict[str, dict[str, float]] = {
-    **{
-        f"tolerance {tolerance:g}" + (" (default)" if tolerance == TOLERANCE else ""): {"tolerance": tolerance}
-        for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-    },
-    **{f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step} for step in FIXED_STEPS},
-}
+    f"tolerance {tolerance:g}{' (default)' * (tolerance == TOLERANCE)}": {"tolerance": tolerance}
+    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+} | {f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step} for step in FIXED_STEPS}
 """Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
 
 REFERENCE_ROW = "Radau, relative tolerance 1e-10"

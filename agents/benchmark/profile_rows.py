@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -29,10 +30,10 @@ def profile_cases(extent: Extent) -> list[Case]:
     return [*_single_cases(extent), *_vector_cases(extent), _iteration_case(extent)]
 
 
-def _timed(name: str, make: Callable[[], Callable[[], Any]], extent: Extent, against: str, note: str = "") -> Case:
-    """Time in µs of a call that ``make`` prepares."""
+def _timed(extent: Extent, whole: str, *parts: tuple[str, Callable[[], Callable[[], Any]], str]) -> list[Case]:
+    """Time in µs of calls, given as (name, what prepares the call, note); those after the first belong to the first."""
 
-    def measure() -> float:
+    def measure(make: Callable[[], Callable[[], Any]]) -> float:
         call = make()
 
         def work() -> int:
@@ -42,7 +43,11 @@ def _timed(name: str, make: Callable[[], Callable[[], Any]], extent: Extent, aga
 
         return 1e6 / rate(work, extent.seconds)
 
-    return one_row(name, "µs", measure, extent.runs, against, note)
+    names = [f"{whole.partition(',')[0]}: {part}" if part else whole for part, _, _ in parts]
+    return [
+        one_row(name, "µs", partial(measure, make), extent.runs, whole if part else "", note)
+        for name, (part, make, note) in zip(names, parts, strict=True)
+    ]
 
 
 def _step(env: Any) -> Callable[[], Any]:
@@ -65,46 +70,40 @@ def _compiled_step(axes: Any, count: int) -> Callable[[], Any]:
 
 
 def _single_cases(extent: Extent) -> list[Case]:
-    whole = "single step, gym.make"
-
     def begun() -> ServoHydraulicEnv:
         env = ServoHydraulicEnv(**ENDLESS)
         env.reset(seed=0)
         return env
 
-    return [
-        _timed(whole, lambda: _step(gym.make(ENVIRONMENT_ID, **ENDLESS)), extent, ""),
-        _timed("single step: without Gymnasium's wrappers", lambda: _step(begun()), extent, whole),
-        _timed(
-            "single step: compiled step and its call",
-            lambda: _compiled_step(begun()._axes, 1),
-            extent,
-            whole,
-            "physics, sensors, reward",
-        ),
-        _timed("single step: integrator and its call", lambda: BareKernel(1, 1).advance, extent, whole),
-        _timed("single step: info", lambda: begun()._info, extent, whole),
-    ]
+    return _timed(
+        extent,
+        "single step, gym.make",
+        ("", lambda: _step(gym.make(ENVIRONMENT_ID, **ENDLESS)), ""),
+        ("without Gymnasium's wrappers", lambda: _step(begun()), ""),
+        ("compiled step and its call", lambda: _compiled_step(begun()._axes, 1), "physics, sensors, reward"),
+        ("integrator and its call", lambda: BareKernel(1, 1).advance, ""),
+        ("info", lambda: begun()._info, ""),
+    )
 
 
 def _vector_cases(extent: Extent) -> list[Case]:
-    whole = f"vector step, N = {VECTOR_SIZE:,}, 1 thread"
-
-    def step(info: bool, threads: int | None = 1) -> Callable[[], Any]:
-        return _step(ServoHydraulicVectorEnv(VECTOR_SIZE, info=info, threads=threads))
+    def env(info: bool, threads: int | None = 1) -> ServoHydraulicVectorEnv:
+        return ServoHydraulicVectorEnv(VECTOR_SIZE, info=info, threads=threads)
 
     def compiled() -> Callable[[], Any]:
-        env = ServoHydraulicVectorEnv(VECTOR_SIZE, info=False, threads=1)
-        env.reset(seed=0)
-        return _compiled_step(env.axes, VECTOR_SIZE)
+        bare = env(False)
+        bare.reset(seed=0)
+        return _compiled_step(bare.axes, VECTOR_SIZE)
 
-    return [
-        _timed(whole, lambda: step(True), extent, "", "restarts of ended axes included"),
-        _timed("vector step: with as many threads as cores", lambda: step(True, None), extent, whole),
-        _timed("vector step: without info", lambda: step(False), extent, whole),
-        _timed("vector step: compiled step", compiled, extent, whole, "physics, sensors, reward, observation"),
-        _timed("vector step: integrator", lambda: BareKernel(VECTOR_SIZE, 1).advance, extent, whole),
-    ]
+    return _timed(
+        extent,
+        f"vector step, N = {VECTOR_SIZE:,}, 1 thread",
+        ("", lambda: _step(env(True)), "restarts of ended axes included"),
+        ("with as many threads as cores", lambda: _step(env(True, None)), ""),
+        ("without info", lambda: _step(env(False)), ""),
+        ("compiled step", compiled, "physics, sensors, reward, observation"),
+        ("integrator", lambda: BareKernel(VECTOR_SIZE, 1).advance, ""),
+    )
 
 
 PARTS = {

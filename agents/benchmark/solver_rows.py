@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import cycle
@@ -22,7 +23,7 @@ from hydro_env.plant.states import TYPICAL_SIZE
 Array = NDArray[np.float64]
 PERIOD = 5e-3  # s
 METHODS = ("LSODA", "RK45", "Radau")
-TOLERANCES = tuple(10.0 ** (-0.5 * half) for half in range(3, 21))  # relative, loosest first
+TOLERANCES = tuple(math.pow(10.0, -0.5 * half) for half in range(3, 21))  # relative, loosest first
 
 
 def solver_cases(extent: Extent) -> list[Case]:
@@ -92,8 +93,7 @@ def held_random_commands(count: int) -> Iterator[Array]:
 def error_of(states: Array, exact: Array) -> float:
     """Largest difference of any state at any sample, in parts of that state's range along the run."""
     spread = np.maximum(np.ptp(exact, axis=0), 1e-12)
-    largest: float = np.max(np.abs(states - exact) / spread)
-    return largest
+    return float(np.max(np.abs(states - exact) / spread))
 
 
 def matching_tolerance(run: Callable[[float], Array], exact: Array, allowed: float) -> float:

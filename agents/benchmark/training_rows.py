@@ -109,17 +109,13 @@ def _single_model(kind: type[VecEnv], ppo: PPOSettings, steps: int) -> tuple[PPO
     options = {"start_method": "spawn"} if kind is SubprocVecEnv else {}
     env = kind([single_axis] * SINGLE_AXES, **options)  # type: ignore[arg-type]
     rollout = min(ppo.axes * ppo.steps_per_rollout, steps)
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=rollout // SINGLE_AXES,
-        batch_size=rollout // ppo.minibatches,
-        n_epochs=ppo.epochs,
-        policy_kwargs={"net_arch": {"pi": list(ppo.hidden_sizes), "vf": list(ppo.hidden_sizes)}},
-        seed=0,
-        device="cpu",
-    )
-    return model, env
+    sizes: dict[str, Any] = {
+        "n_steps": rollout // SINGLE_AXES,
+        "batch_size": rollout // ppo.minibatches,
+        "n_epochs": ppo.epochs,
+    }
+    networks = {"net_arch": {"pi": list(ppo.hidden_sizes), "vf": list(ppo.hidden_sizes)}}
+    return PPO("MlpPolicy", env, policy_kwargs=networks, seed=0, device="cpu", **sizes), env
 
 
 # Time until PPO beats the PID ---------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ def benchmark_to_folder(
     prepare_folder(folder, resume, overwrite, CSV_FILE, CIRCUMSTANCES_FILE, can_resume=True)
     circumstances = {"quick": quick, "machine": machine_description(), "versions": package_versions()}
     finished, rows = _stored(folder, circumstances) if resume else ([], [])
-    circumstances |= {"threads": thread_counts(), "finished": finished}
+    circumstances |= {"threads": _threads(), "finished": finished}
     heading = _heading(circumstances, command)
     order = list(GROUPS)
 
@@ -110,18 +110,6 @@ def measure_group(
     display.update(group, len(turns), len(turns))
 
 
-def thread_counts() -> dict[str, Any]:
-    """How many threads each part may use."""
-    return {
-        "cores": os.cpu_count(),
-        "vector environment": "one per 256 axes, as many as cores at most",
-        "torch, in training": default_study().ppo.torch_threads,
-        "torch, elsewhere": torch.get_num_threads(),
-        "numba": numba.get_num_threads(),
-        "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "not set"),
-    }
-
-
 def _stored(folder: Path, circumstances: dict[str, Any]) -> tuple[list[str], list[Row]]:
     """Finished groups, and their rows, for --resume."""
     file = folder / CIRCUMSTANCES_FILE
@@ -136,14 +124,22 @@ def _stored(folder: Path, circumstances: dict[str, Any]) -> tuple[list[str], lis
     return finished, [row for row in rows if row.group in finished]
 
 
+def _threads() -> str:
+    """How many threads each part may use."""
+    return (
+        f"vector environment: one per 256 axes, as many as cores at most; torch, in training: "
+        f"{default_study().ppo.torch_threads}; torch, elsewhere: {torch.get_num_threads()}; "
+        f"numba: {numba.get_num_threads()}; OMP_NUM_THREADS: {os.environ.get('OMP_NUM_THREADS', 'not set')}"
+    )
+
+
 def _heading(circumstances: dict[str, Any], command: str) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in circumstances["versions"].items())
-    threads = ", ".join(f"{name}: {count}" for name, count in circumstances["threads"].items())
     trial = " A quick trial: its figures are rough." if circumstances["quick"] else ""
     return (
-        f"`{command}`. {circumstances['machine']}; {versions}. Threads: {threads}. Each figure is the median of its "
-        'runs; the rows of a group were measured in turn, round by round, and "beside" is the median of the rounds\' '
-        f"ratios. Compare rows, not absolute numbers of another day.{trial}"
+        f"`{command}`. {circumstances['machine']}; {versions}. Threads of the {circumstances['threads']}. Each figure "
+        'is the median of its runs; the rows of a group were measured in turn, round by round, and "beside" is the '
+        f"median of the rounds' ratios. Compare rows, not absolute numbers of another day.{trial}"
     )
 
 
