@@ -59,7 +59,9 @@ def ratios(row: Row, rows: Sequence[Row]) -> list[float]:
 
 
 def figure(value: float) -> str:
-    """A figure with three significant digits, or whole with thousands separated."""
+    """A figure with three significant digits; large ones whole with thousands separated, small ones with exponent."""
+    if 0.0 < abs(value) < 1e-3:
+        return f"{value:.2e}"
     return f"{value:,.0f}" if abs(value) >= 1000.0 else number(value)
 
 

@@ -56,7 +56,7 @@ def test_a_foreign_csv_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (2.344e-4, "0.000234")]
+    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (1e-7, "1.00e-07")]
 )
 def test_figures_are_short(value, text):
     assert figure(value) == text
