@@ -27,7 +27,7 @@ with install_recorder("numba:compile") as recorder:
     env = hydro_env.ServoHydraulicEnv()
     env.reset(seed=0)
     env.step(np.zeros(1))
-code = list(kernel.step_axes.inspect_asm().values()) if "assembly" in sys.argv else []
+code = list(kernel.step_axes.dispatcher.inspect_asm().values()) if "assembly" in sys.argv else []
 print(json.dumps({"compiled": len(recorder.buffer) // 2, "assembly": code}))
 """
 
