@@ -47,8 +47,9 @@ env.step(env.action_space.sample())
 
 def array_bytes(env: ServoHydraulicVectorEnv) -> int:
     """Bytes of all NumPy arrays that a vector environment holds, views not counted."""
-    arrays = [value for owner in (env, env.axes, env.axes.options) for value in vars(owner).values()]
-    sizes = {id(array): array.nbytes for array in arrays if isinstance(array, np.ndarray) and array.base is None}
+    values = [value for owner in (env, env.axes, env.axes.options) for value in vars(owner).values()]
+    values += [part for value in values if isinstance(value, tuple) for part in value]
+    sizes = {id(array): array.nbytes for array in values if isinstance(array, np.ndarray) and array.base is None}
     return sum(sizes.values())
 
 
