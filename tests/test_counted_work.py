@@ -148,7 +148,7 @@ def test_a_step_of_one_axis_leaves_nothing_behind():
     env.reset(seed=0)
     action = np.zeros(1, np.float32)
     growth, peak = memory_of(lambda: env.step(action), 300)
-    assert growth < 2048
+    assert growth < 4096  # the same after 300 steps and after 900
     assert peak < 16384  # the integrator's working memory, given back after each step
 
 
