@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: study test slow-test lint types check versions clean
+.PHONY: study test slow-test mutants lint types check versions clean
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
@@ -20,6 +20,13 @@ test: $(VENV)/.installed-dev
 
 slow-test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -m slow $(WORKERS)
+
+# Which one-line mutations of the code that carries the results do the tests notice? An hour on two cores.
+mutants: $(VENV)/.installed-dev
+	$(PIP_INSTALL) 'mutmut>=3.8,<4'
+	rm -rf mutants
+	$(BIN)/mutmut run
+	$(BIN)/python benchmarks/mutants.py
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -55,5 +62,5 @@ $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .versions build dist .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .versions mutants build dist .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -7,49 +7,51 @@ import sys
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.report.canvas import WIDE, bars, dodge, level_axis, looks_of, render
 from agents.running.folders import config_folder
 from hydro_env import TaskConfig
 
 FOLDER = Path(__file__).parent / "images"
-COLOURS = {"PID": "#0072b2", "PPO": "#d55e00"}
 
 
 def results(tables: Path) -> None:
-    """Tracking error against the leak, and the share of leaks that is flagged."""
-    levels = pd.read_csv(tables / "levels.csv")
+    """Ratio of the tracking errors over the leak, and the share of leaks that is flagged.
+
+    The ratio is paired by plant: its interval shows what overlapping intervals of two means hide.
+    """
+    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str})
     rates = pd.read_csv(tables / "detection_rates.csv")
-    figure = Figure(figsize=(10, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for name, colour in COLOURS.items():
-        rows = levels[(levels["metric"] == "mean_error_mm") & (levels["controller"] == name)]
-        leak = rows["leakage_flow_lpm"]
-        left.plot(leak, rows["mean"], "o-", color=colour, label=name)
-        left.fill_between(leak, rows["low"], rows["high"], color=colour, alpha=0.15, linewidth=0)
-        flagged = rates[(rates["controller"] == name) & (rates["group"] == "range")]
-        flagged = flagged[~flagged["value"].str.startswith("≥")]
-        spread = [100 * (flagged["flagged_share"] - flagged["low"]), 100 * (flagged["high"] - flagged["flagged_share"])]
-        places = [index + (0.12 if name == "PPO" else -0.12) for index in range(len(flagged))]
-        right.errorbar(
-            places, 100 * flagged["flagged_share"], spread, fmt="o", color=colour, capsize=3, label=f"under {name}"
-        )
-    left.set(xscale="log", xlabel="leakage, l/min at 100 bar", ylabel="mean tracking error, mm")
-    left.set_ylim(bottom=0)
-    left.set_xticks(list(leak), [f"{value:g}" for value in leak])
-    left.minorticks_off()
-    left.set_title("Positioning", fontsize=11)
-    right.set_xticks(range(len(flagged)), flagged["value"])
-    right.set(xlabel="leakage, l/min at 100 bar", ylabel="flagged within 2 s, %", ylim=(0, 104))
-    right.set_title("Leaks flagged at 1 % false alarms", fontsize=11)
-    for axis in (left, right):
-        axis.grid(alpha=0.3)
-        axis.legend(frameon=False, loc="lower right")
-    figure.savefig(FOLDER / "results.png", dpi=110)
+    base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
+    looks = looks_of(names)
+
+    def paint(figure: Figure) -> None:
+        left, right = figure.subplots(1, 2)
+        left.axhline(1.0, color=looks[base].colour, label=base)
+        for index, name in enumerate(names[1:]):
+            rows = ratios[(ratios["controller"] == name) & (ratios["group"] == "level")]
+            places = level_axis(left, [float(value) for value in rows["value"]])
+            at = np.array(list(places.values())) + dodge(len(names) - 1, index, 0.05)
+            bars(left, at, rows, "ratio", looks[name], name)
+        left.set(title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
+        for index, name in enumerate(names):
+            own = rates[(rates["controller"] == name) & (rates["group"] == "range")]
+            own = own[~own["value"].str.startswith("≥")]
+            percent = own.assign(**{column: 100.0 * own[column] for column in ("flagged_share", "low", "high")})
+            places = np.arange(len(own)) + dodge(len(names), index, 0.24)
+            bars(right, places, percent, "flagged_share", looks[name], f"under {name}", "points")
+        right.set_xticks(range(len(own)), own["value"])
+        right.set(title="Leaks flagged within 2 s", xlabel="leak, l/min at 100 bar", ylabel="%", ylim=(0, 104))
+        left.legend(loc="lower right")
+        right.legend(loc="lower right")
+
+    (FOLDER / "results.png").write_bytes(render(paint, (WIDE, 3.4), "png")[0])
 
 
 def axis() -> None:

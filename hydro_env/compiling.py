@@ -203,8 +203,8 @@ def lane_writer(kind: type, first_row: int, lanes: int) -> Callable[..., Any]:
 def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callable[..., Any]:
     """A function of an array that runs statements for every ``lane`` and ``place`` = row · lanes + lane."""
     lines = [
-        f"for row in range({rows}):",
-        f"    for lane in range({lanes}):",
+        f"for lane in range({lanes}):",
+        f"    for row in range({rows}):",  # inside, where it is unrolled: the loop over lanes becomes vectors
         f"        place = row * {lanes} + lane",
         *(f"        {statement}" for statement in statements),
     ]
@@ -231,7 +231,17 @@ def tuple_first(kind: type, condition: str, names: str) -> Callable[..., Any]:
     return _generated("first", names, [*lines, "return -1"])  # type: ignore[no-any-return]
 
 
-def tuple_difference(kind: type) -> Callable[..., Any]:
-    """``difference(a, b)`` of two named tuples ``kind``, field by field."""
-    values = ", ".join(f"a.{name} - b.{name}" for name in _fields(kind))
-    return _generated("difference", "a, b", [f"return kind({values})"], kind=kind)  # type: ignore[no-any-return]
+def tuple_map(kind: type, expression: str, parameters: str) -> Callable[..., Any]:
+    """The named tuple ``kind`` of an expression over ``{name}``, field by field."""
+    values = ", ".join(expression.replace("{name}", name) for name in _fields(kind))
+    return _generated("combine", parameters, [f"return kind({values})"], kind=kind)  # type: ignore[no-any-return]
+
+
+def tuple_maximum(kind: type, expression: str, parameters: str) -> Callable[..., Any]:
+    """The largest value of an expression over ``{name}``, or NaN if one is."""
+    values = [f"value_{index}" for index in range(len(_fields(kind)))]
+    lines = [
+        f"{value} = {expression.replace('{name}', name)}" for value, name in zip(values, _fields(kind), strict=True)
+    ]
+    lines += [f"total = {' + '.join(values)}", f"return max({', '.join(values)}) if total == total else total"]
+    return _generated("largest", parameters, lines)  # type: ignore[no-any-return]

@@ -23,9 +23,10 @@ from hydro_env.task.record import FAILURES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import resistance_from_flow
+from hydro_env.view import View
 
 if TYPE_CHECKING:
-    from hydro_env.rendering import AxisRenderer, View
+    from hydro_env.rendering import AxisRenderer
 
 Observation = NDArray[np.float32]
 _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
@@ -275,8 +276,6 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         return self._renderer.draw(self._view())
 
     def _view(self) -> View:
-        from hydro_env.rendering import View
-
         record = self._axes.record[0]
         state = State(*self._axes.state[0])
         step = int(record["step"])

@@ -1,18 +1,29 @@
-"""Configuration is data: frozen validated groups, read from YAML, wrong ones answered with one line."""
+"""Configuration is data: frozen validated groups, read from YAML; every mistake is answered with one line."""
 
 from __future__ import annotations
 
-import math
+import difflib
+import json
 import os
+import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
+
+LARGEST_FILE = 100_000
+"""Bytes of a configuration file; the largest of this project has two thousand."""
+
+MOST_NODES = 20_000
+"""Values of a YAML file, counted again at each alias: nested aliases multiply."""
+
+DEEPEST = 50
+"""Levels of a YAML file; a study has five."""
 
 
 class Group(BaseModel):
@@ -20,135 +31,270 @@ class Group(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _true_is_no_number(cls, value: Any, info: Any) -> Any:
+        if isinstance(value, bool) and cls.model_fields[info.field_name].annotation in (int, float):
+            raise ValueError("must be a number, not true/false")
+        return value
+
 
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
 def validate(model: type[ModelType], values: Mapping[str, Any], source: str) -> ModelType:
-    """Build ``model`` from ``values``; a wrong one is answered with one line that names ``source`` and the field.
+    """Build ``model`` from ``values``; a mistake is answered with one line that names ``source`` and the field.
 
     Raises:
         UnknownKeyError: unknown key; also a ``TypeError``.
         ConfigurationError: wrong type, or a value outside its bounds.
     """
     if not isinstance(values, Mapping):
-        raise ConfigurationError(f"{source}: a mapping of settings is needed, not {type(values).__name__}")
+        raise ConfigurationError(f"{source}: must be a mapping of settings, not {_kind(values)}")
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        unknown = error.errors(include_url=False)[0]["type"] == "extra_forbidden"
-        kind = UnknownKeyError if unknown else ConfigurationError
-        raise kind(_one_line(model, error, source)) from None
+        raise _one_line(model, error, source) from None
 
 
-def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> str:
+def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> ConfigurationError:
     first = error.errors(include_url=False)[0]
-    path = [str(part) for part in first["loc"]]
-    where = ".".join(path)
+    path = first["loc"]
+    schema = _schema_at(model, path)
+    kind = ConfigurationError
     if first["type"] == "extra_forbidden":
-        known = ", ".join(_fields_at(model, path[:-1])) or "none"
-        message = f"unknown key; known here: {known}"
+        kind = UnknownKeyError
+        known = list(_schema_at(model, path[:-1]).get("properties", {}))
+        similar = difflib.get_close_matches(str(path[-1]), known, 1)
+        message = f"unknown key; {f'did you mean {similar[0]}? ' if similar else ''}known here: {', '.join(known)}"
     elif first["type"] == "missing":
         message = "is missing"
-    else:
+    elif first["type"] == "value_error":  # of a validator of this project
         message = first["msg"].removeprefix("Value error, ")
-        message = message[0].lower() + message[1:]
-        message = _both_bounds(model, path, first["type"]) or message
-    value = first.get("input")
-    shown = f" = {value!r}" if isinstance(value, (int, float, str, bool, list)) and len(repr(value)) < 60 else ""
-    unit = _unit_at(model, path)
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    line = f"{source}: {where}{shown}: {message}{f' (unit: {unit})' if unit else ''}{more}"
-    return line.replace(": :", ":").replace("\n", " ")
+    else:
+        allowed = _allowed(schema)
+        message = f"must be {allowed}" if allowed else "is not allowed here"
+    where = ".".join(str(part)[:60] for part in path)
+    unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
+    count = error.error_count() - 1
+    more = f" (and {count} more mistake{'s' if count > 1 else ''})" if count else ""
+    place = f"{source}: {where}{_shown(first.get('input'))}" if where else source
+    return kind(" ".join(f"{place}: {message}{unit}{more}".split()))
 
 
-BOUNDS = {
-    "ge": ("greater_than_equal", "greater than or equal to"),
-    "gt": ("greater_than", "greater than"),
-    "le": ("less_than_equal", "less than or equal to"),
-    "lt": ("less_than", "less than"),
-}
-"""By the name of a bound: pydantic's type of error, and the words for it."""
+def _shown(value: Any) -> str:
+    """`` = value``, where it is short."""
+    if isinstance(value, bool):
+        return f" = {str(value).lower()}"
+    flat = isinstance(value, list | tuple) and len(value) < 10 and not any(isinstance(v, list | dict) for v in value)
+    if isinstance(value, int) and abs(value) >= 10**30:
+        return ""
+    text = repr(value) if flat or isinstance(value, int | float | str) else ""
+    return f" = {text}" if 0 < len(text) < 60 else ""
 
 
-def _both_bounds(model: type[BaseModel], path: list[str], error: str) -> str | None:
-    """All finite bounds of the field, where one of them was broken; pydantic tells that one alone."""
-    if error not in (kind for kind, _ in BOUNDS.values()):
-        return None
-    found = []
-    for name, (_, words) in BOUNDS.items():
-        for constraint in _constraints_at(model, path):
-            bound = getattr(constraint, name, None)
-            if bound is not None and math.isfinite(bound):
-                found.append(f"{words} {bound:.12g}")
-    return f"input should be {' and '.join(found)}" if found else None
+def _schema_at(model: type[BaseModel], path: Sequence[int | str]) -> dict[str, Any]:
+    """JSON schema of the field that ``path`` leads to; empty where it leads elsewhere."""
+    root = model.model_json_schema()
 
+    def resolved(schema: dict[str, Any]) -> dict[str, Any]:
+        own = {key: value for key, value in schema.items() if key != "$ref"}
+        choices = [choice for choice in schema.get("anyOf", []) if choice.get("type") != "null"]
+        if "$ref" in schema:
+            return {**resolved(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]]), **own}
+        return {**resolved(choices[0]), **own} if len(choices) == 1 else schema
 
-def _constraints_at(model: type[BaseModel], path: list[str]) -> list[Any]:
-    """The constraints of a field, or of the entries of a field that holds many (``references.weights.step``)."""
-    _, info = _field_at(model, path)
-    if info is not None:
-        return list(info.metadata)
-    _, info = _field_at(model, path[:-1])
-    entries = get_args(getattr(info, "annotation", None))
-    constraints: list[Any] = []
-    for part in getattr(entries[-1], "__metadata__", ()) if entries else ():
-        constraints += getattr(part, "metadata", [part])
-    return constraints
-
-
-def _field_at(model: type[BaseModel], path: list[str]) -> tuple[Any, Any]:
-    """The model and the field that ``path`` leads to; (None, None) where it leads into something else."""
-    current: Any = model
-    info = None
+    schema = resolved(root)
     for part in path:
-        fields = getattr(current, "model_fields", None)
-        if fields is None or part not in fields:
-            return None, None
-        info = fields[part]
-        current = info.annotation
-    return current, info
+        entries = schema.get("prefixItems", [])
+        if isinstance(part, int):
+            inner = entries[part] if part < len(entries) else schema.get("items", {})
+        else:
+            inner = schema.get("properties", {}).get(part, schema.get("additionalProperties", {}))
+        schema = resolved(inner) if isinstance(inner, dict) else {}
+    return schema
 
 
-def _fields_at(model: type[BaseModel], path: list[str]) -> list[str]:
-    found, _ = _field_at(model, path)
-    return list(getattr(found, "model_fields", {}))
+def _allowed(schema: Mapping[str, Any]) -> str:
+    """What a JSON schema allows, in words."""
+    if "enum" in schema or "const" in schema:
+        return f"one of {', '.join(map(str, schema.get('enum', [schema.get('const')])))}"
+    kind = schema.get("type")
+    if kind == "array":
+        entries = schema.get("prefixItems", [])
+        what = _allowed(entries[0] if entries else schema.get("items", {}))
+        count = f"{len(entries)} entries" if entries else "entries"
+        return f"a list of {count}{f', each {what}' if what else ''}"
+    if kind not in ("number", "integer"):
+        return {"string": "text", "boolean": "true or false", "object": "a group of settings"}.get(str(kind), "")
+    low, high = schema.get("minimum"), schema.get("maximum")
+    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        bounds = f" within {_number(low)} to {_number(high)}"
+    else:
+        words = (("at least", low), ("above", above), ("at most", high), ("below", below))
+        found = [f"{word} {_number(bound)}" for word, bound in words if bound is not None]
+        bounds = f", {' and '.join(found)}" if found else ""
+    return f"a{' whole' if kind == 'integer' else ''} number{bounds}"
 
 
-def _unit_at(model: type[BaseModel], path: list[str]) -> str | None:
-    _, info = _field_at(model, path)
-    extra = getattr(info, "json_schema_extra", None)
-    return extra.get("unit") if isinstance(extra, dict) else None
+def _number(value: float) -> str:
+    return f"{value:g}" if float(f"{value:g}") == value else f"{value:.12g}"
+
+
+def _kind(value: Any) -> str:
+    """What a value is, in words."""
+    names = {bool: "true or false", str: "text", int: "a number", float: "a number", list: "a list"}
+    return "nothing" if value is None else names.get(type(value), type(value).__name__)
+
+
+def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
+    """Read a UTF-8 text of at most ``largest`` bytes.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable, too large, or not UTF-8.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:  # a null or a surrogate in it
+        raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
+    if len(content) > largest:
+        raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8") from None
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe values alone; ``1e5`` is a number, a date is text, and an impossible value is named by its line."""
+
+    yaml_implicit_resolvers = {
+        first: [entry for entry in entries if not entry[0].endswith(":timestamp")]
+        for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise _problem(f"more than {DEEPEST} levels", self.peek_event())  # type: ignore[no-untyped-call]
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
+            raise _problem("a value that YAML cannot read", node) from None
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=at.start_mark)
+
+
+def _count_nodes(node: yaml.Node, counted: dict[int, int]) -> int:
+    """Values below and including a node, those of an alias again each time; refuses repeated keys."""
+    if id(node) in counted:
+        return counted[id(node)]
+    counted[id(node)] = MOST_NODES + 1  # what an alias within itself counts
+    inner: list[yaml.Node] = []
+    if isinstance(node, yaml.MappingNode):
+        keys = set()
+        for key, value in node.value:
+            name = (key.tag, key.value if isinstance(key.value, Hashable) else id(key))
+            if name in keys:
+                raise _problem(f"the key '{str(key.value)[:40]}' stands here twice", key)
+            keys.add(name)
+            inner += [key, value]
+    elif isinstance(node, yaml.SequenceNode):
+        inner = node.value
+    total = 1
+    for part in inner:
+        total += _count_nodes(part, counted)
+        if total > MOST_NODES:
+            raise _problem(f"more than {MOST_NODES:,} values, aliases included", node)
+    counted[id(node)] = total
+    return total
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML mapping.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, not YAML, or not a mapping.
+        ConfigurationError: the file is missing, unreadable or too large, is not YAML or not a mapping, repeats a key,
+            or multiplies by nested aliases.
     """
+    text = read_text(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        raise ConfigurationError(f"{path}: cannot be read: {reason}") from None
-    try:
-        values = yaml.safe_load(text)
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return {}
+        _count_nodes(node, {})
+        values = loader.construct_document(node)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
-        problem = str(getattr(error, "problem", None) or "not YAML").replace("\n", " ")
-        raise ConfigurationError(f"{path}: not valid YAML{line}: {problem}") from None
-    if values is None:
-        return {}
+        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
+        raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(problem).split())}") from None
+    return _mapping(values, path)
+
+
+def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
+    """Read a JSON object of at most ``largest`` bytes.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable or too large, is not JSON or not an object, repeats a key,
+            or nests too deeply.
+    """
+
+    def unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        values = dict(pairs)
+        if len(values) < len(pairs):
+            raise ValueError("a key stands twice")
+        return values
+
+    text = read_text(path, largest)
+    try:
+        values = json.loads(text, object_pairs_hook=unrepeated)
+    except json.JSONDecodeError as error:
+        raise ConfigurationError(f"{path}: not valid JSON in line {error.lineno}: {error.msg}") from None
+    except RecursionError:
+        raise ConfigurationError(f"{path}: not valid JSON: too many levels") from None
+    except ValueError as error:
+        problem = "a key stands twice" if "twice" in str(error) else "a number with too many digits"
+        raise ConfigurationError(f"{path}: not valid JSON: {problem}") from None
+    return _mapping(values, path)
+
+
+def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise ConfigurationError(f"{path}: a mapping of settings is needed, not {type(values).__name__}")
+        raise ConfigurationError(f"{path}: must be a mapping of settings, not {_kind(values)}")
+    wrong = next((key for key in values if not isinstance(key, str)), None)
+    if wrong is not None:
+        raise ConfigurationError(f"{path}: {wrong!r} is a key: keys must be text")
     return values
 
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, whole or not at all."""
-    write_whole(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True).encode())
+    write_text(path, yaml.safe_dump(dict(values), sort_keys=False, allow_unicode=True))
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a text in UTF-8, whole or not at all; a file name in it that is not UTF-8 is escaped."""
+    write_whole(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_whole(path: str | Path, content: bytes) -> None:

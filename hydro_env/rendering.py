@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.canvas import HEIGHT, INK, WIDTH, Canvas, Color
+from hydro_env.view import View
 
 if TYPE_CHECKING:
     import pygame
@@ -39,31 +39,6 @@ PIPE_Y, VALVE_X, VALVE_TOP, VALVE_BOX, PORT = 220.0, PISTON_ZERO, 242.0, 46.0, 1
 VALVE_BOTTOM = VALVE_TOP + VALVE_BOX
 PANEL_Y, ROW = 246.0, 24.0
 PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM, PLOT_POINTS = 66.0, 936.0, 384.0, 500.0, 900
-
-
-@dataclass(frozen=True)
-class View:
-    """What is drawn; SI units."""
-
-    time: float
-    position: float
-    velocity: float
-    reference: float
-    reference_preview: NDArray[np.floating]  # (n,) coming samples in m, spaced as the history is; may be empty
-    pressure_a: float  # Pa gauge, as the other pressures
-    pressure_b: float
-    supply_pressure: float
-    spool_position: float  # -1 to 1
-    command: float  # -1 to 1
-    leakage_flow_lpm: float  # l/min at 100 bar
-    external_force: float  # N; positive pushes against extension
-    stroke: float
-    bore_diameter: float
-    rod_diameter: float
-    has_spring: bool
-    history_time: NDArray[np.floating]  # (m,) past samples of the episode, as the two below
-    history_position: NDArray[np.floating]
-    history_reference: NDArray[np.floating]
 
 
 class AxisRenderer:

@@ -147,7 +147,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         self._begun = True
 
     def _seed(self, seed: int | Sequence[int | None] | None, axes: NDArray[np.int64]) -> None:
-        if isinstance(seed, list | tuple | np.ndarray) and np.ndim(seed) == 1:
+        if isinstance(seed, list | tuple) or (isinstance(seed, np.ndarray) and seed.ndim == 1):
             if len(seed) != self.num_envs:
                 raise ConfigurationError(f"seed: {len(seed)} seeds for {self.num_envs} axes")
             seeds = [None if value is None else whole_number("seed", value, 0) for value in seed]

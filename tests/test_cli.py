@@ -1,79 +1,95 @@
 """The command line as a person meets it: help, results, and one clear line for every mistake."""
 
 import csv
+import json
 import os
 import signal
 import subprocess
-import sys
-import time
-from pathlib import Path
 
 import pytest
-import typer
 import yaml
+from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro, hydro_process, own_lines
+from matplotlib.figure import Figure
 
 import hydro_env
-from agents.commands import application as cli
-from agents.commands.simulation import trajectory_figure
+from agents.rigs import check_table
+from agents.rigs.simulation import paint_trajectory
+from agents.running.folders import output_folder
 from hydro_env import PlantParameters, simulate
 
-ROOT = Path(__file__).parents[1]
+COMMANDS = ("simulate", "check-rig", "reproduce", "benchmark", "train", "evaluate", "study")
 
 
-def hydro(*arguments, cwd=None):
-    return subprocess.run(
-        [sys.executable, "-m", "agents.commands.application", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd or ROOT,
-        check=False,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"},
-    )
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """A forgotten --output writes into the test's own folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
 
 
-def assert_one_clear_line(result, *parts):
-    assert result.returncode == 2, result.stderr
-    assert "Traceback" not in result.stderr
-    lines = [line for line in result.stderr.splitlines() if line.strip()]
-    assert len(lines) == 1, result.stderr
-    for part in parts:
-        assert part in lines[0]
-
-
-@pytest.mark.parametrize("command", ["simulate", "check-rig", "benchmark", "train", "evaluate", "study"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_teaches(command):
     assert command in hydro("--help").stdout
-    result = hydro(command, "--help")
-    assert result.returncode == 0
-    assert "--output" in result.stdout
+    answer = hydro(command, "--help")
+    assert answer.returncode == 0
+    assert "--output" in answer.stdout
+
+
+def voltages(folder):
+    rows = list(csv.DictReader((folder / "trajectory.csv").open()))
+    return [float(row["voltage [V]"]) for row in rows]
 
 
 def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
-    result = hydro("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
-    assert result.returncode == 0, result.stderr
+    answer = hydro("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
+    assert answer.returncode == 0, answer.stderr
     rows = list(csv.reader((tmp_path / "run" / "trajectory.csv").open()))
     assert rows[0][:3] == ["time [s]", "voltage [V]", "position [m]"]
     assert len(rows) == 1 + 201
     assert (tmp_path / "run" / "trajectory.png").read_bytes()[:4] == b"\x89PNG"
     rig = yaml.safe_load((tmp_path / "run" / "rig.yaml").read_text())
     assert rig["leakage"]["internal_resistance"] == pytest.approx(6e11)
-    before = (tmp_path / "run" / "trajectory.csv").read_bytes()
-    refused = hydro("simulate", "--output", tmp_path / "run")
-    assert_one_clear_line(refused, "holds results already")
-    assert (tmp_path / "run" / "trajectory.csv").read_bytes() == before
+
+
+def test_simulate_says_which_voltage_acts(tmp_path):
+    """The voltage that holds the start comes on top of --voltage; a leak makes it large enough to be seen."""
+    answer = hydro("simulate", "--leakage", "1", "--voltage", "3", "--duration", "0.2", "-o", tmp_path / "run")
+    applied = voltages(tmp_path / "run")
+    holding = applied[0]
+    assert holding < -0.1
+    assert max(applied) == pytest.approx(3.0 + holding, rel=1e-8)
+    assert f"voltage: {min(applied):.3g} to {max(applied):.3g} V" in answer.stdout
+    assert f"({holding:.3g} V hold the start" in answer.stdout
 
 
 def test_simulate_reads_a_rig_and_a_csv(tmp_path):
     (tmp_path / "voltage.csv").write_text("time,voltage\n0,0\n0.001,1.5\n0.002,-1.5\n")
     rig = ROOT / "configs" / "rigs" / "kovari_2015.yaml"
-    result = hydro("simulate", "--rig", rig, "--input-file", tmp_path / "voltage.csv", "--output", tmp_path / "run")
-    assert result.returncode == 0, result.stderr
-    rows = list(csv.reader((tmp_path / "run" / "trajectory.csv").open()))
-    assert [float(row[1]) for row in rows[1:]] == [0.0, 1.5, -1.5, -1.5]
+    answer = hydro("simulate", "--rig", rig, "--input-file", tmp_path / "voltage.csv", "--output", tmp_path / "run")
+    assert answer.returncode == 0, answer.stderr
+    assert voltages(tmp_path / "run") == [0.0, 1.5, -1.5, -1.5]
+    again = hydro("simulate", "--rig", rig, "--input-file", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
+    assert again.returncode == 0, again.stderr
+    assert voltages(tmp_path / "2") == [0.0, 1.5, -1.5, -1.5, -1.5]
+
+
+def test_simulate_starts_where_the_rig_can_rest(tmp_path):
+    """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
+    (tmp_path / "rig.yaml").write_text("load: {external_force: 5000}\nleakage: {internal_resistance: 2.0e+10}\n")
+    answer = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--duration", "0.1", "-o", tmp_path / "run")
+    assert answer.returncode == 0, answer.stderr
+    place = float(answer.stdout.splitlines()[0].split()[1])
+    assert place < 0.0
+    at_mid_stroke = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--position", "0", "-o", tmp_path / "2")
+    assert_one_clear_line(at_mid_stroke, "position = 0 m cannot be held")
+    checked = hydro("check-rig", "--rig", tmp_path / "rig.yaml")
+    assert checked.returncode == 0, checked.stderr
+    assert f"x = {place:+.1f} mm" in checked.stdout
 
 
 def test_the_legends_of_the_picture_lie_over_no_line():
-    figure = trajectory_figure(simulate(PlantParameters(), [3.0] * 20, 1e-3))
+    figure = Figure()
+    paint_trajectory(figure, simulate(PlantParameters(), [3.0] * 20, 1e-3))
     figure.draw_without_rendering()
     legends = [axes.get_legend() for axes in figure.axes if axes.get_legend() is not None]
     assert len(legends) == 3
@@ -85,67 +101,84 @@ def test_the_legends_of_the_picture_lie_over_no_line():
     ("content", "parts"),
     [
         ("cylinder: {bore: 0.04}", ["rig.yaml", "cylinder.bore", "unknown key", "bore_diameter"]),
-        ("cylinder: {bore_diameter: 40}", ["cylinder.bore_diameter = 40", "less than or equal to 1", "unit: m"]),
+        ("cylinder: {bore_diametre: 0.04}", ["did you mean bore_diameter?"]),
+        ("cylinder: {bore_diameter: 40}", ["cylinder.bore_diameter = 40", "within 0.005 to 1", "unit: m"]),
         ("load: {mass: -60}", ["load.mass = -60", "unit: kg"]),
         ("cylinder: {rod_diameter: 0.05}", ["rod_diameter = 0.05 m does not fit", "bore_diameter = 0.04 m"]),
         ("supply: {pressure: 70}", ["supply.pressure = 70", "unit: Pa"]),
         ("fluid: {bulk_modulus: .nan}", ["fluid.bulk_modulus = nan"]),
-        ("- 1\n- 2", ["a mapping of settings is needed"]),
+        ("- 1\n- 2", ["must be a mapping of settings, not a list"]),
         ("load: {mass: [", ["not valid YAML"]),
     ],
 )
 def test_wrong_rigs(tmp_path, content, parts):
     (tmp_path / "rig.yaml").write_text(content)
-    result = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--output", tmp_path / "run")
-    assert_one_clear_line(result, *parts)
+    answer = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--output", tmp_path / "run")
+    assert_one_clear_line(answer, *parts)
     assert not (tmp_path / "run").exists()
 
 
-def test_other_mistakes(tmp_path):
-    (tmp_path / "file").write_text("")
-    (tmp_path / "foreign.json").write_text("{}")
-    study = tmp_path / "study.yaml"
-    study.write_text("pdi: {proportional: 1}\n")
-    levels, included, semicolons = tmp_path / "levels.yaml", tmp_path / "included.yaml", tmp_path / "input.csv"
-    levels.write_text("evaluation: {leak_levels: [0.1, -1]}\n")
-    included.write_text("ppo: ppo.yaml\n")
-    (tmp_path / "ppo.yaml").write_text("total_steps: -1\n")
-    semicolons.write_text("t,v\n0,001;1,5\n")
-    for arguments, parts in (
-        (["simulate", "--leakage", "-1", "-o", tmp_path / "a"], ["--leakage = -1", "0 to 20"]),
-        (["simulate", "--voltage", "50", "-o", tmp_path / "a"], ["--voltage = 50", "-10 to 10"]),
-        (["simulate", "--position", "0.15", "-o", tmp_path / "a"], ["position = 0.15 m cannot be held"]),
-        (["simulate", "--duration", "-1", "-o", tmp_path / "a"], ["--duration = -1"]),
-        (["simulate", "--rig", tmp_path / "absent.yaml"], ["absent.yaml: cannot be read: No such file"]),
-        (["simulate", "-o", tmp_path / "file" / "below"], ["below", "cannot be written"]),
-        (["simulate", "-o", "/proc/nowhere"], ["/proc/nowhere", "cannot be written"]),
-        (["evaluate", "--policy", tmp_path / "foreign", "-o", tmp_path / "a"], ["foreign.json", "not the"]),
-        (["evaluate", "--head", tmp_path / "absent", "-o", tmp_path / "a"], ["absent.json: cannot be read"]),
-        (["study", "--config", study, "-o", tmp_path / "a"], ["study.yaml", "pdi", "unknown key"]),
-        (["study", "--config", levels, "-o", tmp_path / "a"], ["levels.yaml", "leak_levels: -1 l/min"]),
-        (["study", "--config", included, "-o", tmp_path / "a"], ["ppo.yaml", "total_steps = -1"]),
-        (["simulate", "--input-file", semicolons, "-o", tmp_path / "a"], ["line 2", "separate columns by commas"]),
-        (["train", "ppo", "--resume", "-o", tmp_path / "empty"], ["nothing to resume", "checkpoint.json"]),
-    ):
-        assert_one_clear_line(hydro(*arguments), *parts)
-    assert not (tmp_path / "a").exists()
+FILES = {
+    "foreign.json": "{}",
+    "study.yaml": "controllers: {PID: {kind: pid}}\npdi: {proportional: 1}\n",
+    "levels.yaml": "controllers: {PID: {kind: pid}}\nevaluation: {leak_levels: [0.1, -1]}\n",
+    "included.yaml": "controllers:\n  PID: {kind: pid}\n  PPO: {kind: ppo, settings: ppo.yaml, corrects: PID}\n",
+    "ppo.yaml": "total_steps: -1\n",
+    "ragged.csv": "t,v\n0,001,1,5\n",
+    "high.csv": "v\n1.5\n12\n",
+}
 
 
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (["simulate", "--voltage", "abc"], ["hydro: ", "'--voltage'", "a number", "see hydro simulate --help"]),
-        (["simulate", "--volts", "3"], ["--volts", "--voltage"]),
-        (["simulate", "--voltage"], ["--voltage"]),
-        (["simulate", "extra"], ["extra", "see hydro simulate --help"]),
-        (["train"], ["ppo, head, pid", "see hydro train --help"]),
-        (["train", "nothing"], ["'nothing'", "'ppo', 'head', 'pid'"]),
-        (["train", "ppo", "--steps", "0"], ["--steps", "greater than or equal to 1"]),
-        (["nothing"], ["'nothing'", "see hydro --help"]),
+        ("simulate --leakage -1", ["--leakage = -1", "0 to 20"]),
+        ("simulate --voltage 50", ["--voltage = 50", "-10 to 10"]),
+        ("simulate --position 0.15", ["position = 0.15 m cannot be held"]),
+        ("simulate --duration -1", ["--duration = -1"]),
+        ("simulate --duration inf", ["--duration = inf", "3600 s"]),
+        ("simulate --sample-time 0", ["--sample-time = 0", "above 0"]),
+        ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
+        ("simulate --input-file ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
+        ("simulate --input-file high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
+        ("evaluate --agent PPO=foreign", ["foreign.json", "not the"]),
+        ("evaluate --head absent", ["absent.json: cannot be read"]),
+        ("study --config study.yaml", ["study.yaml", "pdi", "unknown key"]),
+        ("study --config levels.yaml", ["levels.yaml", "leak_levels"]),
+        ("study --config included.yaml", ["ppo.yaml", "total_steps = -1"]),
+        ("benchmark --only speed", ["--only speed: unknown group", "kernel, single"]),
+        ("train ppo --resume", ["nothing to resume", "checkpoint"]),
+    ],
+)
+def test_other_mistakes(tmp_path, arguments, parts):
+    for name, content in FILES.items():
+        (tmp_path / name).write_text(content)
+    assert_one_clear_line(hydro(*arguments.split(), "--output", "new"), *parts)
+    assert not (tmp_path / "new").exists()
+
+
+def test_folders_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert_one_clear_line(hydro("simulate", "-o", tmp_path / "file"), "file: is a file; --output needs a folder")
+    assert_one_clear_line(hydro("simulate", "-o", tmp_path / "file" / "below"), "below: cannot be written")
+    assert_one_clear_line(hydro("simulate", "-o", "/proc/nowhere"), "/proc/nowhere: cannot be written")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        ("simulate --voltage abc", ["'--voltage'", "number", "see hydro simulate --help"]),
+        ("simulate --volts 3", ["--volts", "--voltage"]),
+        ("simulate --voltage", ["--voltage"]),
+        ("simulate extra", ["extra", "see hydro simulate --help"]),
+        ("train", ["see hydro train --help"]),
+        ("train nothing", ["'nothing'", "ppo, head, pid"]),
+        ("train ppo --steps 0", ["--steps", "1"]),
+        ("nothing", ["'nothing'", "see hydro --help"]),
     ],
 )
 def test_wrong_usage(arguments, parts):
-    assert_one_clear_line(hydro(*arguments), *parts)
+    assert_one_clear_line(hydro(*arguments.split()), *parts)
 
 
 def test_version():
@@ -160,86 +193,135 @@ def test_without_arguments_the_help_is_shown():
     assert "check-rig" in answer.stdout + answer.stderr
 
 
-@pytest.mark.parametrize(("resumable", "fate"), [(True, "--resume goes on"), (False, "begins anew")])
-def test_ctrl_c_says_what_becomes_of_the_work(capsys, resumable, fate):
-    with pytest.raises(typer.Exit) as stopped, cli._stoppable(resumable):
-        raise KeyboardInterrupt
-    assert stopped.value.exit_code == 130
-    told = capsys.readouterr().err
-    assert fate in told
-    assert ("--resume" in told) == resumable
+def test_a_name_with_brackets_or_a_line_break_is_taken_as_it_is(tmp_path):
+    for name in ("results[v2]", "a[/b]c", "a\nb", ":smile:"):
+        answer = hydro("simulate", "--duration", "0.01", "-o", tmp_path / name)
+        assert answer.returncode == 0, answer.stderr
+        assert str(tmp_path / name / "trajectory.csv") in answer.stdout
+        assert (tmp_path / name / "trajectory.csv").exists()
+        assert_one_clear_line(hydro("simulate", "--duration", "0.01", "-o", tmp_path / name), "holds results already")
+
+
+def test_a_terminal_without_utf_8_and_a_name_without_it(tmp_path):
+    folder = os.fsencode(tmp_path) + b"/f\xff"
+    answer = hydro_process("check-rig", "-o", os.fsdecode(folder), PYTHONIOENCODING="ascii")
+    assert answer.returncode == 0, answer.stderr
+    assert "natural frequency" in answer.stdout
+    assert "f\\udcff" in answer.stdout
+    assert os.path.exists(folder + b"/check.md")
+    assert_one_clear_line(hydro("check-rig", "-o", os.fsdecode(folder)), "f\\udcff: holds results already")
+    assert hydro_process("--help", PYTHONIOENCODING="latin-1").returncode == 0
+
+
+@pytest.mark.parametrize("arguments", ["--help", "simulate --duration 0.01 -o run"])
+def test_a_pipe_that_is_closed_is_no_error(tmp_path, arguments):
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        ended = subprocess.run(
+            [*COMMAND, *arguments.split()], stdout=writing, stderr=subprocess.PIPE, env=environment(), check=False
+        )
+    finally:
+        os.close(writing)
+    assert own_lines(ended.stderr.decode()) == []
+    assert ended.returncode != 0
+    assert "run" not in arguments or (tmp_path / "run" / "trajectory.csv").exists()
 
 
 TINY = {
     "task": {"episode_duration": 0.4},
-    "ppo": {"total_steps": 200_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+    "controllers": {
+        "PID": {"kind": "pid"},
+        "PPO": {
+            "kind": "ppo",
+            "settings": {"total_steps": 40_000, "axes": 64, "steps_per_rollout": 32, "residual_scale": 1.0},
+            "corrects": "PID",
+        },
+    },
     "leakage_head": {"episodes": 200, "validation_episodes": 200, "epochs": 2, "width": 8, "batch": 64},
     "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 1.0], "families": ["step", "sine"]},
 }
 
 
-def test_ctrl_c_in_training_keeps_a_checkpoint_and_the_study_resumes(tmp_path):
-    study = tmp_path / "study.yaml"
-    study.write_text(yaml.safe_dump(TINY))
-    folder = tmp_path / "out"
-    command = [
-        sys.executable,
-        "-m",
-        "agents.commands.application",
-        "study",
-        "--config",
-        str(study),
-        "--output",
-        str(folder),
-    ]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize(
+    ("resume", "files", "words"),
+    [
+        (False, ["checkpoint.json"], "keeps what is done so far, --resume goes on with it"),
+        (None, ["check.csv"], "are incomplete, --overwrite begins anew"),
+        (False, [], "nothing had been written"),
+    ],
+)
+def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, code, resume, files, words):
+    def stopped(rig, folder, overwrite):
+        with output_folder(folder, "check-rig", ["checkpoint.json", "check.csv"], resume=resume):
+            for name in files:
+                (folder / name).write_text("")
+            signal.raise_signal(number)
+            raise AssertionError("not reached")
+
+    monkeypatch.setattr(check_table, "check_to_console", stopped)
+    # Whoever runs the tests in the background has Ctrl-C ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        answer = hydro("check-rig", "-o", tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert answer.returncode == code
+    [line] = own_lines(answer.stderr)
+    assert line.startswith("hydro: stopped; ")
+    assert words in line
+    assert (tmp_path / "out").exists() == bool(files)
+
+
+def stopped_study(folder):
+    """Start the study in a process of its own, and end it after the first line on PPO as a cluster does."""
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, env=environment
+        [*COMMAND, "study", "--config", "study.yaml", "--output", str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(),
     )
     assert process.stdout is not None
     for line in process.stdout:
         if "train PPO" in line:
             break
-    time.sleep(0.3)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)
     _, errors = process.communicate()
-    assert process.returncode == 130, errors
-    assert "Traceback" not in errors
-    assert "--resume" in errors
-    assert (folder / "checkpoint.safetensors").exists()
-    assert not (folder / "report.html").exists()
+    return process.returncode, errors
 
-    refused = hydro("study", "--config", study, "--output", folder)
-    assert_one_clear_line(refused, "holds results already")
+
+def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_path):
+    study, folder = tmp_path / "study.yaml", tmp_path / "out"
+    study.write_text(yaml.safe_dump(TINY))
+    code, errors = stopped_study(folder)
+    assert code == 143, errors
+    assert own_lines(errors) == [f"hydro: stopped; {folder} keeps what is done so far, --resume goes on with it"]
+    assert not (folder / "report.html").exists()
+    assert_one_clear_line(hydro("study", "--config", study, "--output", folder), "holds results already")
     resumed = hydro("study", "--config", study, "--output", folder, "--resume")
     assert resumed.returncode == 0, resumed.stderr
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert "http://" not in report.replace("http://www.w3.org", "")
     for name in ("cases.csv", "ratios.csv", "detection_summary.csv"):
         assert (folder / "tables" / name).stat().st_size > 100
-    cases = list(csv.DictReader((folder / "tables" / "cases.csv").open()))
-    assert len(cases) == 2 * 2 * 2 * 3
-    curve = list(csv.DictReader((folder / "training_curve.csv").open()))
-    assert int(float(curve[0]["steps"])) == 64 * 32
-    assert [float(row["seconds"]) for row in curve] == sorted(float(row["seconds"]) for row in curve)
-    into_study = hydro("train", "ppo", "--config", study, "--output", folder, "--overwrite")
-    assert_one_clear_line(into_study, "holds a study")
-    # What a study leaves can be used again, and what does not concern training may change.
-    TINY["title"] = "Another title"
-    study.write_text(yaml.safe_dump(TINY))
+    assert len(list(csv.DictReader((folder / "tables" / "cases.csv").open()))) == 2 * 2 * 2 * 3
+    weights = (
+        *("--config", folder / "study.yaml", "--head", folder / "leakage_head"),
+        *("--agent", f"PPO={folder / 'controllers' / 'PPO' / 'policy'}"),
+    )
+    # Whatever does not concern training may change.
+    study.write_text(yaml.safe_dump({**TINY, "title": "Another title"}))
     again = hydro("study", "--config", study, "--output", folder, "--resume")
     assert again.returncode == 0, again.stderr
     assert "already trained" in again.stdout
-    judged = hydro(
-        *("evaluate", "--config", folder / "study.yaml", "--policy", folder / "policy"),
-        *("--head", folder / "leakage_head", "--output", tmp_path / "judged"),
-    )
+    judged = hydro("evaluate", *weights, "--output", tmp_path / "judged")
     assert judged.returncode == 0, judged.stderr
+    into_study = hydro("evaluate", *weights, "--output", folder, "--overwrite")
+    assert_one_clear_line(into_study, "was written by hydro study")
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")
-    assert_one_clear_line(other, "is of another seed or other settings")
-
-
-def test_benchmark_refuses_an_unknown_group(tmp_path):
-    result = hydro("benchmark", "--only", "speed", "--output", tmp_path / "new")
-    assert_one_clear_line(result, "--only speed: unknown group", "kernel, single")
-    assert not (tmp_path / "new").exists()
+    assert_one_clear_line(other, "another seed or other settings")
+    listed = json.loads((folder / ".hydro.json").read_text())["files"]
+    found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {".hydro.json"}
+    assert set(listed) == found

@@ -216,3 +216,13 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(action):
         env.step(action)
     assert len(str(caught.value).splitlines()) == 1
     np.testing.assert_array_equal(env.step(np.full(1, 0.5))[0], untouched.step(np.full(1, 0.5))[0])
+
+
+def test_a_reference_given_for_one_episode_leaves_the_reference_of_the_task():
+    task = {"references": {"weights": {"user": 1.0}, "user": [0.0, 0.01]}}
+    for make in (lambda: ServoHydraulicEnv(**task), lambda: ServoHydraulicVectorEnv(2, **task)):
+        env = make()
+        env.reset(seed=0, options={"reference": [0.02, 0.02]})
+        assert (env.axes.reference == 0.02).all()
+        env.reset()
+        assert (env.axes.reference[:, 1:] == 0.01).all()

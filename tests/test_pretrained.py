@@ -3,23 +3,22 @@
 import numpy as np
 import pytest
 
-from agents.commands.study import StudySettings
-from agents.commands.training_jobs import load_head, load_policy
-from agents.controllers import PID, ObservationLayout
+from agents.controllers import ObservationLayout
+from agents.evaluation.opponents import load_head, opponent
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.head import SIGNALS
 from agents.leakage.metrics import area_under_roc, detection_rate
 from agents.running.cases import Cases, run_cases
-from agents.running.folders import config_folder
 from agents.running.seeds import VALIDATION_SEEDS
+from agents.study.settings import default_study
 
-STUDY = StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
+STUDY = default_study()
 LAYOUT = ObservationLayout.of(STUDY.task)
 
 
 @pytest.fixture(scope="module")
 def policy():
-    return load_policy(None, STUDY.task)
+    return opponent("ppo", STUDY.task, "PPO")
 
 
 def test_policy_beats_the_tuned_pid_at_every_leak(policy):
@@ -31,7 +30,7 @@ def test_policy_beats_the_tuned_pid_at_every_leak(policy):
     families = np.array([row[1] for row in rows])
     cases = Cases(np.array([VALIDATION_SEEDS.start + 700_000 + row[2] for row in rows]), leak, families)
     error = {}
-    for name, controller in (("PID", PID(STUDY.pid, LAYOUT)), ("PPO", policy)):
+    for name, controller in (("PID", opponent("pid", STUDY.task, "PID")), ("PPO", policy)):
         run = run_cases(STUDY.task, controller, cases)
         assert (run.failed_at < 0).all()
         error[name] = np.abs(run.position - run.reference).mean(axis=1)
@@ -46,7 +45,7 @@ def test_head_flags_leaks_under_either_controller(policy, controller):
     count = 600
     flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
     seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000
-    acting = policy if controller == "PPO" else PID(STUDY.pid, LAYOUT)
+    acting = policy if controller == "PPO" else opponent("pid", STUDY.task, "PID")
     columns = [LAYOUT.index(name) for name in SIGNALS]
     run = run_cases(STUDY.task, acting, Cases(seeds, flow), columns, states=False)
     assert run.signals is not None
@@ -63,6 +62,7 @@ def test_weights_of_another_task_are_refused():
     from hydro_env.task.configuration import task_config
 
     other = task_config(STUDY.task, control_period=0.004)
-    for load in (load_policy, load_head):
-        with pytest.raises(ConfigurationError, match="trained on other observations"):
-            load(None, other)
+    with pytest.raises(ConfigurationError, match="trained on other observations"):
+        opponent("ppo", other, "PPO")
+    with pytest.raises(ConfigurationError, match="trained on other observations"):
+        load_head(None, other)

@@ -8,7 +8,8 @@ import pytest
 from gymnasium.error import DependencyNotInstalled
 
 from hydro_env import canvas, rendering
-from hydro_env.rendering import AxisRenderer, View
+from hydro_env.rendering import AxisRenderer
+from hydro_env.view import View
 
 pygame = pytest.importorskip("pygame")
 

@@ -4,9 +4,10 @@ import csv
 import math
 
 import pytest
-from test_cli import ROOT, assert_one_clear_line, hydro
+from command_line import ROOT, assert_one_clear_line, hydro
 
-from agents.commands.rig_check import check_csv, check_markdown, check_rig
+from agents.rigs.check import check_rig
+from agents.rigs.check_table import check_csv, check_markdown
 from hydro_env import PlantParameters
 from hydro_env.plant.kernel import STABLE_PRODUCT
 from hydro_env.plant.probe import probe

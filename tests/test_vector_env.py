@@ -211,10 +211,12 @@ def test_single_environments_in_processes_of_their_own():
 
 
 def test_vector_environments_side_by_side_and_in_a_thread():
+    """NumPy 2.0 to 2.2.2 ended in a segmentation fault here, where a step repeated an array of objects."""
+
     def run(seed, into):
-        envs = ServoHydraulicVectorEnv(150, threads=2, episode_duration=0.2)  # with worker threads of its own
+        envs = ServoHydraulicVectorEnv(260, threads=2, episode_duration=0.2)  # with worker threads of its own
         rows = [envs.reset(seed=seed)[0]]
-        rows += [envs.step(action)[0] for action in actions_of(150, 60)]
+        rows += [envs.step(action)[0] for action in actions_of(260, 60)]
         envs.close()
         into[seed] = np.array(rows)
 

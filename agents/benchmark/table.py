@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
-from agents.report.findings import number
+from agents.report.text import number
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import write_whole
 

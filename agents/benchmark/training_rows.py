@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -15,17 +15,17 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from agents.benchmark.environment_rows import single_axis
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, time_in
-from agents.commands.study import StudySettings
 from agents.controllers.base import Controller, ObservationLayout
-from agents.controllers.pid import PID
+from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.metrics import rollout_metrics
+from agents.evaluation.protocol import ProtocolSettings
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
+from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.cases import Cases, run_cases
-from agents.running.folders import config_folder
 from agents.running.seeds import VALIDATION_SEEDS
-from hydro_env.task.configuration import task_config
+from agents.study.settings import default_study as read_default_study
+from hydro_env import TaskConfig
 
 TRAININGS = 3  # runs of each row of the training
 PLANTS = 4  # per leak level and kind of reference, for the comparison with the PID
@@ -42,17 +42,30 @@ IN_A_ROW = 3
 """Checks in a row that must be below the PID, so that one lucky check does not count."""
 
 
-def default_study() -> StudySettings:
+class DefaultStudy(NamedTuple):
+    """What ``make study`` trains, and the PID that it corrects."""
+
+    task: TaskConfig
+    pid: PIDGains
+    ppo: PPOSettings
+    evaluation: ProtocolSettings
+
+
+def default_study() -> DefaultStudy:
     """The study of ``make study``."""
-    return StudySettings.from_yaml(config_folder() / "studies" / "default.yaml")
+    study = read_default_study()
+    name = study.trained[0]
+    base, ppo = study.make(study.controllers[name].corrects or ""), study.training_settings(name)
+    assert isinstance(base, PID)
+    assert isinstance(ppo, PPOSettings)
+    return DefaultStudy(study.task, base.gains, ppo, study.evaluation)
 
 
-def native_model(settings: StudySettings, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
+def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
-    features = make_features(settings.task, ppo, settings.base_pid or settings.pid)
-    task = task_config(settings.task, **ppo.practice)
-    env = AxisVecEnv(task, ppo.axes, features, 0, ppo.reward_scale, ppo.residual and ppo.paired)
+    features = make_features(settings.task, ppo, settings.pid)
+    env = make_env(settings.task, ppo, features, 0)
     return make_model(env, ppo, 0), env
 
 
@@ -121,7 +134,7 @@ def _single_model(kind: type[VecEnv], ppo: PPOSettings, steps: int) -> tuple[PPO
 # Time until PPO beats the PID ---------------------------------------------------------------------------------------
 
 
-def validation_error(settings: StudySettings, controller: Controller, plants: int) -> float:
+def validation_error(settings: DefaultStudy, controller: Controller, plants: int) -> float:
     """Mean absolute error in mm over all leak levels and kinds of reference, on validation plants."""
     levels, families = settings.evaluation.leak_levels, settings.evaluation.families
     grid = [(level, family, plant) for level in levels for family in families for plant in range(plants)]
@@ -132,7 +145,7 @@ def validation_error(settings: StudySettings, controller: Controller, plants: in
     return float(rollout_metrics(rollout, cases.families, settings.task.control_period)["mean_error_mm"].mean())
 
 
-def time_to_beat_pid(settings: StudySettings, seed: int, plants: int) -> tuple[float, int, float]:
+def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[float, int, float]:
     """Train until the policy's validation error is 1 % below the PID's at three checks in a row.
 
     Returns:
@@ -159,7 +172,7 @@ def time_to_beat_pid(settings: StudySettings, seed: int, plants: int) -> tuple[f
         checking += time.perf_counter() - began
         return len(below) >= IN_A_ROW
 
-    train_ppo(settings.task, settings.ppo, settings.base_pid or settings.pid, seed, check=check)
+    train_ppo(settings.task, settings.ppo, settings.pid, seed, check=check)
     if not below:
         raise RuntimeError("PPO did not get below the PID")
     return *below[0], checking

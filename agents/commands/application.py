@@ -2,23 +2,42 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
-from hydro_env import ConfigurationError, HydroError, __version__
-from hydro_env.files import validate
+from agents.commands.check_rig import check_rig
+from agents.commands.evaluate import evaluate
+from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
+from agents.commands.simulate import simulate
+from agents.commands.study import study
+from agents.commands.train import train
+from agents.running.console import discard_output
+from hydro_env import HydroError, __version__
 
 # Typer brings its own copy of click, or uses click, depending on its version; this finds either.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
+
+class _Commands(TyperGroup):
+    """Commands that end with one line when a signal stops them."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:  # typer would end the program without a word
+            _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
+
+
 app = typer.Typer(
     name="hydro",
+    cls=_Commands,
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -30,19 +49,6 @@ Begin with `hydro study` (the whole job, about six minutes on two cores), or wit
 `hydro simulate --leakage 1` (one run, a second). Leaks are given as practice does: l/min at 100 bar across the piston.
 Healthy is up to 0.03, severe is 1 to 4.""",
 )
-
-Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
-Seed = Annotated[
-    int | None,
-    typer.Option(
-        "--seed", "-s", min=0, max=2**32 - 1, help="Seed of everything that is drawn, instead of the study's."
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
-Config = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
-]
 
 
 def _print_version(wanted: bool) -> None:
@@ -61,84 +67,10 @@ def common(
     del version
 
 
-class InputSignal(StrEnum):
-    """Built-in voltages of ``hydro simulate``."""
-
-    STEP = "step"
-    SINE = "sine"
-    SWEEP = "sweep"
-    STOP = "stop"
-
-
-class Trainable(StrEnum):
-    """What ``hydro train`` trains."""
-
-    PPO = "ppo"
-    HEAD = "head"
-    PID = "pid"
-
-
-@app.command()
-def simulate(
-    output: Output = Path("results/simulate"),
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
-    ] = None,
-    signal: Annotated[InputSignal, typer.Option("--input", help="Shape of the voltage.")] = InputSignal.STOP,
-    voltage: Annotated[float, typer.Option(help="Amplitude in V, −10 to 10.")] = 3.0,
-    input_file: Annotated[
-        Path | None, typer.Option(help="CSV with one voltage per sample (last column), instead of --input.")
-    ] = None,
-    duration: Annotated[float, typer.Option(help="s")] = 1.0,
-    sample_time: Annotated[float, typer.Option(help="s; each voltage is held this long.")] = 1e-3,
-    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
-    position: Annotated[float, typer.Option(help="Start in m from mid-stroke; the axis holds there.")] = 0.0,
-    overwrite: Overwrite = False,
-) -> None:
-    """Run the rig open loop: states, flows and forces as CSV and as a picture.
-
-    `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
-    `--leakage 0.01` with `--leakage 4`: with the leak the oscillation dies out sooner.
-    """
-    from agents.commands.simulation import simulate_to_folder
-
-    files = simulate_to_folder(
-        output, rig, signal.value, voltage, input_file, duration, sample_time, leakage, position, overwrite
-    )
-    for file in files:
-        typer.echo(file)
-
-
-@app.command("check-rig")
-def check_rig(
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; without it none.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Print what an engineer works out by hand for a rig, and refuse a rig that cannot work.
-
-    Areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional gain of the
-    sampled position loop with a tight and a leaking seal, and how finely the rig must be integrated.
-    """
-    from agents.commands.rig_check import check_to_console
-
-    for file in check_to_console(rig, output, overwrite):
-        typer.echo(file)
-
-
 @app.command()
 def reproduce(
     output: Output = Path("results/reproduce"),
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
-    ] = None,
+    rig: Rig = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
@@ -149,7 +81,7 @@ def reproduce(
     """
     from agents.commands.reproduce import reproduce_to_folder
 
-    typer.echo(reproduce_to_folder(output, overwrite, _command_line(), rig))
+    say(reproduce_to_folder(output, overwrite, command_line(), rig))
 
 
 @app.command()
@@ -174,131 +106,74 @@ def benchmark(
     """
     from agents.commands.benchmark import benchmark_to_folder
 
-    with _stoppable(True):
-        for file in benchmark_to_folder(output, only or [], quick, resume, overwrite, _command_line()):
-            typer.echo(file)
+    say(*benchmark_to_folder(output, only or [], quick, resume, overwrite, command_line()))
 
 
-@app.command()
-def train(
-    what: Annotated[
-        Trainable, typer.Argument(help="ppo, head (the leakage head) or pid (its gains, by an optimiser).")
-    ],
-    output: Output = Path("results/train"),
-    config: Config = None,
-    policy: Annotated[
-        Path | None,
-        typer.Option(help="For the head: weights of the policy that makes half of the data; default the shipped one."),
-    ] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
-    seed: Seed = None,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` goes on from it."""
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    seed = settings.seed if seed is None else seed
-    with _stoppable(resumable=what is not Trainable.PID):
-        if what is Trainable.PPO:
-            file = training_jobs.train_policy(settings, output, seed, resume, overwrite, steps)
-        elif what is Trainable.HEAD:
-            file = training_jobs.train_leakage_head(settings, output, seed, resume, overwrite, policy)
-        else:
-            file = training_jobs.tune_gains(settings, output, seed, overwrite)
-    typer.echo(f"written: {file}")
+app.command("simulate")(simulate)
+app.command("check-rig")(check_rig)
+app.command("train")(train)
+app.command("evaluate")(evaluate)
+app.command("study")(study)
 
 
-@app.command()
-def evaluate(
-    output: Output = Path("results/evaluate"),
-    config: Config = None,
-    policy: Annotated[Path | None, typer.Option(help="Weights of a policy; default the shipped one.")] = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
-    plants: Annotated[
-        int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Judge PID, policy and leakage head on test plants: the same plants, references and noise for each.
+class _Stopped(KeyboardInterrupt):
+    """A signal asked the program to end; work is kept as after Ctrl-C."""
 
-    Writes CSV tables with every number and a report, and prints the main figures.
-    """
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    if plants is not None:
-        changed = {**settings.model_dump(), "evaluation": {**settings.evaluation.model_dump(), "plants": plants}}
-        settings = validate(type(settings), changed, "--plants")
-    with _stoppable(resumable=False):
-        training_jobs.evaluate_to_folder(settings, output, policy, head, overwrite, _command_line())
-
-
-@app.command()
-def study(
-    output: Output = Path("results/study"),
-    config: Config = None,
-    seed: Seed = None,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Train PPO and the leakage head from nothing, evaluate them beside the PID, write one report.
-
-    Leaves in the output folder: `report.html` (self-contained), `tables/*.csv` (every number), the weights, and
-    `study.yaml` (the configuration used).
-    """
-    from agents.commands import training_jobs
-
-    settings = _study(config)
-    seed = settings.seed if seed is None else seed
-    with _stoppable(resumable=True):
-        training_jobs.study_to_folder(settings, output, seed, resume, overwrite, _command_line())
-
-
-@contextmanager
-def _stoppable(resumable: bool) -> Iterator[None]:
-    """Ctrl-C ends the command with one line that says what becomes of the work."""
-    fate = "what is done so far was kept, --resume goes on with it" if resumable else "it begins anew when run again"
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(f"\nhydro: stopped; {fate}", file=sys.stderr)
-        raise typer.Exit(130) from None
-
-
-def _study(config: Path | None) -> Any:
-    from agents.commands.study import StudySettings
-    from agents.running.folders import config_folder
-
-    return StudySettings.from_yaml(config if config is not None else config_folder() / "studies" / "default.yaml")
-
-
-def _command_line() -> str:
-    return " ".join(["hydro", *sys.argv[1:]])
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = 128 + number
 
 
 def main() -> None:
-    """Entry point: one clear line and exit code 2 for whatever a user can put right."""
+    """Entry point: one clear line and exit code 2 for whatever a user can put right; 128 + number after a signal."""
+    _prepare_streams()
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
+            signal.signal(number, _stop)
     try:
         code = app(standalone_mode=False, prog_name="hydro")
         sys.exit(code if isinstance(code, int) else 0)
     except _UsageError as error:
-        if type(error).__name__ == "NoArgsIsHelpError":  # the help has been asked for, in its way
+        if type(error).__name__ == "NoArgsIsHelpError":  # the user typed `hydro` alone
             error.show()
             sys.exit(2)
-        message = " ".join(error.format_message().replace("Value error, ", "").split())
+        message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
         command = error.ctx.command_path if error.ctx is not None else "hydro"
-        print(f"hydro: {message.rstrip('.')}; see {command} --help", file=sys.stderr)
-        sys.exit(2)
+        _end(2, f"{message}; see {command} --help")
     except HydroError as error:
-        print(f"hydro: {error}", file=sys.stderr)
-        sys.exit(2)
+        _end(2, str(error))
     except (KeyboardInterrupt, typer.Abort):  # before a command had begun
         sys.exit(130)
+    except BrokenPipeError:  # nobody reads on, as with `hydro check-rig | head -1`
+        discard_output()
+        sys.exit(141)
     except OSError as error:
-        print(f"hydro: {ConfigurationError(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
-        sys.exit(2)
+        discard_output()
+        _end(2, f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error))
+    except MemoryError:
+        _end(2, "not enough memory for this size")
+
+
+def _prepare_streams() -> None:
+    """What the terminal cannot show is escaped; a stream that is closed takes everything."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _stop(number: int, frame: object) -> None:
+    raise _Stopped(number)
+
+
+def _end(code: int, message: str) -> NoReturn:
+    line = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in message)
+    with contextlib.suppress(OSError):
+        print(f"hydro: {line}", file=sys.stderr)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

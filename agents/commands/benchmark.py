@@ -20,9 +20,9 @@ from agents.benchmark.solver_rows import solver_cases
 from agents.benchmark.table import HEADINGS, Case, Row, UnavailableError, cells, read_csv, write_csv, write_markdown
 from agents.benchmark.timing import FULL, QUICK, Extent
 from agents.benchmark.training_rows import beating_cases, default_study, training_cases
-from agents.commands.study import machine_description, package_versions
 from agents.running.console import ProgressDisplay
-from agents.running.folders import prepare_folder
+from agents.running.folders import output_folder
+from agents.running.machine import machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
@@ -59,20 +59,22 @@ def benchmark_to_folder(
     for name in only:
         if name not in GROUPS:
             raise ConfigurationError(f"--only {name}: unknown group; known: {', '.join(GROUPS)}")
-    prepare_folder(folder, resume, overwrite, CSV_FILE, CIRCUMSTANCES_FILE, can_resume=True)
     circumstances = {"quick": quick, "machine": machine_description(), "versions": package_versions()}
-    finished, rows = _stored(folder, circumstances) if resume else ([], [])
-    circumstances |= {"threads": _threads(), "finished": finished}
     heading = _heading(circumstances, command)
     order = list(GROUPS)
+    finished: list[str] = []
+    rows: list[Row] = []
 
     def keep() -> None:
         rows.sort(key=lambda row: order.index(row.group))  # stable: the rows of a group keep their order
-        write_yaml(folder / CIRCUMSTANCES_FILE, circumstances)
+        write_yaml(folder / CIRCUMSTANCES_FILE, circumstances | {"threads": _threads(), "finished": finished})
         write_csv(folder / CSV_FILE, rows)
         write_markdown(folder / MARKDOWN_FILE, rows, {name: title for name, (title, _) in GROUPS.items()}, heading)
 
-    with ProgressDisplay() as display:
+    files = (CSV_FILE, MARKDOWN_FILE, CIRCUMSTANCES_FILE)
+    with output_folder(folder, "benchmark", files, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        if resume:
+            finished, rows = _stored(folder, circumstances)
         display.say(heading)
         for name in only or order:
             if name not in finished:
@@ -137,7 +139,7 @@ def _heading(circumstances: dict[str, Any], command: str) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in circumstances["versions"].items())
     trial = " A quick trial: its figures are rough." if circumstances["quick"] else ""
     return (
-        f"`{command}`. {circumstances['machine']}; {versions}. Threads of the {circumstances['threads']}. Each figure "
+        f"`{command}`. {circumstances['machine']}; {versions}. Threads of the {_threads()}. Each figure "
         'is the median of its runs; the rows of a group were measured in turn, round by round, and "beside" is the '
         f"median of the rounds' ratios. Compare rows, not absolute numbers of another day.{trial}"
     )
@@ -150,4 +152,4 @@ def _show(group: str, rows: Sequence[Row], display: ProgressDisplay) -> None:
     for row in (row for row in rows if row.group == group):
         line = cells(row, rows)
         table.add_row(*line[:4], line[5] if row.values else row.note)
-    display.console.print(table)
+    display.console.lines(table)

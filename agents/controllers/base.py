@@ -17,9 +17,9 @@ Floats = NDArray[np.floating[Any]]
 class Controller(Protocol):
     """Acts on what the rig measures; the same signature as a stable-baselines3 model.
 
-    ``predict`` takes one observation (n,) or a batch (N, n) and gives the commands, (1,) or (N, 1), with the
-    controller's memory. ``state`` is that memory from the call before, ``None`` at the start. ``episode_start`` (N,)
-    marks axes whose episode begins with this observation.
+    ``predict`` takes one observation (n,) or a batch (N, n) and returns commands (1,) or (N, 1) with the controller's
+    memory. The memory has one rule: **a state that is given is never changed**; ``predict`` returns a new one. So a
+    caller may keep any state and go on from it again, with the same results bit for bit.
     """
 
     def predict(
@@ -29,7 +29,17 @@ class Controller(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Commands in [−1, 1] for the observations, and the memory for the next call."""
+        """Commands for the observations, and the memory for the next call.
+
+        Args:
+            observation: (n,) or (N, n), as the environment scales it.
+            state: the memory that the call before returned; ``None`` in the first call.
+            episode_start: (N,), true where an episode begins with this observation; its memory starts anew.
+            deterministic: without exploration noise.
+
+        Returns:
+            Commands in parts of 10 V; the environment limits them to [−1, 1]. And the memory.
+        """
         ...
 
 

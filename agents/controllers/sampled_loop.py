@@ -1,4 +1,4 @@
-"""The sampled position loop around the linearised axis: how much proportional gain it bears, how stiff it is."""
+"""The sampled position loop around the linearised axis: its largest stable proportional gain, its stiffness."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from hydro_env.errors import HydroError
+from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
@@ -24,6 +25,12 @@ COMMAND_LATENCY = 1e-3
 
 FULL_COMMAND = 10.0
 """V; command 1."""
+
+REACH_SHARE = 0.9
+"""Part of the reachable range over which a position loop is judged."""
+
+PLACES = 9
+"""Positions at which it is judged there."""
 
 _NEUTRAL = 1e-7
 """Excess over 1 of a spectral radius that is rounding."""
@@ -161,6 +168,12 @@ def sampled_loop(
     first, held_first = _hold(a, b, latency)
     rest, held_rest = _hold(a, b, control_period - latency)
     return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)
+
+
+def places_in_reach(parameters: PlantParameters) -> list[float]:
+    """Positions in m at which a loop is judged, evenly over 0.9 of what the supply can hold, ends included."""
+    low, high = (REACH_SHARE * float(end) for end in reachable_range(parameters))
+    return [low + part * (high - low) / (PLACES - 1) for part in range(PLACES)]
 
 
 def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> float:

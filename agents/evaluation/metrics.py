@@ -1,4 +1,4 @@
-"""Control metrics of one episode, in SI and in the units of practice; NaN where a metric has no meaning."""
+"""Control metrics of one episode; NaN where a metric has no meaning."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from agents.running.cases import Rollout
 Array = NDArray[np.floating]
 
 SETTLING_BAND = 0.2e-3
-"""m; settled is who stays this close to a reference that stands still."""
+"""m; an axis is settled while it stays this close to a constant reference."""
 
 STANDSTILL = 0.1
-"""s; a reference that stands at least this long is a target to settle on."""
+"""s; a reference that is constant for at least this long is a target to settle on."""
 
 FINAL_SHARE = 0.05
-"""s; the last part of a standstill, over which the steady-state error is taken."""
+"""s; the last part of a standstill, over which the steady-state error is averaged."""
 
 METRICS: dict[str, tuple[str, str]] = {
     "mean_error_mm": ("mm", "mean of |reference − position|"),
@@ -27,22 +27,25 @@ METRICS: dict[str, tuple[str, str]] = {
     "peak_error_mm": ("mm", "largest error"),
     "settling_time_s": (
         "s",
-        "from the reference standing still until the error stays within ±0.2 mm; the end of the standstill, from which "
-        "the next move is seen in the preview, does not count",
+        "from the start of a standstill of the reference until the error stays within ±0.2 mm; the end of the "
+        "standstill, where the preview shows the next move, does not count",
     ),
     "unsettled_share": ("1", "standstills on which it never settled"),
     "overshoot_percent": ("%", "beyond the target, of the size of the step (family 'step')"),
-    "steady_state_error_mm": ("mm", "|mean error| over the last 50 ms of a standstill before the next move is seen"),
+    "steady_state_error_mm": (
+        "mm",
+        "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
+    ),
     "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
-    "control_effort": ("1", "root mean square of the command, in parts of 10 V"),
-    "valve_travel_per_s": ("1/s", "way of the spool in full strokes per second"),
+    "control_effort": ("1", "root mean square of the command that acted, in parts of 10 V"),
+    "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
     "failed": ("1", "1 if the axis failed"),
 }
 """Name, unit and meaning of every metric."""
 
 
 def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
-    """Stretches [first, last) of samples on which the reference stands still after it has moved."""
+    """Stretches [first, last) of samples on which the reference is constant after it has moved."""
     moving = np.flatnonzero(np.diff(reference) != 0.0) + 1
     if len(moving) == 0:
         return []
@@ -89,8 +92,8 @@ def case_metrics(
         period: control period, s.
         is_step: whether the reference jumps, so that overshoot has a meaning.
         failed: whether the axis failed.
-        preview: s; how far ahead the controller sees the reference. So much of the end of each standstill is left
-            out, because the axis may rightly set off before the reference does.
+        preview: s; how far ahead the controller sees the reference. This much of the end of each standstill does not
+            count: an axis may start before the reference does.
     """
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)

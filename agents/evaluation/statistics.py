@@ -1,4 +1,4 @@
-"""Means and paired ratios with bootstrap intervals, worst case and CVaR; plants are what is resampled."""
+"""Means and paired ratios with bootstrap intervals over plants, conditional value at risk, shares."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.stats import binomtest, bootstrap
 Array = NDArray[np.floating[Any]]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
-FEWEST = 3
+LEAST_SAMPLES = 3
 """Fewer samples give no interval."""
 
 
@@ -61,7 +61,7 @@ def geometric_ratio_interval(per_plant: Array, reference_per_plant: Array, seed:
 
 def _interval(samples: tuple[Array, ...], statistic: Any, seed: int) -> Interval:
     value = float(statistic(*samples, axis=0))
-    if len(samples[0]) < FEWEST:
+    if len(samples[0]) < LEAST_SAMPLES:
         return Interval(value, np.nan, np.nan)
     if all(np.ptp(sample) == 0.0 for sample in samples):
         return Interval(value, value, value)

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor, nn
 
 from agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
-from agents.running.weights import load_weights, require, save_weights
+from agents.running.weights import StoredLayout, load_weights, require, save_weights
 from hydro_env import ConfigurationError
+from hydro_env.files import validate
 
 KIND = "leakage head"
 SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
@@ -24,8 +26,11 @@ SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_c
 
 N_CHANNELS = 18
 
-LONGEST_WINDOW = 1_000_000
-"""Observations; more in a file of weights must be a mistake."""
+SHORTEST_WINDOW = 56
+"""Observations that give the last convolution one output."""
+
+LONGEST_WINDOW, LARGEST_WIDTH = 1_000_000, 1024
+"""Observations, and channels of a convolution: more must be a mistake."""
 
 
 class LeakageEstimate(NamedTuple):
@@ -112,13 +117,24 @@ class HeadSettings:
     training: dict[str, Any]
 
 
-@dataclass
-class HeadState:
-    """Memory of the head: a ring of observations (N, window, n), its next slot, and how many were seen (N,)."""
+class HeadState(NamedTuple):
+    """Memory of the head; no call changes one that it is given."""
 
-    ring: NDArray[np.float32]
-    slot: int
+    history: tuple[NDArray[np.float32], ...]
+    """SIGNALS (N, 5) of the last observations, at most a window of them, newest last."""
+
     seen: NDArray[np.int64]
+    """Observations since the start of each axis' episode, (N,)."""
+
+
+class _StoredHead(StoredLayout):
+    """The JSON beside the weights of a head."""
+
+    signals: tuple[str, ...]
+    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
+    threshold: float = Field(ge=0.0, le=1.0)
+    width: int = Field(ge=1, le=LARGEST_WIDTH)
+    training: dict[str, Any]
 
 
 class LeakageHead:
@@ -154,23 +170,20 @@ class LeakageHead:
         self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
     ) -> HeadState:
         """Take observations (N, n) into the memory without judging them."""
-        window = self.settings.window
-        if state is None:
-            ring = np.zeros((len(observation), window, observation.shape[1]), dtype=np.float32)
-            state = HeadState(ring, 0, np.zeros(len(observation), dtype=np.int64))
-        elif episode_start is not None:
-            state.seen[np.asarray(episode_start, dtype=np.bool_)] = 0
-        state.ring[:, state.slot] = observation
-        return HeadState(state.ring, (state.slot + 1) % window, state.seen + 1)
+        history, seen = state if state is not None else ((), np.zeros(len(observation), dtype=np.int64))
+        if episode_start is not None:
+            seen = np.where(episode_start, 0, seen)
+        signals = np.asarray(observation[:, self.columns], dtype=np.float32)
+        return HeadState((*history, signals)[-self.settings.window :], seen + 1)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
         """Probability and size of a leak from the remembered windows (N,); NaN where one is not whole yet."""
-        window = self.settings.window
+        window, count = self.settings.window, len(state.seen)
         full = state.seen >= window
-        probability, flow = np.full(len(full), np.nan), np.full(len(full), np.nan)
+        probability, flow = np.full(count, np.nan), np.full(count, np.nan)
         if full.any():
-            order = (state.slot + np.arange(window)) % window
-            probability[full], flow[full] = self.estimate(state.ring[full][:, order])
+            signals = np.concatenate(state.history).reshape(window, count, len(SIGNALS))
+            probability[full], flow[full] = self.estimate_signals(signals[:, full].transpose(1, 2, 0))
         return LeakageEstimate(probability, flow)
 
     def estimate(self, history: Floats) -> LeakageEstimate:
@@ -224,26 +237,20 @@ class LeakageHead:
         Raises:
             ConfigurationError: missing, damaged or foreign files.
         """
-        tensors, stored = load_weights(path, KIND)
-        try:
-            layout = ObservationLayout(
-                tuple(stored["observation_names"]), tuple(stored["observation_scale"]), float(stored["control_period"])
-            )
-            window, threshold = int(stored["window"]), float(stored["threshold"])
-            settings = HeadSettings(layout, window, threshold, dict(stored["training"]))
-            width, signals = int(stored["width"]), tuple(stored["signals"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigurationError(f"{path}: its JSON lacks or mistypes {error}") from None
-        if not 1 <= window <= LONGEST_WINDOW:
-            raise ConfigurationError(f"{path}: window = {window} observations: must be within 1 to {LONGEST_WINDOW}")
-        if not 0.0 <= threshold <= 1.0:
-            raise ConfigurationError(f"{path}: threshold = {threshold:g}: must be a probability, within 0 to 1")
-        if signals != SIGNALS or not 1 <= width <= 4096:
+        tensors, settings = load_weights(path, KIND)
+        stored = validate(_StoredHead, settings, str(path))
+        if stored.signals != SIGNALS:
             raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
-        network = LeakageNetwork(width)
-        require(tensors, {name: tuple(value.shape) for name, value in network.state_dict().items()}, path)
+        bias = tensors.get("convolutions.0.bias")
+        if bias is None or bias.shape != (stored.width,):  # before a network of that width takes memory
+            raise ConfigurationError(f"{path}: width = {stored.width}: its tensors are of another network")
+        network = LeakageNetwork(stored.width)
+        require(tensors, {name: value.numpy() for name, value in network.state_dict().items()}, path)
         network.load_state_dict({name: torch.from_numpy(tensors[name].copy()) for name in network.state_dict()})
-        return cls(network, settings)
+        try:
+            return cls(network, HeadSettings(stored.layout, stored.window, stored.threshold, stored.training))
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -12,37 +13,82 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from torch import Tensor, nn
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork, channels
+from agents.leakage.head import (
+    LARGEST_WIDTH,
+    SHORTEST_WINDOW,
+    SIGNALS,
+    HeadSettings,
+    LeakageHead,
+    LeakageNetwork,
+    channels,
+)
 from agents.leakage.metrics import threshold_at_false_alarm_rate
 from agents.running.cases import Cases, run_cases
+from agents.running.optimiser import optimiser_tensors, restore_optimiser
 from agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
-from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
+from agents.running.weights import load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
+from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 FALSE_ALARM_RATE = 0.01
-CHECKPOINT_KIND = "leakage head checkpoint"
+CHECKPOINT_FILE = "head_checkpoint.safetensors"
+KIND = "leakage head checkpoint"
+RISE = 0.05
+"""Share of the training over which the learning rate rises."""
 
 
 class HeadTrainingSettings(Group):
     """Settings of the training; ``configs/agents/leakage_head.yaml`` holds the ones that are used."""
 
-    episodes: int = Field(24_000, ge=100, description="training episodes, over all controllers")
-    validation_episodes: int = Field(8_000, ge=100, description="for the threshold")
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    episodes: int = Field(24_000, ge=100, le=250_000, description="training episodes, over all controllers")
+    validation_episodes: int = Field(8_000, ge=100, le=500_000, description="for the threshold")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
-    lowest_healthy_flow: float = Field(0.003, gt=0.0, description="l/min at 100 bar")
-    highest_flow: float = Field(5.0, gt=0.0, description="l/min at 100 bar")
-    epochs: int = Field(12, ge=1)
-    batch: int = Field(256, ge=1)
-    learning_rate: float = Field(2e-3, gt=0.0)
-    weight_decay: float = Field(1e-4, ge=0.0)
-    size_weight: float = Field(1.0, ge=0.0, description="of the size error (in decades, Huber) beside the class")
-    width: int = Field(48, ge=1, le=4096)
-    torch_threads: int = Field(2, ge=1)
+    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    epochs: int = Field(12, ge=1, le=100_000)
+    batch: int = Field(256, ge=1, le=1_000_000)
+    learning_rate: float = Field(2e-3, gt=0.0, le=1.0)
+    weight_decay: float = Field(1e-4, ge=0.0, le=1.0)
+    size_weight: float = Field(
+        1.0, ge=0.0, le=1e3, description="of the size error (in decades, Huber) beside the class"
+    )
+    width: int = Field(48, ge=1, le=LARGEST_WIDTH)
+    torch_threads: int = Field(2, ge=1, le=256)
+
+    def check(self, config: TaskConfig) -> None:
+        """Check that the leaks to train on, and the window, suit a task.
+
+        Raises:
+            ConfigurationError: a bound lies on the wrong side of the task's, or an episode is too short.
+        """
+        if config.steps < SHORTEST_WINDOW:
+            raise ConfigurationError(
+                f"leakage_head: an episode of {config.steps} control periods is its window: must have at least "
+                f"{SHORTEST_WINDOW}"
+            )
+        healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
+        if self.lowest_healthy_flow >= healthy:
+            raise ConfigurationError(
+                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
+                f"leakage.class_bounds[0] = {healthy:g} l/min"
+            )
+        if self.highest_flow <= faulty:
+            raise ConfigurationError(
+                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
+                f"leakage.faulty_range[0] = {faulty:g} l/min"
+            )
+
+    def learning_rate_at(self, share: float) -> float:
+        """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""
+        factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
+        return self.learning_rate * max(factor, 1e-3)
 
 
 @dataclass(frozen=True)
@@ -99,20 +145,23 @@ def train_head(
         settings: of the training.
         seed: of data and network.
         progress: called with the phase, how much of it is done, of how much, and the loss (NaN while simulating).
-        folder: where ``head_checkpoint.safetensors`` and ``.json`` go after each epoch; ``None`` writes nothing.
+        folder: where ``head_checkpoint.safetensors`` goes at once and after each epoch; ``None`` writes nothing.
         resume: go on from that checkpoint; the episodes are simulated again, which gives the same.
 
     Raises:
-        ConfigurationError: a checkpoint is missing or of other settings.
+        ConfigurationError: settings that do not suit the task; a checkpoint that is missing, damaged or of others.
         KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole epoch stays.
     """
+    settings.check(config)
     torch.set_num_threads(settings.torch_threads)
     torch.manual_seed(seed)
     began = time.monotonic()
     network = LeakageNetwork(settings.width)
-    fit = _Fit(network, settings, config, seed, Path(folder) / "head_checkpoint" if folder is not None else None)
+    fit = _Fit(network, settings, config, seed, Path(folder) / CHECKPOINT_FILE if folder is not None else None)
     if resume:
         fit.restore()
+    else:
+        fit.save()
 
     def simulated(phase: str, total: int) -> Callable[[int], None]:
         return lambda done: progress(phase, done, total, math.nan) if progress is not None else None
@@ -149,8 +198,18 @@ def _set_normalisation(network: LeakageNetwork, signals: NDArray[Any]) -> None:
         network.scale = 1.0 / (inputs.std(dim=(0, 2), keepdim=True) + 1e-6)
 
 
+def targets(flow_lpm: NDArray[np.float64], healthy_bound: float) -> tuple[Tensor, Tensor]:
+    """What the network is to answer (N,): 1 for a leak above the bound, and log10 of the flow, not below the bound.
+
+    The size of a leak below the bound does not matter and cannot be seen.
+    """
+    label = torch.from_numpy((flow_lpm > healthy_bound).astype(np.float32))
+    size = torch.from_numpy(np.log10(flow_lpm).astype(np.float32))
+    return label, size.clamp(min=math.log10(healthy_bound))
+
+
 class _Fit:
-    """Epochs of gradient steps with a checkpoint after each."""
+    """Epochs of gradient steps with a checkpoint after each, and one before the first."""
 
     def __init__(
         self,
@@ -166,6 +225,7 @@ class _Fit:
         self.seed = seed
         self.checkpoint = checkpoint
         self.epoch = 0
+        self._data_digest: str | None = None
         self._optimiser = torch.optim.AdamW(
             network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
         )
@@ -181,49 +241,56 @@ class _Fit:
         """Take up the checkpoint."""
         if self.checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
-        tensors, stored = load_weights(self.checkpoint, CHECKPOINT_KIND)
+        tensors, stored = load_checkpoint(self.checkpoint, KIND)
         if any(stored.get(key) != value for key, value in self._description().items()):
-            raise ConfigurationError(f"{self.checkpoint}.json: was made with another seed, settings or task")
-        own = {f"network.{name}": tuple(value.shape) for name, value in self.network.state_dict().items()}
+            raise ConfigurationError(f"{self.checkpoint}: was made with another seed, settings or task")
+        epoch, digest = stored.get("epoch"), stored.get("data")
+        if type(epoch) is not int or not 0 <= epoch <= self.settings.epochs or not isinstance(digest, str | None):
+            raise ConfigurationError(f"{self.checkpoint}: damaged: epoch = {str(epoch)[:30]}")
+        own = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
         require(tensors, own, self.checkpoint)
         self.network.load_state_dict({name.removeprefix("network."): torch.from_numpy(tensors[name]) for name in own})
-        restore_optimiser(self._optimiser, tensors)
-        self.epoch = int(stored["epoch"])
+        restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
+        self.epoch, self._data_digest = epoch, digest
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Write the checkpoint."""
         if self.checkpoint is None:
             return
         tensors = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
         tensors |= optimiser_tensors(self._optimiser)
-        save_weights(self.checkpoint, CHECKPOINT_KIND, tensors, {"epoch": self.epoch, **self._description()})
+        description = {"epoch": self.epoch, "data": self._data_digest, **self._description()}
+        save_checkpoint(self.checkpoint, KIND, tensors, description)
+
+    def _check_data(self, data: Labelled) -> None:
+        digest = hashlib.sha256(data.signals[:: max(len(data.signals) // 500, 1)].tobytes()).hexdigest()
+        if self._data_digest not in (None, digest):
+            raise ConfigurationError(f"{self.checkpoint}: was trained on episodes of other controllers; cannot resume")
+        self._data_digest = digest
 
     def run(self, data: Labelled, progress: Callable[[str, int, int, float], None] | None) -> None:
-        """The epochs that are left; the learning rate rises over the first twentieth and falls along a cosine."""
-        settings = self.settings
-        healthy_bound = self.config.leakage.class_bounds[0]
-        per_epoch = math.ceil(len(data.flow_lpm) / settings.batch)
-        label = torch.from_numpy((data.flow_lpm > healthy_bound).astype(np.float32))
-        size = torch.from_numpy(np.log10(data.flow_lpm).astype(np.float32))
+        """The epochs that are left."""
+        self._check_data(data)
+        settings, total = self.settings, len(data.flow_lpm)
+        per_epoch = math.ceil(total / settings.batch)
+        label, size = targets(data.flow_lpm, self.config.leakage.class_bounds[0])
         classify, measure = nn.BCEWithLogitsLoss(), nn.HuberLoss(delta=0.3)
         self.network.train()
         while self.epoch < settings.epochs:
-            order = np.random.default_rng([self.seed, self.epoch]).permutation(len(data.flow_lpm))
+            order = np.random.default_rng([self.seed, self.epoch]).permutation(total)
             losses = []
-            for number, first in enumerate(range(0, len(order), settings.batch)):
+            for number, first in enumerate(range(0, total, settings.batch)):
                 share = (self.epoch * per_epoch + number) / (settings.epochs * per_epoch)
-                factor = min(share / 0.05, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
-                self._optimiser.param_groups[0]["lr"] = settings.learning_rate * max(factor, 1e-3)
+                self._optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
                 rows = order[first : first + settings.batch]
                 output: Tensor = self.network(torch.from_numpy(data.signals[rows].astype(np.float32)))
-                # Below the healthy bound the size is of no interest and cannot be seen.
-                wanted = size[rows].clamp(min=math.log10(healthy_bound))
-                loss = classify(output[:, 0], label[rows]) + settings.size_weight * measure(output[:, 1], wanted)
+                loss = classify(output[:, 0], label[rows]) + settings.size_weight * measure(output[:, 1], size[rows])
                 self._optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 self._optimiser.step()
                 losses.append(float(loss.detach()))
             self.epoch += 1
-            self._save()
+            self.save()
             if progress is not None:
                 progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
         self.network.eval()

@@ -6,8 +6,7 @@ show. The same class serves training and inference, so that they cannot differ.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +27,29 @@ HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
 """Control periods back."""
 
 
-@dataclass
-class FeatureState:
-    """Memory: the PID's, and a ring of recent signals (N, length, signals) with its next slot."""
+FEATURE_LIMIT = 50.0
+"""Inputs of the policy are cut off here."""
+
+
+class FeatureState(NamedTuple):
+    """Memory of N axes; no call changes one that it is given."""
 
     pid: PIDState | None
     ring: NDArray[np.float32]
+    """Recent signals (N, length, signals), oldest first from ``slot`` on, around the end."""
+
     slot: int
-    base_command: NDArray[np.float32]  # (N, 1), of the PID at the last call
+    """Where the next signals go."""
+
+    base_command: NDArray[np.float32]
+    """Of the PID at the last call, (N, 1)."""
+
+    def rows(self, axes: NDArray[np.int64]) -> FeatureState:
+        """The memory of some axes."""
+        pid = self.pid
+        if pid is not None:
+            pid = PIDState(pid.integral[axes], pid.velocity[axes], pid.position[axes])
+        return FeatureState(pid, self.ring[axes], self.slot, self.base_command[axes])
 
 
 class PolicyFeatures:
@@ -54,7 +68,7 @@ class PolicyFeatures:
         self.pid = PID(gains, layout) if gains is not None else None
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
-        self._length = int(self._lags.max()) + 1
+        self._length = max(HISTORY_LAGS) + 1
         self.size = len(layout.names) + (1 if self.pid else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
@@ -62,28 +76,26 @@ class PolicyFeatures:
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
-        The history holds differences to the present, so that it tells what changed; before the start of an episode
-        the first observation counts as the past.
+        The history is given as changes since then. Before an episode's start, its first observation counts as the
+        past.
         """
         signals = np.asarray(observation[:, self._columns], dtype=np.float32)
         if state is None:
             ring = np.repeat(signals[:, None], self._length, axis=1)
             state = FeatureState(None, ring, 0, np.zeros((len(signals), 1), dtype=np.float32))
-        elif episode_start is not None and np.any(episode_start):
+        ring = state.ring.copy()
+        if episode_start is not None and np.any(episode_start):
             started = np.flatnonzero(episode_start)
-            state.ring[started] = signals[started, None]
-        state.ring[:, state.slot] = signals
-        past = state.ring[:, (state.slot - self._lags) % self._length]
-        past = (signals[:, None] - past).reshape(len(signals), -1)
-        parts = [np.asarray(observation, dtype=np.float32)]
-        memory = state.pid
-        if self.pid is not None:
-            base, memory = self.pid.predict(observation, state.pid, episode_start)
-            parts.append(base)
-            state.base_command = base
-        parts.append(past)
-        slot = (state.slot + 1) % self._length
-        return np.concatenate(parts, axis=1), FeatureState(memory, state.ring, slot, state.base_command)
+            ring[started] = signals[started, None]
+        ring[:, state.slot] = signals
+        past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
+        changes = np.tile(signals, len(HISTORY_LAGS)) - past
+        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length)
+        inputs = np.asarray(observation, dtype=np.float32)
+        if self.pid is None:
+            return np.concatenate([inputs, changes], axis=1), state
+        base, pid = self.pid.predict(observation, state.pid, episode_start)
+        return np.concatenate([inputs, base, changes], axis=1), state._replace(pid=pid, base_command=base)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""

@@ -1,52 +1,79 @@
-"""A trained policy as a controller: NumPy inference from safetensors, no learning library needed."""
+"""A trained policy as a controller: NumPy inference from safetensors, and the way from and to stable-baselines3."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
-from agents.controllers.base import Floats, ObservationLayout, as_batch
+from agents.controllers.base import Floats, as_batch
 from agents.controllers.pid import PIDGains
-from agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
-from agents.learning.vec_env import FEATURE_LIMIT
-from agents.running.weights import load_weights, require, save_weights
+from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
+from agents.running.weights import StoredLayout, load_weights, require, save_weights
 from hydro_env import ConfigurationError
-from hydro_env.files import validate
+from hydro_env.files import Group, validate
+
+if TYPE_CHECKING:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnv
 
 KIND = "policy"
+Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
+
+
+class _StoredFeatures(StoredLayout):
+    pid_gains: PIDGains | None
+    residual_scale: float = Field(gt=0.0, le=2.0)
+    history_signals: tuple[str, ...]
+    history_lags: tuple[int, ...]
+
+
+class _StoredPolicy(Group):
+    """The JSON beside the weights of a policy."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    features: _StoredFeatures
+    layer_sizes: tuple[int, ...] = Field(min_length=2, max_length=33)
+    log_standard_deviation: float = Field(ge=-20.0, le=5.0)
+    activation: Literal["tanh", "relu"] = "tanh"
+    training: dict[str, Any] = {}
 
 
 class PolicyController:
-    """The deterministic policy of PPO: a network of dense layers from features to a command.
+    """An actor network of dense layers from features to a command, as PPO or A2C trains it.
 
     Same interface as every controller; see :class:`~agents.controllers.base.Controller`. With
     ``deterministic=False`` Gaussian exploration noise of the trained size is added.
 
     Args:
         features: from observation to policy input, from output to command.
-        layers: (weight (out, in), bias (out,)) of each layer.
+        layers: (weight (out, in), bias (out,)) of each layer of the actor.
         log_standard_deviation: of the exploration noise.
         activation: of the hidden layers, ``tanh`` or ``relu``.
         training: how the weights came about (JSON), for the record.
+        critic: the layers of the network that estimates values, of the same sizes; ``None`` if it is not known.
     """
 
     def __init__(
         self,
         features: PolicyFeatures,
-        layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
+        layers: Layers,
         log_standard_deviation: float = -3.0,
         training: dict[str, Any] | None = None,
         activation: str = "tanh",
+        critic: Layers | None = None,
     ) -> None:
         self.features = features
         self.layers = layers
         self.log_standard_deviation = log_standard_deviation
         self.training = training or {}
         self.activation = activation
+        self.critic = critic
         self._generator = np.random.default_rng(0)
 
     def predict(
@@ -71,22 +98,83 @@ class PolicyController:
         return (command[0] if single else command), state
 
     @classmethod
-    def from_model(cls, model: Any, features: PolicyFeatures, training: dict[str, Any]) -> PolicyController:
-        """Take the actor out of a stable-baselines3 PPO model."""
-        modules = [module for module in model.policy.mlp_extractor.policy_net if hasattr(module, "weight")]
-        layers = [
-            (module.weight.detach().cpu().numpy().copy(), module.bias.detach().cpu().numpy().copy())
-            for module in [*modules, model.policy.action_net]
+    def from_sb3(
+        cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
+    ) -> PolicyController:
+        """Take actor and critic out of a PPO or A2C model of stable-baselines3 that was trained on ``AxisVecEnv``.
+
+        Args:
+            model: with an ``MlpPolicy`` of tanh or relu layers.
+            features: from observation to the model's input; those of the model's environment by default.
+            training: for the record.
+
+        Raises:
+            ConfigurationError: the model has another kind of network, or its inputs are not policy features.
+        """
+        policy, env = model.policy, model.get_env()
+        features = features or getattr(env, "features", None)
+        activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
+        if not hasattr(policy, "action_net") or activation not in ("tanh", "relu"):
+            raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
+        actor = _layers([*policy.mlp_extractor.policy_net, policy.action_net])
+        if features is None or actor[0][0].shape[1] != features.size or len(actor[-1][1]) != 1:
+            raise ConfigurationError(
+                "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
+            )
+        critic = _layers([*policy.mlp_extractor.value_net, policy.value_net])
+        return cls(features, actor, float(policy.log_std.detach().mean()), training, activation, critic)
+
+    def to_sb3(self, env: VecEnv, **keywords: Any) -> PPO:
+        """A PPO model of stable-baselines3 with these weights, to train on.
+
+        A policy without a critic (the shipped one has none) gets a fresh critic: train that for a while before the
+        actor may be trusted to improve.
+
+        Args:
+            env: ``AxisVecEnv(config, count, features=policy.features)``.
+            keywords: of ``PPO``, such as ``n_steps`` and ``learning_rate``.
+
+        Raises:
+            ConfigurationError: the environment's inputs are not those of this policy.
+        """
+        import torch
+        from stable_baselines3 import PPO
+
+        if env.observation_space.shape != (self.features.size,):
+            raise ConfigurationError(
+                f"to_sb3: the environment gives inputs of shape {env.observation_space.shape}, the policy needs "
+                f"({self.features.size},): AxisVecEnv(config, count, features=policy.features) gives them"
+            )
+
+        def hidden(layers: Layers) -> list[int]:
+            return [len(bias) for _, bias in layers[:-1]]
+
+        model = PPO(
+            "MlpPolicy",
+            env,
+            policy_kwargs={
+                "net_arch": {"pi": hidden(self.layers), "vf": hidden(self.critic or self.layers)},
+                "activation_fn": torch.nn.Tanh if self.activation == "tanh" else torch.nn.ReLU,
+                "log_std_init": self.log_standard_deviation,
+            },
+            **{"device": "cpu", **keywords},
+        )
+        networks: list[tuple[Any, Any, Layers]] = [
+            (model.policy.mlp_extractor.policy_net, model.policy.action_net, self.layers)
         ]
-        activation = model.policy.activation_fn.__name__.lower()
-        return cls(features, layers, float(model.policy.log_std.detach().mean()), training, activation)
+        if self.critic is not None:
+            networks.append((model.policy.mlp_extractor.value_net, model.policy.value_net, self.critic))
+        with torch.no_grad():
+            for body, last, layers in networks:
+                modules = [*(module for module in body if hasattr(module, "weight")), last]
+                for module, (weight, bias) in zip(modules, layers, strict=True):
+                    module.weight.copy_(torch.from_numpy(weight.copy()))
+                    module.bias.copy_(torch.from_numpy(bias.copy()))
+        return model
 
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
-        tensors: dict[str, NDArray[Any]] = {}
-        for number, (weight, bias) in enumerate(self.layers):
-            tensors[f"layer{number}.weight"] = weight
-            tensors[f"layer{number}.bias"] = bias
+        tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
         settings = {
             "features": self.features.describe(),
             "layer_sizes": [self.features.size, *(len(bias) for _, bias in self.layers)],
@@ -104,32 +192,40 @@ class PolicyController:
             ConfigurationError: missing, damaged or foreign files.
         """
         tensors, settings = load_weights(path, KIND)
-        try:
-            described = settings["features"]
-            layout = ObservationLayout(
-                tuple(described["observation_names"]),
-                tuple(described["observation_scale"]),
-                float(described["control_period"]),
-            )
-            gains = described["pid_gains"]
-            scale = float(described["residual_scale"])
-            sizes = [int(size) for size in settings["layer_sizes"]]
-            deviation = float(settings["log_standard_deviation"])
-            history = described["history_signals"], described["history_lags"]
-            activation = settings.get("activation", "tanh")
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigurationError(f"{path}: its JSON lacks or mistypes {error}") from None
-        if history != (list(HISTORY_SIGNALS), list(HISTORY_LAGS)):
+        stored = validate(_StoredPolicy, settings, str(path))
+        described, sizes = stored.features, stored.layer_sizes
+        if (described.history_signals, described.history_lags) != (HISTORY_SIGNALS, HISTORY_LAGS):
             raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
-        features = PolicyFeatures(layout, validate(PIDGains, gains, str(path)) if gains is not None else None, scale)
-        shapes: dict[str, tuple[int, ...]] = {}
-        for number, (inputs, outputs) in enumerate(pairwise(sizes)):
-            shapes[f"layer{number}.weight"] = (outputs, inputs)
-            shapes[f"layer{number}.bias"] = (outputs,)
-        if activation not in ("tanh", "relu"):
-            raise ConfigurationError(f"{path}: activation = {activation!r}: must be 'tanh' or 'relu'")
-        if sizes[0] != features.size or sizes[-1] != 1:
-            raise ConfigurationError(f"{path}: layer_sizes = {sizes}: must begin with {features.size} and end with 1")
-        require(tensors, shapes, path)
-        layers = [(tensors[f"layer{n}.weight"], tensors[f"layer{n}.bias"]) for n in range(len(sizes) - 1)]
-        return cls(features, layers, deviation, settings.get("training"), activation)
+        try:
+            features = PolicyFeatures(described.layout, described.pid_gains, described.residual_scale)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None
+        if sizes[0] != features.size or sizes[-1] != 1 or not all(1 <= size <= 4096 for size in sizes):
+            raise ConfigurationError(
+                f"{path}: layer_sizes = {list(sizes)}: must begin with {features.size}, end with 1 and stay within 4096"
+            )
+        layers = _stored_layers(tensors, "layer", sizes, path)
+        critic = _stored_layers(tensors, "critic", sizes, path) if "critic0.weight" in tensors else None
+        return cls(features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic)
+
+
+def _layers(modules: list[Any]) -> Layers:
+    return [
+        (module.weight.detach().cpu().numpy().copy(), module.bias.detach().cpu().numpy().copy())
+        for module in modules
+        if hasattr(module, "weight")
+    ]
+
+
+def _named(layers: Layers, name: str) -> dict[str, NDArray[Any]]:
+    weights = {f"{name}{number}.weight": weight for number, (weight, _) in enumerate(layers)}
+    return weights | {f"{name}{number}.bias": bias for number, (_, bias) in enumerate(layers)}
+
+
+def _stored_layers(tensors: dict[str, NDArray[Any]], name: str, sizes: tuple[int, ...], path: str | Path) -> Layers:
+    shapes: Layers = [
+        (np.empty((outputs, inputs), dtype=np.float32), np.empty(outputs, dtype=np.float32))
+        for inputs, outputs in pairwise(sizes)
+    ]
+    require(tensors, _named(shapes, name), path)
+    return [(tensors[f"{name}{n}.weight"], tensors[f"{name}{n}.bias"]) for n in range(len(shapes))]

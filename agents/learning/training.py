@@ -5,32 +5,36 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.controllers.base import ObservationLayout
-from agents.controllers.pid import PIDGains
+from agents.controllers.pid import PID, PIDGains
+from agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, load, restore, save, take
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
+from agents.learning.progress import Progress, training_logger
+from agents.learning.validation import validation_errors
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.seeds import TRAINING_SEEDS
-from agents.running.weights import load_weights, optimiser_tensors, require, restore_optimiser, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import task_config
 
-CHECKPOINT_KIND = "PPO checkpoint"
+LARGEST_ROLLOUT = 10_000_000
+"""Samples of a rollout: some gigabytes of memory."""
 
 
 class PPOSettings(Group):
     """Settings of the training; ``configs/agents/ppo.yaml`` holds the ones that are used."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     residual: bool = Field(True, description="true: the policy corrects the PID; false: it acts on its own")
     residual_scale: float = Field(0.25, gt=0.0, le=2.0, description="command per 1 of the policy's output")
@@ -38,45 +42,49 @@ class PPOSettings(Group):
     practice: dict[str, Any] = Field(
         default_factory=dict, description="fields of the task that differ in training, such as what occurs more often"
     )
-    total_steps: int = Field(8_000_000, ge=1, description="control periods, all axes together")
+    total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
-    steps_per_rollout: int = Field(64, ge=2, description="control periods per axis between updates")
+    steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
     minibatches: int = Field(4, ge=1)
-    epochs: int = Field(4, ge=1)
+    epochs: int = Field(4, ge=1, le=1000)
     learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; falls to a tenth along a cosine")
     discount: float = Field(0.98, gt=0.0, lt=1.0)
     advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
-    clip_range: float = Field(0.2, gt=0.0)
-    entropy_weight: float = Field(0.0, ge=0.0)
+    clip_range: float = Field(0.2, gt=0.0, le=10.0)
+    entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
     initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
     final_log_standard_deviation: float = Field(
         -3.0, ge=-10.0, le=2.0, description="reached linearly; left to the gradient it collapses too early"
     )
-    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1)
+    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1, max_length=16)
     activation: Literal["tanh", "relu"] = Field(
         "tanh", description="of the hidden layers; relu takes a third less time"
     )
-    reward_scale: float = Field(0.2, gt=0.0)
+    reward_scale: float = Field(0.2, gt=0.0, le=1e6)
+    validation_every: int = Field(1_000_000, ge=0, description="steps between errors on validation plants; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
 
     @model_validator(mode="after")
     def _batches(self) -> PPOSettings:
-        if self.axes * self.steps_per_rollout % self.minibatches:
+        rollout = self.axes * self.steps_per_rollout
+        if rollout > LARGEST_ROLLOUT:
+            raise ValueError(f"axes × steps_per_rollout = {rollout} must not exceed {LARGEST_ROLLOUT}")
+        if rollout % self.minibatches or rollout // self.minibatches < 2:
             raise ValueError(
-                f"minibatches = {self.minibatches} must divide axes × steps_per_rollout = "
-                f"{self.axes * self.steps_per_rollout}"
+                f"minibatches = {self.minibatches} must divide axes × steps_per_rollout = {rollout} "
+                "into parts of at least 2"
             )
         return self
 
+    def learning_rate_at(self, remaining: float) -> float:
+        """Learning rate while a share ``remaining`` of the training (1 to 0) is left."""
+        share = min(1.0 - remaining, 1.0)  # the last rollout may go past the end
+        return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
 
-@dataclass(frozen=True)
-class Progress:
-    """Where a training stands."""
-
-    steps: int
-    total_steps: int
-    seconds: float
-    mean_reward: float  # per control period, of the episodes that ended lately
+    def log_standard_deviation_at(self, share: float) -> float:
+        """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
+        first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
+        return first + (last - first) * share
 
 
 def make_features(config: TaskConfig, settings: PPOSettings, gains: PIDGains | None) -> PolicyFeatures:
@@ -90,12 +98,31 @@ def make_features(config: TaskConfig, settings: PPOSettings, gains: PIDGains | N
     return PolicyFeatures(ObservationLayout.of(config), gains if settings.residual else None, settings.residual_scale)
 
 
+def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
+    """The axes of a training; ``practice`` may change what occurs on them, not what the policy sees.
+
+    Raises:
+        ConfigurationError: ``practice`` is no part of a task, or changes the observations or the control period.
+    """
+    try:
+        practised = task_config(config, **settings.practice)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"ppo.practice: {error}") from None
+    if ObservationLayout.of(practised) != ObservationLayout.of(config):
+        raise ConfigurationError(
+            f"ppo.practice = {settings.practice}: must leave the control period and the names and scales of "
+            "observations as they are in the task, because the policy is used there"
+        )
+    paired = settings.residual and settings.paired
+    return AxisVecEnv(practised, settings.axes, features, seed, settings.reward_scale, paired, stagger=True)
+
+
 def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
     """A PPO model whose policy starts at (nearly) zero output: the residual form starts as the PID."""
     model = PPO(
         "MlpPolicy",
         env,
-        learning_rate=settings.learning_rate,
+        learning_rate=settings.learning_rate_at,
         n_steps=settings.steps_per_rollout,
         batch_size=settings.axes * settings.steps_per_rollout // settings.minibatches,
         n_epochs=settings.epochs,
@@ -112,57 +139,103 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
         device="cpu",
         verbose=0,
     )
+    model.policy.get_parameter("log_std").requires_grad_(False)  # the exploration follows a schedule
+    with torch.no_grad():
+        model.policy.get_parameter("action_net.weight").mul_(0.1 if settings.residual else 1.0)
     return model
 
 
 class _Callback(BaseCallback):
-    """Learning-rate schedule over the whole training, progress, checkpoints, stop on request."""
+    """Between rollouts: log, checkpoint, the caller's check. After each: exploration schedule and progress."""
+
+    model: PPO
 
     def __init__(
         self,
         settings: PPOSettings,
-        checkpoint: Callable[[PPO], None] | None,
+        seconds: float,
         progress: Callable[[Progress], None] | None,
+        write: Callable[[Checkpoint], None] | None,
         checkpoint_seconds: float,
-        stop: Callable[[], bool] | None,
-        check: Callable[[PPO, float], bool] | None,
+        check: Callable[[float], bool],
+        validate: Callable[[], dict[str, float]],
     ) -> None:
         super().__init__()
         self._settings = settings
-        self._checkpoint = checkpoint
-        self._report = progress
+        self._progress = progress
+        self._write = write
         self._every = checkpoint_seconds
-        self._stop = stop
         self._check = check
-        self._checking = 0.0
+        self._validate = validate
+        self._began = time.monotonic() - seconds
+        self._written: float | None = None
+        self._checkpoint: Checkpoint | None = None
+        self._logged = -1
         self._ended = False
-        self._begun = self._last = time.monotonic()
 
-    def _on_step(self) -> bool:
-        return not (self._ended or (self._stop is not None and self._stop()))
+    @property
+    def seconds(self) -> float:
+        """Of training, all sessions together; the caller's checks do not count."""
+        return time.monotonic() - self._began
+
+    def _on_training_start(self) -> None:
+        self._logged = self.num_timesteps
 
     def _on_rollout_start(self) -> None:
-        if self._check is not None:
-            assert isinstance(self.model, PPO)
-            now = time.monotonic()
-            self._ended = self._check(self.model, now - self._begun - self._checking)
-            self._checking += time.monotonic() - now
+        self._between_rollouts()
+        before = time.monotonic()
+        self._ended = self._check(self.seconds)
+        self._began += time.monotonic() - before
+
+    def _on_step(self) -> bool:
+        return not self._ended
 
     def _on_rollout_end(self) -> None:
-        settings = self._settings
-        share = min(self.num_timesteps / settings.total_steps, 1.0)
-        rate = settings.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
-        self.model.lr_schedule = lambda _: rate
-        _set_exploration(self.model, settings, share)
-        now = time.monotonic()
-        if self._report is not None:
-            episodes = list(self.model.ep_info_buffer or [])
-            mean = float(np.mean([e["r"] / e["l"] for e in episodes])) if episodes else math.nan
-            self._report(Progress(self.num_timesteps, settings.total_steps, now - self._begun, mean))
-        if self._checkpoint is not None and now - self._last > self._every:
-            self._last = now
-            assert isinstance(self.model, PPO)
-            self._checkpoint(self.model)
+        settings, steps = self._settings, self.num_timesteps
+        share = min(steps / settings.total_steps, 1.0)
+        with torch.no_grad():
+            self.model.policy.get_parameter("log_std").fill_(settings.log_standard_deviation_at(share))
+        if self._progress is not None:
+            self._progress(Progress(steps, settings.total_steps, self.seconds, self._mean_reward()))
+
+    def _on_training_end(self) -> None:
+        if not self._ended:
+            self._between_rollouts()
+        self.write_checkpoint()
+
+    def _mean_reward(self) -> float:
+        episodes = self.model.ep_info_buffer or ()
+        return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
+
+    def _between_rollouts(self) -> None:
+        """Log the last rollout with its update, and note where the next one begins."""
+        steps = self.num_timesteps
+        if steps > self._logged:
+            self._log(steps, steps - self._logged)
+            self._logged = steps
+        if self._write is not None:
+            env = self.model.get_env()
+            assert isinstance(env, AxisVecEnv)
+            self._checkpoint = take(self.model, env, self.seconds)
+            if self._written is None or time.monotonic() - self._written > self._every:
+                self.write_checkpoint()
+
+    def _log(self, steps: int, rollout: int) -> None:
+        every = self._settings.validation_every
+        if every and (steps // every > (steps - rollout) // every or steps >= self._settings.total_steps):
+            for name, value in self._validate().items():
+                self.logger.record(f"validation/{name}", value)
+        lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
+        self.logger.record("rollout/mean_reward", self._mean_reward())
+        self.logger.record("rollout/ep_len_mean", float(np.mean(lengths)) if lengths else math.nan)
+        self.logger.record("time/time_elapsed", self.seconds)
+        self.logger.dump(steps)
+
+    def write_checkpoint(self) -> None:
+        """Write the state at the start of the rollout that runs now, or that would be next."""
+        if self._write is not None and self._checkpoint is not None:
+            self._write(self._checkpoint)
+            self._written = time.monotonic()
 
 
 def train_ppo(
@@ -174,21 +247,19 @@ def train_ppo(
     resume: bool = False,
     progress: Callable[[Progress], None] | None = None,
     checkpoint_seconds: float = 20.0,
-    stop: Callable[[], bool] | None = None,
     check: Callable[[PolicyController, int, float], bool] | None = None,
 ) -> PolicyController:
-    """Train a policy from nothing, or go on from a checkpoint.
+    """Train a policy from nothing, or go on from a checkpoint as if there had been no interruption.
 
     Args:
         config: the task.
         settings: of the training.
         gains: of the PID that the residual form corrects.
         seed: of networks, exploration, plants, references and noise.
-        folder: where ``checkpoint.safetensors`` and ``.json`` go; ``None`` writes nothing.
+        folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
         resume: go on from the checkpoint in ``folder``.
         progress: called after every rollout.
-        checkpoint_seconds: time between checkpoints.
-        stop: asked at every step; true ends the training early.
+        checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
         check: called between rollouts with the policy as it stands, the steps done and the seconds that they took
             (its own not counted); true ends the training early.
 
@@ -196,106 +267,76 @@ def train_ppo(
         The trained policy.
 
     Raises:
-        ConfigurationError: impossible settings, or a checkpoint that is missing or of other settings.
-        KeyboardInterrupt: Ctrl-C; the last state has been written as a checkpoint.
+        ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
+        KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the rollout that was interrupted.
     """
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, gains)
+    described = settings.model_dump(mode="json")
+    made_with = {
+        "seed": seed,
+        "settings": {**described, "total_steps": 0},  # a training may be made longer
+        "task": config.model_dump(mode="json"),
+        "features": features.describe(),
+    }
+    place = Path(folder) if folder is not None else None
+    if resume and place is None:
+        raise ConfigurationError("resume: a folder with a checkpoint is needed")
+    checkpoint = None
+    if place is not None and resume:
+        checkpoint = load(place, made_with)
+    elif place is not None:
+        (place / CHECKPOINT_FILE).unlink(missing_ok=True)
+    done = checkpoint.steps if checkpoint is not None else 0
+
     first = TRAINING_SEEDS.start + (seed * settings.axes) % (len(TRAINING_SEEDS) - settings.axes)
-    checkpoint = Path(folder) / "checkpoint" if folder is not None else None
-    done = 0
-    if resume:
-        if checkpoint is None:
-            raise ConfigurationError("resume: a folder with a checkpoint is needed")
-        tensors, stored = load_weights(checkpoint, CHECKPOINT_KIND)
-        done = _checked_checkpoint(stored, settings, config, seed, checkpoint)
-    # A resumed training meets new episodes, not those of its beginning again.
-    practised = task_config(config, **settings.practice)
-    env = AxisVecEnv(
-        practised,
-        settings.axes,
-        features,
-        first + done % 1000,
-        settings.reward_scale,
-        settings.residual and settings.paired,
-    )
+    env = make_env(config, settings, features, first)
     model = make_model(env, settings, seed)
-    with torch.no_grad():
-        model.policy.get_parameter("action_net.weight").mul_(0.1 if settings.residual else 1.0)
-    if resume:
-        _restore(model, tensors, checkpoint)
-        model.num_timesteps = done
+    model.set_logger(training_logger(place, done))
 
-    def save_checkpoint(current: PPO) -> None:
-        if checkpoint is not None:
-            _save_checkpoint(current, checkpoint, settings, config, seed)
+    def current() -> PolicyController:
+        return PolicyController.from_sb3(model, features)
 
-    _set_exploration(model, settings, min(done / settings.total_steps, 1.0))
+    base_error = math.nan  # of the PID that is corrected; the same each time
 
-    def check_policy(current: PPO, seconds: float) -> bool:
-        assert check is not None
-        return check(PolicyController.from_model(current, features, {}), int(current.num_timesteps), seconds)
+    def validation() -> dict[str, float]:
+        nonlocal base_error
+        if settings.residual and gains is not None and math.isnan(base_error):
+            base_error = validation_errors(config, PID(gains, features.layout))[0]
+        mean, worst, failures = validation_errors(config, current())
+        return {
+            "mean_error_mm": mean,
+            "worst_error_mm": worst,
+            "failures": failures,
+            "base_mean_error_mm": base_error,
+        }
 
-    watching = check_policy if check is not None else None
-    callback = _Callback(settings, save_checkpoint, progress, checkpoint_seconds, stop, watching)
-    began = time.monotonic()
+    callback = _Callback(
+        settings,
+        checkpoint.seconds if checkpoint is not None else 0.0,
+        progress,
+        None if place is None else lambda taken: save(taken, place, made_with),
+        checkpoint_seconds,
+        lambda seconds: check is not None and check(current(), int(model.num_timesteps), seconds),
+        validation,
+    )
     try:
+        if checkpoint is not None and place is not None:
+            restore(model, env, checkpoint, place / CHECKPOINT_FILE)
         if done < settings.total_steps:
-            model.learn(settings.total_steps - done, callback=callback, reset_num_timesteps=False)
+            never = settings.total_steps  # the callback writes the log, once the update is done
+            model.learn(settings.total_steps - done, callback, log_interval=never, reset_num_timesteps=False)
     except KeyboardInterrupt:
-        save_checkpoint(model)
+        callback.write_checkpoint()
         raise
     finally:
+        model.logger.close()
         env.close()
-    save_checkpoint(model)
     record = {
         "algorithm": "PPO (stable-baselines3)",
         "seed": seed,
         "steps": int(model.num_timesteps),
-        "seconds": round(time.monotonic() - began, 1),
-        "settings": settings.model_dump(mode="json"),
+        "seconds": round(callback.seconds, 1),
+        "settings": described,
     }
-    return PolicyController.from_model(model, features, record)
-
-
-def _set_exploration(model: Any, settings: PPOSettings, share: float) -> None:
-    """Set the exploration noise on its straight way from the first to the last value; it is not learned."""
-    first, last = settings.initial_log_standard_deviation, settings.final_log_standard_deviation
-    model.policy.log_std.requires_grad_(False)
-    with torch.no_grad():
-        model.policy.log_std.fill_(first + (last - first) * share)
-
-
-def _checked_checkpoint(
-    stored: dict[str, Any], settings: PPOSettings, config: TaskConfig, seed: int, path: Path
-) -> int:
-    if stored.get("seed") != seed:
-        raise ConfigurationError(f"{path}.json: was made with seed {stored.get('seed')}, not {seed}; cannot resume")
-    same = {"settings": settings.model_dump(mode="json"), "task": config.model_dump(mode="json")}
-    for what, now in same.items():
-        before = dict(stored.get(what) or {})
-        if what == "settings":  # a training may be made longer
-            before, now = {**before, "total_steps": 0}, {**now, "total_steps": 0}
-        if before != now:
-            changed = next((key for key in now if before.get(key) != now[key]), "format")
-            raise ConfigurationError(f"{path}.json: was made with another {what} ('{changed}' differs); cannot resume")
-    return int(stored["steps"])
-
-
-def _save_checkpoint(model: PPO, path: Path, settings: PPOSettings, config: TaskConfig, seed: int) -> None:
-    tensors = {f"policy.{name}": value.detach().cpu().numpy() for name, value in model.policy.state_dict().items()}
-    tensors |= optimiser_tensors(model.policy.optimizer)
-    stored = {
-        "steps": int(model.num_timesteps),
-        "seed": seed,
-        "settings": settings.model_dump(mode="json"),
-        "task": config.model_dump(mode="json"),
-    }
-    save_weights(path, CHECKPOINT_KIND, tensors, stored)
-
-
-def _restore(model: PPO, tensors: dict[str, Any], path: Path | None) -> None:
-    policy = model.policy.state_dict()
-    require(tensors, {f"policy.{name}": tuple(value.shape) for name, value in policy.items()}, str(path))
-    model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in policy})
-    restore_optimiser(model.policy.optimizer, tensors)
+    return PolicyController.from_sb3(model, features, record)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from agents.controllers.base import ObservationLayout
+from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID, PIDGains
 from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
@@ -40,6 +41,31 @@ def gains_from_vector(vector: NDArray[np.float64]) -> PIDGains:
     return PIDGains.model_construct(**values)
 
 
+def mean_costs(
+    env: ServoHydraulicVectorEnv, controller: Controller, seeds: Sequence[int], options: dict[str, Any]
+) -> NDArray[np.float64]:
+    """Mean cost per control period of one episode on every axis, (N,).
+
+    An axis that fails pays the worst tracking cost for the rest of its episode.
+
+    Args:
+        env: N axes that restart by themselves.
+        controller: what acts.
+        seeds: of the axes.
+        options: of the reset.
+    """
+    task, memory = env.config, None
+    worst = task.reward.tracking * task.reward.error_limit
+    observation, _ = env.reset(seed=seeds, options=options)
+    total, alive = np.zeros(env.num_envs), np.ones(env.num_envs, dtype=np.bool_)
+    for _ in range(task.steps):
+        action, memory = controller.predict(observation, memory)
+        observation, reward, terminated, _, _ = env.step(action)
+        total += np.where(alive, -reward, worst)
+        alive &= ~terminated
+    return total / task.steps
+
+
 def tune_pid(
     config: TaskConfig,
     plants: int = 126,
@@ -60,7 +86,7 @@ def tune_pid(
         generations: of the search.
         population: candidates per gain.
         seed: of the search and of the training plants.
-        progress: called with generation, mean error so far (m) and gains.
+        progress: called with the generation, the lowest mean cost so far and its gains.
 
     Returns:
         The gains, and their mean cost per step on the training plants.
@@ -78,35 +104,24 @@ def tune_pid(
             environments[candidates] = ServoHydraulicVectorEnv(
                 candidates * plants, config, autoreset_mode="SameStep", info=False
             )
-        env = environments[candidates]
-        first = TRAINING_SEEDS.start + seed * plants
-        observation, _ = env.reset(
-            seed=list(range(first, first + plants)) * candidates,
-            options={"leakage_flow_lpm": np.tile(leak, candidates), "reference": names * candidates},
+        first = TRAINING_SEEDS.start + (seed * plants) % (len(TRAINING_SEEDS) - plants)
+        cost = mean_costs(
+            environments[candidates],
+            PID(gains_from_vector(np.repeat(points, plants, axis=1)), layout),
+            list(range(first, first + plants)) * candidates,
+            {"leakage_flow_lpm": np.tile(leak, candidates), "reference": names * candidates},
         )
-        controller = PID(gains_from_vector(np.repeat(points, plants, axis=1)), layout)
-        memory = None
-        total = np.zeros(candidates * plants)
-        alive = np.ones(candidates * plants, dtype=np.bool_)
-        for step in range(config.steps):
-            action, memory = controller.predict(observation, memory)
-            observation, reward, terminated, _, _ = env.step(action)
-            # A failed axis pays the worst tracking cost for the rest of its episode.
-            worst = config.reward.tracking * config.reward.error_limit
-            total -= np.where(alive, reward, -worst)
-            alive &= ~terminated
-            del step
-        return np.asarray(total.reshape(candidates, plants).mean(axis=1) / config.steps)
+        return np.asarray(cost.reshape(candidates, plants).mean(axis=1))
 
     bounds = [(np.log(low), np.log(high)) if log else (low, high) for low, high, log in SEARCH.values()]
     generation = 0
 
-    def report(intermediate_result: object) -> None:
+    def report(intermediate_result: Any) -> None:
         nonlocal generation
         generation += 1
         if progress is not None:
-            best = gains_from_vector(np.asarray(intermediate_result.x))  # type: ignore[attr-defined]
-            progress(generation, float(intermediate_result.fun), best)  # type: ignore[attr-defined]
+            best = gains_from_vector(np.asarray(intermediate_result.x))
+            progress(generation, float(intermediate_result.fun), best)
 
     result = differential_evolution(
         costs,

@@ -1,8 +1,9 @@
-"""The native vector environment as a stable-baselines3 ``VecEnv``, with the policy's features computed on the way."""
+"""The native vector environment as a ``VecEnv`` of stable-baselines3, with or without the policy's features."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,47 +12,65 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from agents.controllers.pid import PIDState
-from agents.learning.features import FeatureState, PolicyFeatures
+from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import AxesState
 
-FEATURE_LIMIT = 50.0
+Array = NDArray[Any]
+ENV = "env."
 
 
 class AxisVecEnv(VecEnv):
-    """N axes for stable-baselines3: the policy sees :class:`PolicyFeatures`, its output becomes a command.
+    """N axes in one compiled step for any algorithm of stable-baselines3, several times faster than ``DummyVecEnv``.
+
+    Observations and actions are the environment's own::
+
+        from stable_baselines3 import PPO
+        from agents.learning.vec_env import AxisVecEnv
+
+        env = AxisVecEnv({"episode_duration": 1.0}, 64)
+        model = PPO("MlpPolicy", env, n_steps=128, device="cpu").learn(100_000)
+
+    With ``features`` the policy sees :class:`PolicyFeatures` instead, and its output becomes a command through them.
 
     ``infos`` carries what stable-baselines3 reads (``terminal_observation``, ``TimeLimit.truncated``, ``episode``) on
-    the axes that ended, nothing elsewhere.
+    the axes that ended, nothing elsewhere. An axis that ended has begun its next episode.
 
     With ``paired`` each axis has a twin with the same plant, reference and noise that the PID alone drives, and the
-    reward is the difference to the twin's. What no controller can help (a large step, a bad plant) cancels out; the
-    twin does not depend on the policy's actions, so that the policy gradient stays unbiased.
+    reward is the difference to the twin's. Error that no controller can avoid cancels out; the twin does not depend
+    on the policy's actions, so that the policy gradient stays unbiased.
 
     Args:
-        config: the task.
-        count: number of axes.
-        features: from observation to policy input, from output to command.
+        config: the task, as the environments take it.
+        count: number of axes N.
+        features: from observation to policy input, from output to command; ``None`` leaves both as they are.
         seed: of axis 0; axis i gets seed + i.
         reward_scale: multiplies rewards, to keep values near 1.
-        paired: reward against a twin under the PID; needs the residual form.
-        stagger: end the first episodes at different steps, so that not all axes restart at once.
+        paired: reward against a twin under the PID; needs features in the residual form.
+        stagger: move the clock of axis i on by i/N of an episode at the first reset, so that not all axes restart at
+            once. The references jump at that moment; later episodes are whole.
+        overrides: single fields of the task.
+
+    Raises:
+        ConfigurationError: an impossible task, or ``paired`` without a PID.
     """
 
     def __init__(
         self,
-        config: TaskConfig,
-        count: int,
-        features: PolicyFeatures,
+        config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
+        count: int = 1,
+        features: PolicyFeatures | None = None,
         seed: int = 0,
         reward_scale: float = 1.0,
         paired: bool = False,
-        stagger: bool = True,
+        stagger: bool = False,
+        **overrides: Any,
     ) -> None:
-        if paired and features.pid is None:
+        if paired and (features is None or features.pid is None):
             raise ConfigurationError("paired rewards need the residual form: a PID to compare with")
         self._paired = paired
         self._total = 2 * count if paired else count
-        self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False)
+        self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False, **overrides)
         self.features = features
         self.reward_scale = reward_scale
         self.render_mode = None
@@ -64,8 +83,10 @@ class AxisVecEnv(VecEnv):
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
         self._stagger = stagger
-        space = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
-        super().__init__(count, space, spaces.Box(-1.0, 1.0, (1,), np.float32))
+        observed: spaces.Space[Any] = self.env.single_observation_space
+        if features is not None:
+            observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
+        super().__init__(count, observed, self.env.single_action_space)
 
     def reset(self) -> VecEnvObs:
         """Begin an episode on every axis; returns the policy's inputs (N, size)."""
@@ -74,29 +95,38 @@ class AxisVecEnv(VecEnv):
         observation, _ = self.env.reset(seed=seeds, options=self._next_options)
         self._first_seed = None
         if self._stagger:
-            steps = self.env.axes.column("step")
-            steps[:] = (np.arange(self._total) % self.num_envs) * self.env.config.steps // self.num_envs
+            state = self.env.get_state()
+            shares = np.arange(self._total) % self.num_envs
+            state.arrays["record"]["step"] = shares * self.env.config.steps // self.num_envs
+            self.env.set_state(state)
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        inputs, self._state = self.features(observation[: self.num_envs], None, None)
-        self._drive_twins(observation[self.num_envs :], None)
+        self._state = self._twins = None
+        return self._inputs(observation, None)
+
+    def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        """Take in the observations of all axes and twins; returns the policy's inputs (N, size)."""
+        if self._paired:
+            assert self.features is not None
+            assert self.features.pid is not None
+            twins = observation[self.num_envs :]
+            self._twin_commands, self._twins = self.features.pid.predict(twins, self._twins, restarted)
+        if self.features is None:
+            return observation
+        inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
-    def _drive_twins(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> None:
-        if self._paired:
-            assert self.features.pid is not None
-            memory = self._twins if restarted is not None else None
-            self._twin_commands, self._twins = self.features.pid.predict(observation, memory, restarted)
-
-    def step_async(self, actions: NDArray[Any]) -> None:
+    def step_async(self, actions: Array) -> None:
         """Take the policy's outputs (N, 1)."""
         self._actions = np.asarray(actions, dtype=np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all axes by one control period."""
-        assert self._state is not None
         count = self.num_envs
-        command = self.features.command(self._actions, self._state)
+        command = self._actions
+        if self.features is not None:
+            assert self._state is not None
+            command = self.features.command(command, self._state)
         if self._paired:
             command = np.concatenate([command, self._twin_commands])
         observation, rewards, terminated, truncated, _ = self.env.step(command)
@@ -113,31 +143,65 @@ class AxisVecEnv(VecEnv):
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
             mask = np.concatenate([done, done]) if self._paired else done
             observation, _ = self.env.reset(options={"reset_mask": mask})
-        inputs, self._state = self.features(observation[:count], self._state, done)
-        self._drive_twins(observation[count:], done)
+        inputs = self._inputs(observation, done)
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return (
-            np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT),
-            (reward * self.reward_scale).astype(np.float32),
-            done,
-            infos,
-        )
+        return inputs, (reward * self.reward_scale).astype(np.float32), done, infos
 
     def _fill_infos(
-        self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: NDArray[Any], terminated: NDArray[np.bool_]
+        self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
     ) -> None:
         """The last inputs of the episodes that ended: their history with the last observation in place of the new."""
-        assert self._state is not None
-        of_ended = _rows(self._state, ended)
-        inputs, _ = self.features(last[ended], of_ended, None)
-        inputs = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
+        inputs = last[ended]
+        if self.features is not None:
+            assert self._state is not None
+            inputs, _ = self.features(inputs, self._state.rows(ended), None)
+            inputs = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
         for row, axis in enumerate(ended):
             infos[axis] = {
                 "terminal_observation": inputs[row],
                 "TimeLimit.truncated": not terminated[axis],
                 "episode": {"r": float(self._returns[axis]), "l": int(self._lengths[axis]), "t": 0.0},
             }
+
+    def get_state(self) -> dict[str, Array]:
+        """Copies of all that the next steps depend on, as named arrays; for :meth:`set_state`."""
+        arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
+        arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+        if self._state is not None:
+            _, ring, slot, command = self._state
+            arrays |= {"ring": ring, "slot": np.array(slot), "base_command": command}
+        for name, pid in (("pid", self._state.pid if self._state is not None else None), ("twin", self._twins)):
+            if pid is not None:
+                arrays |= {f"{name}.{field}": value for field, value in vars(pid).items()}
+        return arrays | {"twin_command": self._twin_commands}
+
+    def set_state(self, state: Mapping[str, Array]) -> None:
+        """Go back to a state of :meth:`get_state`, taken here or in another ``AxisVecEnv`` of the same arguments.
+
+        Raises:
+            ConfigurationError: the arrays describe no state that an axis can be in.
+        """
+        arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
+        record, steps = arrays["record"], self.env.config.steps
+        finite = all(np.isfinite(record[name]).all() for name in record.dtype.names or ())
+        if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
+            raise ConfigurationError("env.record: holds no state that an axis can be in")
+        self.env.set_state(AxesState(self.env.config, arrays))
+        self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
+        self._twin_commands = state["twin_command"]
+
+        def pid(name: str) -> PIDState | None:
+            if f"{name}.integral" not in state:
+                return None
+            return PIDState(*(state[f"{name}.{field}"] for field in ("integral", "velocity", "position")))
+
+        self._twins = pid("twin")
+        if self.features is not None:
+            slot = int(state["slot"])
+            if not 0 <= slot < state["ring"].shape[1]:
+                raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
+            self._state = FeatureState(pid("pid"), state["ring"], slot, state["base_command"])
 
     def close(self) -> None:
         """Stop the worker threads."""
@@ -184,11 +248,3 @@ class AxisVecEnv(VecEnv):
         if indices is None:
             return range(self.num_envs)
         return [indices] if isinstance(indices, int) else indices
-
-
-def _rows(state: FeatureState, rows: NDArray[np.int64]) -> FeatureState:
-    """The memory of some axes, as a copy."""
-    pid = state.pid
-    if pid is not None:
-        pid = type(pid)(pid.integral[rows], pid.velocity[rows], pid.position[rows])
-    return FeatureState(pid, state.ring[rows].copy(), state.slot, state.base_command[rows].copy())

@@ -1,4 +1,4 @@
-"""How figures are drawn: one panel wide, as SVG text that looks the same in every browser and on every machine.
+"""How every figure of the project is drawn: one style, one palette, SVG (and PNG) that is the same on every machine.
 
 Each controller keeps its colour, marker and line over all figures. The same numbers give the same bytes.
 """
@@ -9,14 +9,20 @@ import io
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
+
+from agents.report.text import number, setting
 
 if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
@@ -26,6 +32,9 @@ Array = NDArray[np.floating[Any]]
 WIDTH, HEIGHT = 4.6, 3.0
 """inches; 440 pixels, about a phone, so that text keeps its size there."""
 
+WIDE = 8.6
+"""inches; a figure of several panels side by side."""
+
 INK, GREY, PALE = "#222222", "#6b6b6b", "#dddddd"
 
 STYLE: Any = {
@@ -34,6 +43,9 @@ STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.labelsize": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
     "axes.edgecolor": GREY,
     "axes.labelcolor": INK,
     "axes.spines.top": False,
@@ -57,17 +69,6 @@ STYLE: Any = {
     "errorbar.capsize": 2.5,
 }
 
-FAMILY_NAMES = {
-    "step": "steps",
-    "point_to_point": "point-to-point moves",
-    "ramp": "ramps",
-    "sine": "sines",
-    "multi_sine": "sums of sines",
-    "start_stop": "start–stop runs",
-    "user": "own reference",
-}
-"""What a person calls the families of references."""
-
 
 @dataclass(frozen=True)
 class Plot:
@@ -81,20 +82,25 @@ class Plot:
 
 @dataclass(frozen=True)
 class Look:
-    """How a controller looks in every figure."""
+    """How something looks in every figure: a controller, a leak."""
 
     colour: str
     marker: str
-    line: str
+    line: Any  # a linestyle of matplotlib
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """Options of a line."""
+        return {"color": self.colour, "linestyle": self.line}
 
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8A6D00", "#56B4E9")
-"""After Okabe and Ito: told apart by colour-blind readers too."""
+COLOURS = ("#0072b2", "#d55e00", "#00805c", "#b3508a", "#8a6d00", "#2e8bc0")
+"""After Okabe and Ito, darkened to a contrast of 3 : 1 on white: colour-blind readers can tell them apart."""
 
 MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
 
 
-def looks_of(names: Iterable[str]) -> dict[str, Look]:
+def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
     """The look of each controller, by its place."""
     return {
         name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
@@ -107,29 +113,45 @@ def controllers_of(evaluation: Evaluation) -> list[str]:
     return [str(name) for name in evaluation.cases["controller"].unique()]
 
 
-def draw(key: str, alt: str, paint: Callable[[Figure], None], height: float = HEIGHT) -> str:
-    """The SVG element that ``paint`` draws; its ids start with ``key``, so that figures on one page do not mix."""
+def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
+    """What ``paint`` draws on a figure of a size (inches), as files of these kinds (``svg``, ``png``)."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
         paint(figure)
-        buffer = io.StringIO()
-        nothing: dict[str, Any] = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        figure.savefig(buffer, format="svg", metadata=nothing, transparent=True)
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r'\bid="|url\(#|href="#', lambda found: f"{found.group(0)}{key}-", text)
-    label = alt.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    return re.sub(r'width="[^"]*" height="[^"]*"', lambda _: f'role="img" aria-label="{label}"', text, count=1)
+        files = []
+        for kind in kinds:
+            file = io.BytesIO()
+            nothing: dict[str, Any] = dict.fromkeys(
+                ("Date", "Creator", "Format", "Type") if kind == "svg" else ["Software"]
+            )
+            figure.savefig(file, format=kind, dpi=120, metadata=nothing, facecolor="white")
+            files.append(file.getvalue())
+    return files
+
+
+def inline(file: bytes, key: str, alt: str) -> str:
+    """The SVG element for a page: its ids start with ``key``, ``alt`` says what it shows."""
+    svg = file.decode()
+    text = re.sub(r'\bid="|url\(#|href="#', lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
+    label = f'role="img" aria-label="{escape(alt)}"'
+    return re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, text, count=1)
+
+
+def draw(key: str, alt: str, paint: Callable[[Figure], None], height: float = HEIGHT) -> str:
+    """The SVG element of a figure of one panel's width."""
+    return inline(render(paint, (WIDTH, height), "svg")[0], key, alt)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
     """All numbers of a figure in words, by controller."""
-    parts = [
-        f"{name}: " + ", ".join(f"{label} {value:.3g}{unit}" for label, value in row) for name, row in rows.items()
-    ]
+    parts = [f"{name}: " + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name]) for name in rows]
     return f"{title}. {'; '.join(parts)}."
+
+
+# Parts of figures ---------------------------------------------------------------------------------------------------
 
 
 def add_legend(axes: Axes) -> None:
@@ -140,11 +162,29 @@ def add_legend(axes: Axes) -> None:
         axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns)
 
 
+def legend_inside(axes: Axes, **options: Any) -> None:
+    """A legend on a white ground, so that the lines behind it do not disturb."""
+    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
+
+
+def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = setting) -> None:
+    """Ticks at these values alone, written out."""
+    axis.set_major_locator(FixedLocator(values))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: labels(value)))
+
+
+def log_leak_axis(axes: Axes, levels: Sequence[float], label: str = "leak, l/min at 100 bar") -> None:
+    """A logarithmic horizontal axis with a tick at every level."""
+    axes.set(xscale="log", xlabel=label)
+    ticks(axes.xaxis, levels)
+
+
 def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
-    """A logarithmic axis with a tick at every level; places of the levels. No leak stands left of all others."""
+    """Equal steps on the axis for the logarithm of the levels; places of the levels. A leak of zero is drawn left."""
     zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
     places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
-    axes.set_xticks(list(places.values()), [f"{level:g}" for level in places])
+    axes.set_xticks(list(places.values()), [setting(level) for level in places])
     axes.set_xlabel("leak, l/min at 100 bar")
     axes.grid(visible=False, axis="x")
     return places
@@ -170,5 +210,5 @@ def bars(axes: Axes, places: Any, frame: pd.DataFrame, column: str, look: Look, 
 
 
 def dodge(count: int, index: int, width: float) -> float:
-    """How far one of several controllers stands beside the place that they share."""
+    """How far one of several controllers is drawn beside the place that they share."""
     return width * (index - 0.5 * (count - 1))

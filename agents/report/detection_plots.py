@@ -1,4 +1,4 @@
-"""The figures of the report about noticing the leak: detection rate, ROC, precision and recall, estimated size."""
+"""The figures of the report about leakage detection: detection rate, ROC, precision and recall, estimated size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from agents.report.canvas import (
     GREY,
@@ -22,9 +21,12 @@ from agents.report.canvas import (
     dodge,
     draw,
     looks_of,
+    ticks,
 )
+from agents.report.text import number, setting
 
 if TYPE_CHECKING:
+    from agents.evaluation.detection import LeakBounds
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_FALSE_ALARMS = 1e-3
@@ -69,7 +71,7 @@ def _rates(evaluation: Evaluation) -> Plot:
     alt = description(
         title, {n: list(zip(p["value"], 100.0 * p["flagged_share"], strict=True)) for n, p in parts.items()}, " %"
     )
-    note = "Bars: 95 % interval. What is flagged on healthy seals (left) are false alarms."
+    note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
     return Plot(title, note, alt, draw("rates", alt, paint))
 
 
@@ -88,11 +90,11 @@ def _corners(x: Array, y: Array) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-def _operating_point(detection: pd.DataFrame, controller: str) -> tuple[float, float]:
+def _operating_point(detection: pd.DataFrame, controller: str, bounds: LeakBounds) -> tuple[float, float]:
     """False-alarm rate, and detection rate of all leaks, at the head's own threshold."""
     part = detection[detection["controller"] == controller]
     flow, flagged = part["leakage_flow_lpm"].to_numpy(), part["flagged"].to_numpy(dtype=np.float64)
-    return float(flagged[flow <= 0.03].mean()), float(flagged[flow > 0.1].mean())
+    return float(flagged[flow <= bounds.healthy_up_to].mean()), float(flagged[flow > bounds.leaking_above].mean())
 
 
 def _roc(evaluation: Evaluation) -> Plot:
@@ -108,7 +110,7 @@ def _roc(evaluation: Evaluation) -> Plot:
             x, y = _corners(*_curve(evaluation, name, "roc"))
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
-            alarms, found = _operating_point(evaluation.detection, name)
+            alarms, found = _operating_point(evaluation.detection, name, evaluation.bounds)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
             axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * found, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
@@ -120,10 +122,10 @@ def _roc(evaluation: Evaluation) -> Plot:
         add_legend(axes)
 
     title = "Leaks flagged against false alarms"
-    areas = _from_summary(evaluation, "auroc_above_0.1_lpm", 3)
+    areas = _from_summary(evaluation, "auroc", 3)
     note = (
-        "All leaks above 0.1 l/min, every threshold (receiver operating characteristic, ROC). Marked: the threshold in "
-        f"use. Area under the curve on linear axes: {areas}."
+        f"All leaks above {setting(evaluation.bounds.leaking_above)} l/min, every threshold (receiver operating "
+        f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
     )
     alt = f"{title}. Area under the curve: {areas}."
     return Plot(title, note, alt, draw("roc", alt, paint))
@@ -133,7 +135,7 @@ def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
     """One number of every controller, in words."""
     rows = evaluation.detection_summary
     return ", ".join(
-        f"{name} {value:.{decimals}f}" for name, value in zip(rows["controller"], rows[column], strict=True)
+        f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)
     )
 
 
@@ -167,7 +169,7 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
 
 def _size(evaluation: Evaluation) -> Plot:
     looks = looks_of(controllers_of(evaluation))
-    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > 0.1]
+    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > evaluation.bounds.leaking_above]
     low, high = float(leaking["leakage_flow_lpm"].min()), float(leaking["leakage_flow_lpm"].max())
     bottom = min(max(float(leaking["estimated_flow_lpm"].min()), SIZE_TICKS[0]), 0.5 * low)
     top = min(max(float(leaking["estimated_flow_lpm"].max()), 2.0 * high), 50.0)
@@ -196,7 +198,5 @@ def _size(evaluation: Evaluation) -> Plot:
 
 def _size_axes(axes: Axes) -> None:
     for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
-        axis.set_major_locator(FixedLocator(SIZE_TICKS))
-        axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ticks(axis, SIZE_TICKS)
         axis.set_label_text(f"{name} leak, l/min")

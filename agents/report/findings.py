@@ -1,9 +1,7 @@
-"""What an evaluation found, in sentences; every number and every verdict comes from its tables."""
+"""The findings of an evaluation in sentences; every number and every verdict comes from its tables."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,22 +9,20 @@ import numpy as np
 import pandas as pd
 
 from agents.evaluation.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
-from agents.report.canvas import FAMILY_NAMES, controllers_of
+from agents.report.canvas import controllers_of
+from agents.report.text import decimals_for, family_name, listed, number, unbroken
 
 if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_PLANTS = 3
-"""Fewer give no intervals, so that nothing can be called better or worse."""
+"""Fewer give no intervals: nothing is called better or worse."""
 
 FEW_PLANTS = 12
-"""Fewer give rough intervals, and the report says so."""
+"""Fewer give rough intervals; the report says so."""
 
 FALSE_ALARM_TARGET = 0.01
 """For which the threshold of the leakage head was set."""
-
-HEALTHY = 0.03
-"""l/min at 100 bar; a seal that leaks no more is healthy."""
 
 NEITHER = "no clear difference"
 
@@ -40,20 +36,6 @@ class Finding:
 
 
 # Numbers as text ----------------------------------------------------------------------------------------------------
-
-
-def decimals_for(size: float, digits: int = 3) -> int:
-    """Decimals that give a number of this size so many significant digits."""
-    if size == 0.0 or not np.isfinite(size):
-        return 0
-    return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), 6)
-
-
-def number(value: float, decimals: int | None = None) -> str:
-    """A number with three significant digits or with so many decimals, never with an exponent; – for NaN."""
-    if not np.isfinite(value):
-        return "–" if np.isnan(value) else "∞"
-    return f"{value:.{decimals_for(value) if decimals is None else decimals}f}"
 
 
 def interval_text(interval: Interval, unit: str = "", decimals: int | None = None) -> str:
@@ -70,16 +52,6 @@ def percent(interval: Interval) -> str:
     if np.isnan(interval.value):
         return "–"
     return interval_text(Interval(*(100.0 * part for part in interval)), "%", 1)
-
-
-def listed(parts: Sequence[str]) -> str:
-    """Parts as in a sentence: a, b and c."""
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def family_name(family: str) -> str:
-    """What a person calls a family of references."""
-    return FAMILY_NAMES.get(family, family)
 
 
 def row_interval(row: Any, column: str) -> Interval:
@@ -121,12 +93,7 @@ def findings(evaluation: Evaluation) -> list[Finding]:
     found += [_comparison(evaluation, name) for name in controllers_of(evaluation)[1:]]
     if not evaluation.detection_summary.empty:
         found += [_detection(evaluation), _size(evaluation)]
-    return [Finding(_bound(item.lead), _bound(item.text)) for item in found]
-
-
-def _bound(text: str) -> str:
-    """Numbers and their units kept on one line."""
-    return re.sub(r"(?<=[\d×]) (?=(%|mm|l/min)(?!\w)|\d)", "\u00a0", text)
+    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in found]
 
 
 def caution(evaluation: Evaluation) -> str:
@@ -134,10 +101,8 @@ def caution(evaluation: Evaluation) -> str:
     plants = plants_of(evaluation)
     if plants >= FEW_PLANTS:
         return ""
-    what = "there are no intervals" if plants < FEWEST_PLANTS else "the intervals are rough"
-    return (
-        f"A small run: {plants} plants per leak size and kind of reference, so {what}: too small to decide anything by."
-    )
+    what = "without intervals" if plants < FEWEST_PLANTS else "with rough intervals"
+    return f"A small run, {what}: {plants} plants per leak size and kind of reference are too few for any decision."
 
 
 def failures(evaluation: Evaluation) -> str:
@@ -156,7 +121,7 @@ def _change(ratio: float) -> str:
     """A ratio of errors in words."""
     if ratio >= 2.0:
         return f"{number(ratio)} times the error"
-    return f"{100.0 * abs(ratio - 1.0):.0f} % {'more' if ratio > 1.0 else 'less'} error"
+    return f"{number(100.0 * abs(ratio - 1.0), 0)} % {'more' if ratio > 1.0 else 'less'} error"
 
 
 def _level_mean(evaluation: Evaluation, controller: str, level: float) -> Interval:
@@ -165,8 +130,9 @@ def _level_mean(evaluation: Evaluation, controller: str, level: float) -> Interv
     return row_interval(table[own & (table["leakage_flow_lpm"] == level)].iloc[0], "mean")
 
 
-def _seal(level: float) -> str:
-    return f"a healthy seal ({level:g} l/min)" if level <= HEALTHY else f"a leak of {level:g} l/min"
+def _seal(evaluation: Evaluation, level: float) -> str:
+    healthy = level <= evaluation.bounds.healthy_up_to
+    return f"a healthy seal ({level:g} l/min)" if healthy else f"a leak of {level:g} l/min"
 
 
 def _leak(evaluation: Evaluation) -> Finding:
@@ -180,15 +146,16 @@ def _leak(evaluation: Evaluation) -> Finding:
         )
     whole = growth(cases, base)
     kind = verdict(whole, plants)
+    best, worst = _seal(evaluation, first), _seal(evaluation, last)
     lead = f"A leak of {last:g} l/min makes no clear difference to the mean error of {base}."
     if kind != NEITHER:
         than = "that it makes" if whole.value >= 2.0 else "than"
-        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {_seal(first)}."
+        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {best}."
     text = (
-        f"{base}: {interval_text(least, 'mm')} mean error with {_seal(first)}, {interval_text(most, 'mm')} with "
-        f"{_seal(last)}: × {interval_text(whole, decimals=2)}. {_growth_by_family(cases, base, plants)}"
+        f"{base}: {interval_text(least, 'mm')} mean error with {best}, {interval_text(most, 'mm')} with "
+        f"{worst}: × {interval_text(whole)}. {_growth_by_family(cases, base, plants)}"
     )
-    others = [f"{name} × {interval_text(growth(cases, name), decimals=2)}" for name in names[1:]]
+    others = [f"{name} × {interval_text(growth(cases, name))}" for name in names[1:]]
     return Finding(lead, text + (f" For comparison: {listed(others)}." if others else ""))
 
 
@@ -197,7 +164,7 @@ def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
     parts: dict[str, list[str]] = {"loses": [], "wins": [], NEITHER: []}
     for family in map(str, cases["family"].unique()):
         interval = growth(cases, base, family)
-        parts[verdict(interval, plants)].append(f"{family_name(family)} (× {number(interval.value, 2)})")
+        parts[verdict(interval, plants)].append(f"{family_name(family)} (× {number(interval.value)})")
     words = {"loses": "more error in", "wins": "less error in", NEITHER: "no clear difference in"}
     sentence = "; ".join(f"{words[kind]} {listed(found)}" for kind, found in parts.items() if found)
     return f"{sentence[0].upper()}{sentence[1:]}."
@@ -218,10 +185,10 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
     mine, theirs = (_worst_twentieth(evaluation.cases, who) for who in (name, base))
     equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
     text = (
-        f"Over all runs the mean error of {name} is {interval_text(whole, decimals=2)} times that of {base}; {name} is "
-        f"the better one in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
-        f"Steps have by far the largest errors and outweigh the rest; with every kind of reference weighing the same "
-        f"(geometric mean of the ratios) it is {interval_text(equal, decimals=2)}. "
+        f"Over all runs the mean error of {name} is {interval_text(whole)} times that of {base}; {name} is "
+        f"better in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
+        f"Steps have by far the largest errors and dominate this mean; with equal weights for all kinds of reference "
+        f"(geometric mean of the ratios) it is {interval_text(equal)}. "
         f"{_breakdown(frame, 'level', plants)} {_breakdown(frame, 'family', plants)} "
         f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
     )
@@ -264,19 +231,20 @@ def _false_alarms(row: Any) -> Interval:
 def _detection(evaluation: Evaluation) -> Finding:
     rates = evaluation.detection_rates
     smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
+    moderate = f"{evaluation.bounds.moderate_from:g} l/min"
     summary = {str(row["controller"]): row for row in evaluation.detection_summary.to_dict("records")}
-    found = {name: _flagged(evaluation, name, "≥ 0.3") for name in summary}
+    found = {name: _flagged(evaluation, name, evaluation.bounds.moderate_label) for name in summary}
     alarms = {name: _false_alarms(row) for name, row in summary.items()}
     if min(found[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
-        lead = "Leaks from 0.3 l/min can be flagged from one episode of ordinary motion."
+        lead = f"Leaks from {moderate} can be flagged from one episode of ordinary motion."
     elif min(found[name].low - alarms[name].high for name in summary) > 0.0:
-        lead = "Leaks from 0.3 l/min can be flagged, but not reliably."
+        lead = f"Leaks from {moderate} can be flagged, but not reliably."
     else:
-        lead = "Leaks from 0.3 l/min cannot be told from healthy seals here."
+        lead = f"Leaks from {moderate} cannot be distinguished from healthy seals here."
     parts = [
-        f"Flagged under {name}: {percent(found[name])} of the leaks from 0.3 l/min, "
+        f"Flagged under {name}: {percent(found[name])} of the leaks from {moderate}, "
         f"{percent(_flagged(evaluation, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
-        f"the healthy seals (false alarms); AUROC {number(float(row['auroc_above_0.1_lpm']), 3)}."
+        f"the healthy seals (false alarms); AUROC {number(float(row['auroc']), 3)}."
         for name, row in summary.items()
     ]
     return Finding(lead, " ".join([*parts, "(AUROC: 1 is perfect, 0.5 is chance.)", _alarm_sentence(alarms)]))
@@ -290,9 +258,9 @@ def _alarm_sentence(alarms: dict[str, Interval]) -> str:
 
 
 def _size(evaluation: Evaluation) -> Finding:
-    rows = evaluation.detection_summary.to_dict("records")
+    rows, above = evaluation.detection_summary.to_dict("records"), evaluation.bounds.leaking_above
     middle = max(float(row["median_size_error_factor"]) for row in rows)
-    lead = f"The size of a leak is estimated within a factor of {middle:.2f} for half of the leaks."
-    parts = [f"{number(float(row['p90_size_error_factor']), 2)} under {row['controller']}" for row in rows]
-    text = f"For nine in ten it is within a factor of {listed(parts)} (leaks above 0.1 l/min; 1 would be exact)."
+    lead = f"The size of a leak is estimated within a factor of {number(middle)} for half of the leaks."
+    parts = [f"{number(float(row['p90_size_error_factor']))} under {row['controller']}" for row in rows]
+    text = f"For nine in ten it is within a factor of {listed(parts)} (leaks above {above:g} l/min; 1 would be exact)."
     return Finding(lead, text)

@@ -1,4 +1,4 @@
-"""The figures of the report: tracking errors, single runs, training."""
+"""The figures of the report: tracking errors and single runs."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from agents.report.canvas import (
-    FAMILY_NAMES,
     HEIGHT,
     INK,
     PALE,
@@ -28,11 +27,16 @@ from agents.report.canvas import (
     level_axis,
     looks_of,
     row_axis,
+    ticks,
 )
+from agents.report.text import family_name, number, setting
 
 if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
     from agents.report.report import Example
+
+JUMP = 2e-4
+"""m between two samples; a larger change of the reference is a step."""
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -67,11 +71,15 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
             else:
                 axes.plot(x, part[column], color=look.colour, marker=look.marker, linestyle=look.line, label=name)
         axes.set_ylabel("error, mm")
+        axes.margins(x=0.06)  # no marker is cut at the edge
         _error_scale(axes, _ends(frame, column))
         add_legend(axes)
 
     rows = {
-        name: [(f"{level:g} l/min", value) for level, value in zip(part["leakage_flow_lpm"], part[column], strict=True)]
+        name: [
+            (f"{setting(level)} l/min", value)
+            for level, value in zip(part["leakage_flow_lpm"], part[column], strict=True)
+        ]
         for name, part in parts.items()
     }
     alt = description(title, rows, " mm")
@@ -82,22 +90,15 @@ def _by_family(evaluation: Evaluation) -> Plot:
     frame = evaluation.families[evaluation.families["metric"] == "mean_error_mm"]
     looks = looks_of(controllers_of(evaluation))
     families = [str(family) for family in frame["family"].unique()]
-    labels = [FAMILY_NAMES.get(family, family) for family in families]
+    labels = [family_name(family) for family in families]
     parts = {name: frame[frame["controller"] == name] for name in looks}
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots()
         for index, (name, part) in enumerate(parts.items()):
             rows = np.array([families.index(str(family)) for family in part["family"]])
-            bars(
-                axes,
-                rows + dodge(len(parts), index, min(0.2, 0.7 / len(parts))),
-                part,
-                "mean",
-                looks[name],
-                name,
-                "rows",
-            )
+            rows = rows + dodge(len(parts), index, min(0.2, 0.7 / len(parts)))
+            bars(axes, rows, part, "mean", looks[name], name, "rows")
         row_axis(axes, labels)
         axes.set_xlabel("mean error, mm")
         _error_scale(axes, _ends(frame, "mean"), "x")
@@ -126,10 +127,10 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axis = axes.yaxis if which == "y" else axes.xaxis
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.set_minor_locator(NullLocator())
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: setting(value)))
         axis.set_label_text(f"{axis.get_label_text()} (logarithmic)")
     else:
-        axes.set(**{f"{which}lim": (0.0, None)})
+        axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
 
 
 def _ratio_plots(evaluation: Evaluation) -> list[Plot]:
@@ -160,7 +161,7 @@ def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
             if len(names) == 1:
                 text: dict[str, Any] = {"color": looks[name].colour, "va": "center", "fontsize": 8.5}
                 for row, value in zip(rows, part["ratio"], strict=True):
-                    axes.text(1.01, row, f"{value:.2f}", transform=axes.get_yaxis_transform(), **text)
+                    axes.text(1.01, row, number(value), transform=axes.get_yaxis_transform(), **text)
         row_axis(axes, labels)
         axes.axhline(0.5, color=PALE, linewidth=0.8)
         _ratio_scale(axes, frame[["ratio", "low", "high"]].to_numpy(dtype=np.float64))
@@ -178,7 +179,7 @@ def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
 def _row_label(group: str, value: str) -> str:
     if value == "":
         return "all runs"
-    return f"{float(value):g}" if group == "level" else FAMILY_NAMES.get(value, value)
+    return f"{float(value):g}" if group == "level" else family_name(value)
 
 
 def _height(rows: int, controllers: int) -> float:
@@ -189,38 +190,36 @@ def _ratio_scale(axes: Axes, values: Array) -> None:
     finite = np.append(values[np.isfinite(values) & (values > 0.0)], 1.0)
     low, high = float(finite.min()), float(finite.max())
     if high > 3.0 * low:
-        ticks = [tick for tick in RATIO_TICKS if 0.8 * low <= tick <= 1.25 * high]
         axes.set_xscale("log")
-        axes.xaxis.set_major_locator(FixedLocator(ticks))
-        axes.xaxis.set_minor_locator(NullLocator())
+        ticks(axes.xaxis, [tick for tick in RATIO_TICKS if 0.8 * low <= tick <= 1.25 * high])
         axes.set_xlim(low / 1.15, high * 1.15)
     else:
         room = max(0.08 * (high - low), 0.02)
         axes.set_xlim(low - room, high + room)
         axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
 
 
-def example_plot(example: Example, number: int, looks: Mapping[str, Look]) -> Plot:
+def example_plot(example: Example, key: int, looks: Mapping[str, Look]) -> Plot:
     """Position and reference, error in mm, command in V of one episode under every controller."""
     names = list(example.position)
+    jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP]
 
     def paint(figure: Figure) -> None:
-        above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
+        above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
+        for axes in panels if example.preview > 0.0 else ():
+            for jump in jumps:
+                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0)
         above.plot(example.time, 1e3 * example.reference, color=INK, linewidth=1.0, label="reference")
         for name in names:
             look = looks[name]
-            line: dict[str, Any] = {"color": look.colour, "linewidth": 1.2, "linestyle": look.line}
-            above.plot(example.time, 1e3 * example.position[name], label=name, **line)
-            middle.plot(example.time, 1e3 * (example.reference - example.position[name]), **line)
-            below.plot(example.time, 10.0 * example.command[name], **(line | {"linewidth": 0.9}))
+            above.plot(example.time, 1e3 * example.position[name], label=name, linewidth=1.2, **look.stroke)
+            middle.plot(example.time, 1e3 * (example.reference - example.position[name]), linewidth=1.2, **look.stroke)
+            below.plot(example.time, 10.0 * example.command[name], linewidth=0.9, **look.stroke)
         middle.axhline(0.0, color=INK, linewidth=0.6)
         above.set_ylabel("position, mm")
         middle.set_ylabel("error, mm")
-        below.set_ylabel("command, V")
-        below.set_xlabel("time, s")
-        below.set_ylim(-10.8, 10.8)
-        below.set_yticks([-10, 0, 10])
+        below.set(ylabel="command, V", xlabel="time, s", ylim=(-10.8, 10.8), yticks=[-10, 0, 10])
         below.set_xlim(0.0, float(example.time[-1]))
         for axes in (above, middle):
             axes.yaxis.set_major_locator(MaxNLocator(5))
@@ -228,29 +227,13 @@ def example_plot(example: Example, number: int, looks: Mapping[str, Look]) -> Pl
         add_legend(above)
 
     errors = [
-        f"{name} {1e3 * float(np.mean(np.abs(example.reference - example.position[name]))):.3g} mm" for name in names
+        f"{name} {number(1e3 * float(np.mean(np.abs(example.reference - example.position[name]))))} mm"
+        for name in names
     ]
     note = f"Mean error of this run: {', '.join(errors)}."
+    if len(jumps) and example.preview > 0.0:
+        note += (
+            f" Grey: a preview shows the step {setting(1e3 * example.preview)} ms ahead; a controller may start then."
+        )
     alt = f"Position, error and valve command over time: {example.title}. {note}"
-    return Plot(example.title[:1].upper() + example.title[1:], note, alt, draw(f"example-{number}", alt, paint, 4.6))
-
-
-def training_plot(curve: pd.DataFrame) -> Plot | None:
-    """Mean reward over training steps; ``None`` without a curve."""
-    curve = curve.dropna(subset=["mean_reward"]) if "mean_reward" in curve else curve
-    if curve.empty:
-        return None
-    steps, reward = (curve[name].to_numpy(dtype=np.float64) for name in ("steps", "mean_reward"))
-    factor, unit = (1e6, "million steps") if steps.max() >= 1e6 else (1e3, "thousand steps")
-
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
-        axes.plot(steps / factor, reward, color=INK, linewidth=1.2)
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel(f"training, {unit}")
-        axes.set_ylabel("mean reward")
-
-    title = "Reward while learning"
-    alt = f"{title}: from {reward[0]:.3g} at the start to {reward[-1]:.3g} after {steps[-1] / factor:.3g} {unit}."
-    note = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
-    return Plot(title, note, alt, draw("training", alt, paint))
+    return Plot(example.title[:1].upper() + example.title[1:], note, alt, draw(f"example-{key}", alt, paint, 4.6))

@@ -1,27 +1,35 @@
-"""The nonlinear plant in a sampled position loop, as the paper's rig has it, and the gain that the figures use."""
+"""Position loops with a proportional controller: the nonlinear plant in one, its largest stable gain, its speed."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, FULL_COMMAND, SampledLoop, sampled_loop
-from agents.reproduction.rig import Rig, with_leak
+from agents.controllers.sampled_loop import (
+    COMMAND_LATENCY,
+    CONTROL_PERIOD,
+    FULL_COMMAND,
+    SampledLoop,
+    places_in_reach,
+    sampled_loop,
+    speed_per_command,
+)
+from agents.report.leaks import FINE_ABOVE, TIGHT
+from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
+from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
 
 Array = NDArray[np.float64]
 
-TIGHT = 0.01
-"""l/min at 100 bar; a new seal."""
-
 GAIN_MARGIN = 2.0
 """Largest stable gain over the gain used."""
 
-PLACES = 5
 SETTLED_SHARE = 0.02
 """Part of the final value within which a step response counts as settled."""
 
@@ -29,15 +37,7 @@ LONGEST_SETTLING = 10.0
 """s; what settles later has no settling time."""
 
 INNER = 1e-3
-"""s; period and latency are multiples of it."""
-
-TIMING = f"position sampled every {1e3 * CONTROL_PERIOD:g} ms, command {1e3 * COMMAND_LATENCY:g} ms late"
-
-
-def places(rig: Rig) -> tuple[float, ...]:
-    """Positions in m over the reach, ends included."""
-    low, high = rig.reach
-    return tuple(low + (high - low) * part / (PLACES - 1) for part in range(PLACES))
+"""s; sample time of the plant in a loop. Control period and latency are multiples of it."""
 
 
 def loop_at(parameters: PlantParameters, position: float) -> SampledLoop | None:
@@ -56,7 +56,7 @@ def sensible_gain(rig: Rig) -> float:
         HydroError: no gain is stable, or no gain is too large.
     """
     plant = with_leak(rig.parameters, TIGHT, "laminar")
-    loops = [loop for loop in (loop_at(plant, place) for place in places(rig)) if loop is not None]
+    loops = [loop for loop in (loop_at(plant, place) for place in places_in_reach(plant)) if loop is not None]
     limit = min((loop.largest_stable_gain() for loop in loops), default=0.0)
     if not 0.0 < limit < float("inf"):
         raise HydroError(f"no sensible gain: the largest stable one of the position loop is {limit:g} per metre")
@@ -86,47 +86,111 @@ def settling_time(loop: SampledLoop, gain: float, longest: float = LONGEST_SETTL
     return float((outside[-1] + 1) * loop.control_period) if len(outside) else 0.0
 
 
+Control = Callable[[float, float], float]
+"""Reference and position in m → command (1 = 10 V)."""
+
+
+def proportional(gain: float, offset: float = 0.0) -> Control:
+    """Command = gain (per metre) · (reference − position) + offset, within ±1."""
+    return lambda reference, position: float(np.clip(gain * (reference - position) + offset, -1.0, 1.0))
+
+
 def closed_loop_run(
     parameters: PlantParameters,
     reference: ArrayLike,
-    gain: float,
+    control: Control,
     start: float,
-    offset: float = 0.0,
     deviation: float = 0.0,
+    latency: float = COMMAND_LATENCY,
+    sample_time: float = INNER,
 ) -> pd.DataFrame:
-    """The nonlinear plant under command = gain · (reference − position) + offset; one row per millisecond.
+    """The nonlinear plant in a sampled position loop; one row per sample, and the end.
 
     Args:
         parameters: the plant.
         reference: m, one value per control period, shape (n,).
-        gain: command (1 = 10 V) per metre.
+        control: the controller, called once per control period.
         start: m; at rest there.
-        offset: constant part of the command.
         deviation: m; the position is put off by it at the start.
+        latency: s, until a command acts.
+        sample_time: s; control period and latency are multiples of it.
 
     Returns:
-        ``time_s``, ``reference_m``, ``position_m``, ``command``; 5 rows per period and the end.
+        ``time_s``, ``reference_m``, ``position_m``, ``command`` (1 = 10 V).
     """
     targets = np.asarray(reference, dtype=np.float64)
     state, holding = equilibrium(parameters, start)
     state, before = state | {"position": start + deviation}, holding / FULL_COMMAND
-    per_period, late = round(CONTROL_PERIOD / INNER), round(COMMAND_LATENCY / INNER)
+    per_period, late = round(CONTROL_PERIOD / sample_time), round(latency / sample_time)
     positions, commands = [np.array([state["position"]])], []
     for target in targets:
-        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
+        command = control(float(target), state["position"])
         acting = np.repeat([before, command], [late, per_period - late])
-        run = simulate(parameters, FULL_COMMAND * acting, INNER, state)
+        run = simulate(parameters, FULL_COMMAND * acting, sample_time, state)
         positions.append(run.position[1:])
         commands.append(acting)
         state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
         before = command
-    held = np.repeat(targets, per_period)
-    acting = np.concatenate(commands)
+    held, acting = np.repeat(targets, per_period), np.concatenate(commands)
     return pd.DataFrame(
         {
-            "time_s": INNER * np.arange(len(held) + 1),
+            "time_s": sample_time * np.arange(len(held) + 1),
             "reference_m": np.append(held, held[-1]),
             "position_m": np.concatenate(positions),
             "command": np.append(acting, acting[-1]),
         }
     )
+
+
+def limit_table(rig: Rig, leaks: tuple[float, ...] = FINE_ABOVE) -> pd.DataFrame:
+    """Largest stable gain by law, leak and position, and what the loop does at gains below it.
+
+    ``limit_per_m`` in command (1 = 10 V) per metre; ``continuous_limit_per_m`` = 2 ζ ω over the speed per command: no
+    sampling, no latency, an ideal valve (Merritt 1967). NaN where the position cannot be held. ``gain_per_m`` is the
+    smallest limit over the positions at this leak, divided by the gain margin; ``bandwidth_hz``, ``settling_s`` (2 % of
+    a small step) and ``velocity_gain_per_s`` are those of the loop at this place with that gain.
+
+    Raises:
+        HydroError: no gain is too large anywhere.
+    """
+    rows = []
+    for law in LAWS:
+        for leak in leaks:
+            plant = with_leak(rig.parameters, leak, law)
+            loops = {place: loop_at(plant, place) for place in places_in_reach(rig.parameters)}
+            limits = {place: loop.largest_stable_gain() if loop else math.nan for place, loop in loops.items()}
+            known = [limit for limit in limits.values() if math.isfinite(limit) and limit > 0.0]
+            gain = min(known) / GAIN_MARGIN if known else math.nan
+            for place, loop in loops.items():
+                row = {"law": law, "leak_lpm": leak, "position_mm": 1e3 * place, "limit_per_m": limits[place]}
+                row |= {"continuous_limit_per_m": _continuous_limit(plant, place), "gain_per_m": gain}
+                speed = bandwidth_here = settling = math.nan
+                if loop is not None and math.isfinite(gain):
+                    bandwidth_here, settling = bandwidth(loop, gain), settling_time(loop, gain)
+                    speed = gain * speed_per_command(plant, place)
+                rows.append(
+                    row | {"bandwidth_hz": bandwidth_here, "settling_s": settling, "velocity_gain_per_s": speed}
+                )
+    table = pd.DataFrame(rows)
+    if not np.isfinite(table["limit_per_m"]).any():
+        raise HydroError("no gain up to 1e6 per metre makes the position loop unstable anywhere: there is no limit")
+    return table
+
+
+def _continuous_limit(plant: PlantParameters, place: float) -> float:
+    try:
+        mode = linearise(plant.replace(friction={"model": "none"}), position=place).hydraulic_mode
+        return 2.0 * mode.damping_ratio * mode.natural_frequency / speed_per_command(plant, place)
+    except (ArithmeticError, HydroError):  # overdamped, or not to be held
+        return math.nan
+
+
+def achievable(table: pd.DataFrame) -> pd.DataFrame:
+    """Per law and leak, with one gain for the whole reach: the worst bandwidth, settling time and velocity gain.
+
+    Over the positions that can be held with every leak, so that all leaks are judged at the same places.
+    """
+    held = table.groupby("position_mm")["limit_per_m"].transform(lambda limits: limits.notna().all())
+    judged = table[held] if held.any() else table
+    worst = {"limit_per_m": "min", "gain_per_m": "first", "bandwidth_hz": "min", "settling_s": "max"}
+    return judged.groupby(["law", "leak_lpm"], sort=False).agg(worst | {"velocity_gain_per_s": "min"}).reset_index()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -19,25 +17,38 @@ class Equation(NamedTuple):
 
 
 _EQ = "hydro_env.plant.equations"
+_PARTS = "hydro_env.plant.parts"
 _AN = "hydro_env.plant.analysis"
 _K_ALONE = "the printed product counts √(2/ρ) twice (flow 21 times too small); K = Q_N/√(ΔP_N/2) alone is used"
 _SPLIT = "the leak is printed as a factor of dV/dt; it is a term of its own"
 
 EQUATIONS: tuple[Equation, ...] = (
     Equation(1, "spool follows the coil current", (f"{_EQ}.derivatives",), "limits of slew and stroke added"),
-    Equation(2, "flow through a valve edge", (f"{_EQ}.edge_flows", f"{_EQ}.smooth_root"), "laminar near zero drop"),
+    Equation(
+        2,
+        "flow through a valve edge",
+        (f"{_PARTS}.valve.edge_flows", f"{_PARTS}.valve.smooth_root"),
+        "laminar near zero drop",
+    ),
     Equation(3, "valve constant from rated flow", (f"{_EQ}.coefficients",), _K_ALONE),
-    Equation(4, "mass balance of a volume", (f"{_EQ}.pressure_rate",), "–"),
-    Equation(5, "the same with the density taken out", (f"{_EQ}.pressure_rate",), "–"),
-    Equation(6, "compressibility of the oil", (f"{_EQ}.pressure_rate",), "β in Pa, printed N/m; free air may be added"),
-    Equation(7, "flow, volume and pressure of a chamber", (f"{_EQ}.pressure_rate",), "β in Pa, printed N/m"),
-    Equation(8, "pressure in chamber a, no leak", (f"{_EQ}.pressure_rate", f"{_EQ}.derivatives"), "–"),
-    Equation(9, "pressure in chamber b, no leak", (f"{_EQ}.pressure_rate", f"{_EQ}.derivatives"), "–"),
-    Equation(10, "internal leakage", (f"{_EQ}.internal_leakage",), "the rig's throttle added (root law)"),
-    Equation(11, "external leakage", (f"{_EQ}.external_leakage",), "–"),
+    Equation(4, "mass balance of a volume", (f"{_PARTS}.chambers.pressure_rate",), "–"),
+    Equation(5, "the same with the density taken out", (f"{_PARTS}.chambers.pressure_rate",), "–"),
+    Equation(
+        6,
+        "compressibility of the oil",
+        (f"{_PARTS}.chambers.pressure_rate",),
+        "β in Pa, printed N/m; free air may be added",
+    ),
+    Equation(
+        7, "flow, volume and pressure of a chamber", (f"{_PARTS}.chambers.pressure_rate",), "β in Pa, printed N/m"
+    ),
+    Equation(8, "pressure in chamber a, no leak", (f"{_PARTS}.chambers.pressure_rate", f"{_EQ}.derivatives"), "–"),
+    Equation(9, "pressure in chamber b, no leak", (f"{_PARTS}.chambers.pressure_rate", f"{_EQ}.derivatives"), "–"),
+    Equation(10, "internal leakage", (f"{_PARTS}.leakage.internal_leakage",), "the rig's throttle added (root law)"),
+    Equation(11, "external leakage", (f"{_PARTS}.leakage.external_leakage",), "–"),
     Equation(12, "pressure in chamber a", (f"{_EQ}.derivatives",), "–"),
     Equation(13, "pressure in chamber b", (f"{_EQ}.derivatives",), "–"),
-    Equation(14, "force of the cylinder", (f"{_EQ}.acceleration",), "–"),
+    Equation(14, "force of the cylinder", (f"{_PARTS}.load.acceleration",), "–"),
     Equation(15, "force as an integral", ("hydro_env.plant.simulate.simulate",), "integrated with the whole state"),
     Equation(
         16,
@@ -45,7 +56,12 @@ EQUATIONS: tuple[Equation, ...] = (
         (f"{_AN}.force_rate_terms",),
         "V_b0 − A_b x in every term of chamber b; external leakage with +, as in (24)",
     ),
-    Equation(17, "motion of the load", (f"{_EQ}.acceleration", f"{_EQ}.friction"), "friction kept, also in (18)"),
+    Equation(
+        17,
+        "motion of the load",
+        (f"{_PARTS}.load.acceleration", f"{_PARTS}.friction.friction"),
+        "friction kept, also in (18)",
+    ),
     Equation(
         18,
         "the whole state space model",
@@ -59,18 +75,6 @@ EQUATIONS: tuple[Equation, ...] = (
     Equation(23, "rate of the force", (f"{_AN}.force_rate_terms",), "–"),
     Equation(24, "its four terms", (f"{_AN}.force_rate_terms",), "V_b0 − A_b x in every term of chamber b"),
 )
-
-
-def resolve(name: str) -> Callable[..., Any]:
-    """The function that a dotted name means.
-
-    Raises:
-        ImportError: no such module.
-        AttributeError: no such function in it.
-    """
-    module, _, function = name.rpartition(".")
-    found: Callable[..., Any] = getattr(importlib.import_module(module), function)
-    return found
 
 
 def equation_table() -> pd.DataFrame:

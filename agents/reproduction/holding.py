@@ -1,4 +1,4 @@
-"""Holding against the spring: what P, PI and PID leave of the error as the seal wears, and what the supply pays."""
+"""What a leak costs at rest and in motion: the error of P, PI and PID while holding, and the supply's power."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 
-from agents.controllers.sampled_loop import FULL_COMMAND
-from agents.reproduction.drawing import COLOURS, ReproducedFigure, legend, panel_title
-from agents.reproduction.rig import Rig, with_leak
+from agents.controllers.sampled_loop import CONTROL_PERIOD, FULL_COMMAND
+from agents.report.leaks import LEVELS, SEVERE
+from agents.reproduction.closed_loop import closed_loop_run
+from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
-from hydro_env.plant.states import STATE_NAMES
 
-LEAKS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-PERIOD = 0.005  # s
 DURATION = 6.0  # s
 JUDGED = 0.5  # s at the end
 LEAST = 1e-3  # mm; errors below are none
+
+CYCLE = ((0.25, 1.0), (0.25, None), (0.25, -1.0), (0.25, None))
+"""s (times Rig.stretch) and parts of Rig.voltage; None holds the start."""
 
 
 @dataclass(frozen=True)
@@ -30,49 +30,46 @@ class Gains:
     derivative: float = 0.0
 
 
-CONTROLLERS = ("P", "PI", "PID")
-
-
 def controllers(rig: Rig) -> dict[str, Gains]:
     """Gains of P, PI and PID; on the paper's rig the proportional one is that of the project's PID (20 per metre)."""
     gain = FULL_COMMAND * rig.holding_gain
-    return {"P": Gains(gain), "PI": Gains(gain, 2.0 * gain), "PID": Gains(gain, 2.0 * gain, PERIOD * gain)}
+    return {"P": Gains(gain), "PI": Gains(gain, 2.0 * gain), "PID": Gains(gain, 2.0 * gain, CONTROL_PERIOD * gain)}
 
 
 def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[float, float]:
     """Mean error (m) and mean command (V) at the end of a hold that begins in balance at the target, u = 0.
 
-    The position is read without noise; the command is computed every 5 ms and acts at once.
+    The position is read without noise; the command is computed every 5 ms and acts at once. The integral part waits
+    while the command is at its limit.
     """
-    state, _ = equilibrium(plant, target)
-    integral, before, errors, commands = 0.0, target, [], []
-    for _ in range(round(DURATION / PERIOD)):
-        position = state["position"]
-        error = target - position
-        wanted = gains.proportional * error + integral - gains.derivative * (position - before) / PERIOD
-        command = float(np.clip(wanted, -10.0, 10.0))
-        if command == wanted:
-            integral += gains.integral * PERIOD * error
-        run = simulate(plant, [command], PERIOD, state)
-        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
+    integral, before = 0.0, target
+
+    def control(reference: float, position: float) -> float:
+        nonlocal integral, before
+        error = reference - position
+        wanted = gains.proportional * error + integral - gains.derivative * (position - before) / CONTROL_PERIOD
+        if abs(wanted) <= FULL_COMMAND:
+            integral += gains.integral * CONTROL_PERIOD * error
         before = position
-        errors.append(error)
-        commands.append(command)
-    last = round(JUDGED / PERIOD)
-    return float(np.mean(errors[-last:])), float(np.mean(commands[-last:]))
+        return float(np.clip(wanted / FULL_COMMAND, -1.0, 1.0))
+
+    reference = np.full(round(DURATION / CONTROL_PERIOD), target)
+    run = closed_loop_run(plant, reference, control, target, latency=0.0, sample_time=CONTROL_PERIOD)
+    end = run.iloc[:-1].tail(round(JUDGED / CONTROL_PERIOD))
+    return float((end["reference_m"] - end["position_m"]).mean()), FULL_COMMAND * float(end["command"].mean())
 
 
-def holding_table(rig: Rig) -> pd.DataFrame:
+def holding_table(rig: Rig, leaks: tuple[float, ...] = LEVELS) -> pd.DataFrame:
     """Error in mm and command in V of each controller and leak; the rig as assumed, throttle in parallel.
 
     Raises:
         HydroError: the axis holds without a pressure difference, so that nothing leaks.
     """
-    _, voltage = equilibrium(with_leak(rig.parameters, LEAKS[-1], "throttle"), rig.hold)
+    _, voltage = equilibrium(with_leak(rig.parameters, SEVERE, "throttle"), rig.hold)
     if 1e3 * abs(voltage) < LEAST * FULL_COMMAND * rig.holding_gain:
         raise HydroError("no force asks for a pressure difference while it holds, so that no oil leaks")
     rows = []
-    for leak in LEAKS:
+    for leak in leaks:
         plant = with_leak(rig.parameters, leak, "throttle")
         for name, gains in controllers(rig).items():
             error, command = held_error(plant, gains, rig.hold)
@@ -80,43 +77,37 @@ def holding_table(rig: Rig) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def paint_holding(figure: Figure, table: pd.DataFrame) -> None:
-    """Error over leak."""
-    axes = figure.subplots()
-    for colour, marker, name in zip(COLOURS, "os^", CONTROLLERS, strict=False):
-        part = table[table["controller"] == name]
-        size = {"P": 7.0, "PI": 7.0, "PID": 4.0}[name]
-        axes.plot(part["leak_lpm"], part["error_mm"], color=colour, marker=marker, markersize=size, label=name)
-    axes.axhline(0.0, color="#6b6b6b", linewidth=0.7)
-    axes.set(xscale="log", xlabel="leak (throttle in parallel), l/min at 100 bar", ylabel="error left, mm")
-    axes.set_xticks(LEAKS, [f"{leak:g}" for leak in LEAKS])
-    axes.minorticks_off()
-    panel_title(axes, "Error that remains while holding")
-    legend(axes, loc="best")
+def held_places(rig: Rig) -> dict[str, float]:
+    """Two places to hold, m: mid-stroke on the paper's rig and the start elsewhere, and the rig's place to hold."""
+    return {"first": 0.0 if rig.is_paper else rig.start, "second": rig.hold}
 
 
-def holding_figure(rig: Rig) -> ReproducedFigure:
-    """The steady-state errors with their words."""
-    table = holding_table(rig)
-    error = table.pivot(index="leak_lpm", columns="controller", values="error_mm")
-    command = table.pivot(index="leak_lpm", columns="controller", values="command_v")
-    gains = controllers(rig)
-    worst_integral = error[["PI", "PID"]].abs().max().max()
-    return ReproducedFigure(
-        table=table,
-        paint=paint_holding,
-        height=3.6,
-        paper="The paper shows moves and stops. A leak also shows while nothing moves: the valve must replace what "
-        "leaks.",
-        how=f"Holding {1e3 * rig.hold:+.0f} mm{' against the spring' if rig.has_spring else ''}; the rig as assumed"
-        f"{', with friction' if rig.has_friction else ''}; gains {gains['P'].proportional:g} V/m, "
-        f"{gains['PI'].integral:g} V/(m s), {gains['PID'].derivative:g} V s/m; position without noise, command every "
-        f"5 ms "
-        f"without latency; mean over the last {JUDGED:g} s of {DURATION:g} s, from balance.",
-        found=[
-            f"P leaves {error['P'].iloc[0]:.3g} mm with the tight seal and {error['P'].iloc[-1]:.3g} mm at "
-            f"{LEAKS[-1]:g} l/min; with an integral part at most {worst_integral:.3f} mm is left.",
-            f"The integral part does not hide the leak, it moves it into the command: PI holds with "
-            f"{command['PI'].iloc[0]:.2f} V when tight and {command['PI'].iloc[-1]:.2f} V at {LEAKS[-1]:g} l/min.",
-        ],
-    )
+def holding_power(plant: PlantParameters, position: float, sample_time: float) -> float:
+    """Power in W drawn at port P while a position (m) is held."""
+    _, voltage = equilibrium(plant, position)
+    run = simulate(plant, [voltage], sample_time, {"position": position})
+    return float(run.supply_pressure[0] * run.supply_flow[0])
+
+
+def cycle_energy(plant: PlantParameters, rig: Rig) -> float:
+    """Energy in J drawn at port P in one start–stop cycle."""
+    _, holding = equilibrium(plant, rig.start)
+    volts = [(seconds, holding if share is None else share * rig.voltage) for seconds, share in CYCLE]
+    voltage = np.concatenate([np.full(rig.count(rig.stretch * seconds), value) for seconds, value in volts])
+    run = simulate(plant, voltage, rig.sample_time, {"position": rig.start})
+    return float(np.trapezoid(run.supply_pressure * run.supply_flow, run.time))
+
+
+def energy_table(rig: Rig) -> pd.DataFrame:
+    """Power (W) drawn at port P while holding two places, energy (J) of one start–stop cycle, by law and leak."""
+    rows = []
+    for law in LAWS:
+        for leak in LEVELS:
+            plant = with_leak(rig.parameters, leak, law)
+            row: dict[str, float | str] = {"law": law, "leak_lpm": leak}
+            for name, position in held_places(rig).items():
+                row[f"{name}_place_mm"] = 1e3 * position
+                row[f"holding_{name}_w"] = holding_power(plant, position, rig.sample_time)
+            row["cycle_j"] = cycle_energy(plant, rig)
+            rows.append(row)
+    return pd.DataFrame(rows)

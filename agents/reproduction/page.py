@@ -2,51 +2,45 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
 
-import jinja2
-import pandas as pd
 from markupsafe import Markup
 
-from agents.reproduction.drawing import ReproducedFigure, inline_svg
+from agents.report.canvas import inline
+from agents.report.text import Table, templates
+from agents.reproduction.equation_table import equation_table
+from agents.reproduction.figures import Words
 from agents.reproduction.rig import Rig
-from hydro_env import __version__
+from hydro_env import TaskConfig, __version__
 
 
-@dataclass(frozen=True)
-class PageFigure:
-    """A figure with its drawing, or why there is none."""
+class PageFigure(NamedTuple):
+    """A figure of the page, or why there is none."""
 
     key: str
     title: str
     in_paper: bool
     headline: bool
-    figure: ReproducedFigure | None
-    svg: str
-    reason: str
+    equations: str
+    words: Words | None = None
+    drawing: bytes = b""  # SVG
+    reason: str = ""
 
     @property
-    def inline(self) -> Markup:
-        """The drawing as an element of the page, with its findings for who cannot see it."""
-        alt = f"{self.title}. {' '.join(self.figure.found) if self.figure else self.reason}"
-        return Markup(inline_svg(self.svg, self.key, alt))
+    def svg(self) -> Markup:
+        """The drawing as an element of the page, with its findings for those who cannot see it."""
+        return Markup(
+            inline(self.drawing, self.key, f"{self.title}. {' '.join(self.words.found if self.words else [])}")
+        )
 
 
-def true_minus(text: str) -> str:
-    """Hyphens before numbers as minus signs; no sign before a zero."""
-    unsigned = re.sub(r"(?<![\w.\-])[-+](?=0(?:\.0+)?(?![\d.]*[\d]))", "", text)
-    return re.sub(r"(?<![\w.\-])-(?=\d)", "−", unsigned)
-
-
-def render_page(figures: list[PageFigure], equations: pd.DataFrame, command: str, rig: Rig) -> str:
+def render_page(figures: list[PageFigure], command: str, rig: Rig) -> str:
     """The page as HTML."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["minus"] = true_minus
-    source = files("agents.reproduction").joinpath("page.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source).render(
-        figures=figures, equations=equations, command=command, rig=rig, version=__version__
+    table = equation_table()
+    equations = Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)))
+    template = templates(Path(__file__).parent).get_template("page.html.j2")
+    bounds = TaskConfig().leakage.class_bounds
+    return template.render(
+        figures=figures, equations=equations, command=command, rig=rig, bounds=bounds, version=__version__
     )

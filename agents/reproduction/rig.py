@@ -11,27 +11,27 @@ import numpy as np
 
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
-from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import Sensor, Sensors
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.units import orifice_gain_from_flow
 
 Law = Literal["laminar", "throttle"]
 
 LAWS: dict[Law, str] = {"laminar": "laminar leak (10)", "throttle": "throttle in parallel, as on the paper's rig"}
+SHORT_LAWS: dict[Law, str] = {"laminar": "Laminar leak", "throttle": "Throttle in parallel"}
 
 SLOWEST = 65.0
 """Hz; an axis that oscillates slower is given more time."""
 
 LONGEST_STRETCH = 20.0
-"""Durations over those for the paper's rig, up to which the figures are made: minutes of computing beyond."""
+"""Longest durations, in those for the paper's rig: beyond it the figures would take minutes."""
 
 LONG_STRETCH, LONG_SAMPLE_TIME = 10.0, 1e-3
-"""From this stretch on records are sampled more coarsely (s)."""
+"""Above this stretch, records are sampled more coarsely (s)."""
 
 SAMPLES_PER_PERIOD = 20
 SAMPLE_TIMES = (0.5e-3, 0.25e-3, 0.2e-3, 0.1e-3, 0.05e-3, 0.02e-3)
-"""s; the first that gives enough samples per oscillation is taken."""
+"""s; the first with enough samples per oscillation is used."""
 
 HOLDING_SPEED = 3.0
 """1/s; velocity gain of the project's PID on the paper's rig: 20 per metre times the mean no-load speed."""
@@ -41,7 +41,7 @@ HOLDING_SPEED = 3.0
 class Rig:
     """A plant with the places and commands of its moves; the defaults are those of the paper's rig.
 
-    Everything that :func:`own_rig` chooses for another rig stands here, so that no figure knows a place by itself.
+    All that :func:`own_rig` chooses for another rig is here; no figure has a place or a duration of its own.
     """
 
     parameters: PlantParameters = field(default_factory=PlantParameters)
@@ -66,12 +66,6 @@ class Rig:
         """Whether the seals and guides rub at all."""
         friction = self.parameters.friction
         return friction.model != "none" and max(friction.coulomb_force, friction.breakaway_force) > 0.0
-
-    @property
-    def reach(self) -> tuple[float, float]:
-        """Lowest and highest position in m at which the axis is judged: 0.9 of what the supply can hold."""
-        low, high = reachable_range(self.parameters)
-        return 0.9 * float(low), 0.9 * float(high)
 
     def with_parameters(self, parameters: PlantParameters) -> Rig:
         """The same places and commands with another plant."""
@@ -99,8 +93,8 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
         load, least = parameters.load, SLOWEST / LONGEST_STRETCH
         moving = load.mass + parameters.cylinder.piston_mass
         raise ConfigurationError(
-            f"{name}: load.mass = {load.mass:g} kg: it swings on its oil column at {hertz:.2g} Hz; the figures are "
-            f"made for {least:.3g} Hz and above, here up to {moving * (hertz / least) ** 2:.3g} kg with the piston"
+            f"{name}: load.mass = {load.mass:g} kg: it oscillates on its oil column at {hertz:.2g} Hz; the figures "
+            f"need {least:.3g} Hz or more, here at most {moving * (hertz / least) ** 2:.3g} kg with the piston"
         )
     speeds = speed_limits(parameters)
     travel = 0.5 * stretch * max(speeds) / 10.0  # m per V of the longest move
@@ -136,8 +130,7 @@ def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantPa
     """The plant with a leak of ``flow_lpm`` at 100 bar across the piston, and no other internal leak."""
     if law == "laminar":
         return parameters.replace(leakage={"internal_resistance": resistance_from_flow(flow_lpm), "orifice_gain": 0.0})
-    root = smooth_root(LEAKAGE_TEST_PRESSURE, parameters.valve.transition_pressure**2)
-    gain = flow_lpm * LITRE_PER_MINUTE / root
+    gain = orifice_gain_from_flow(flow_lpm)
     return parameters.replace(leakage={"internal_resistance": math.inf, "orifice_gain": gain})
 
 
@@ -149,6 +142,14 @@ def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> Pl
     return parameters.replace(**changes)
 
 
+def rubbing(base: PlantParameters, share: float) -> PlantParameters:
+    """The plant with its friction forces times ``share``."""
+    if share == 0.0:  # no model takes forces of zero
+        return base.replace(friction={"model": "none"})
+    forces = ("coulomb_force", "breakaway_force")
+    return base.replace(friction={name: share * getattr(base.friction, name) for name in forces})
+
+
 STOP_DRIVE = 0.15  # s, until the valve is closed; times Rig.stretch
 STOP_WATCH = 3.0  # s, after that; times Rig.stretch
 
@@ -156,8 +157,8 @@ STOP_WATCH = 3.0  # s, after that; times Rig.stretch
 def quick_stop(parameters: PlantParameters, rig: Rig) -> Trajectory:
     """Extend from the rig's start, then 0 V. Time 0 of the result is the command to stop.
 
-    On the paper's rig it ends near +15 mm, where the spring asks for nearly equal pressures in both chambers: little
-    oil leaks then, so that the oscillation stands almost alone.
+    On the paper's rig it ends near +15 mm, where the spring balances nearly equal pressures in both chambers: little
+    oil leaks there, and hardly any drift adds to the oscillation.
     """
     before, after = rig.count(STOP_DRIVE * rig.stretch), rig.count(STOP_WATCH * rig.stretch)
     voltage = np.concatenate([np.full(before, rig.voltage), np.zeros(after)])

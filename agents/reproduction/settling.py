@@ -1,4 +1,4 @@
-"""Fig. 13: settling time after a quick stop against leakage resistance."""
+"""Fig. 13: settling time after a quick stop against leakage resistance, and how much friction hides its trend."""
 
 from __future__ import annotations
 
@@ -7,26 +7,21 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from agents.reproduction.oscillation import SETTLED, band_envelope, last_above, swing_envelope
-from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_leak
-from agents.reproduction.signals import recorded_acceleration
+from agents.report.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
+from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, rubbing, simplified, with_leak
+from agents.reproduction.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.plant.states import STATE_NAMES
 
-Array = NDArray[np.float64]
-
-LEAKS = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
-"""l/min at 100 bar, healthy to severe."""
-
 FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
-FRICTION_WORDS = {"none": "no friction", "lugre": "LuGre friction"}
-"""Heading of a friction model; of all others their name."""
+FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Friction of the scan, in parts of what is assumed."""
 
+METHODS = {"clean_s": "noise-free", "signal_s": "accelerometer", "theory_s": "linear theory"}
 NOISE_SEEDS = range(5)
 EDGE = 0.1  # s at the end of the record, where the filter of the noisy signal has no future
 RING_DOWN = (0.02, 0.10)  # s after the stop command; the state of the linear theory is the mean over it
@@ -45,8 +40,8 @@ class Settling(NamedTuple):
 
 
 def friction_words(model: str) -> str:
-    """A friction model as the figure heads it."""
-    return FRICTION_WORDS.get(model, f"{model.capitalize()} friction")
+    """A friction model as a heading."""
+    return {"none": "no friction", "lugre": "LuGre friction"}.get(model, f"{model.capitalize()} friction")
 
 
 def friction_models(rig: Rig) -> tuple[str, ...]:
@@ -111,28 +106,30 @@ def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int,
 
 
 def healthy_frequency(rig: Rig) -> float:
-    """Oscillation frequency in rad/s with a tight seal: where all detectors look."""
-    mode = oscillation_mode(
-        quick_stop(with_leak(simplified(rig.parameters, "none", False), LEAKS[0], "laminar"), rig), rig.stretch
-    )
+    """Oscillation frequency in rad/s with a tight seal: where all detectors look.
+
+    Raises:
+        ArithmeticError: the axis does not oscillate.
+    """
+    plant = with_leak(simplified(rig.parameters, "none", False), TIGHT, "laminar")
+    mode = oscillation_mode(quick_stop(plant, rig), rig.stretch)
     if mode is None:
         raise ArithmeticError("the axis does not oscillate even with a tight seal and without friction")
     return mode.natural_frequency
 
 
-def settling_table(rig: Rig, leaks: tuple[float, ...] = LEAKS) -> pd.DataFrame:
+def settling_table(rig: Rig, leaks: tuple[float, ...] = FINE_BELOW) -> pd.DataFrame:
     """One row per friction, null leakage, law and leak: settling times in s by every method.
 
     Raises:
         HydroError: the stop is too gentle.
     """
-    frequency = healthy_frequency(rig)
-    rows = []
+    frequency, rows = healthy_frequency(rig), []
     for friction in friction_models(rig):
         for underlap in (False, True) if rig.parameters.valve.underlap > 0.0 else (False,):
-            plain = simplified(rig.parameters, friction, underlap)
+            plant = simplified(rig.parameters, friction, underlap)
             for law in LAWS:
-                rows += [_row(rig, plain, law, leak, frequency) for leak in leaks]
+                rows += [_row(rig, plant, law, leak, frequency) for leak in leaks]
                 need_a_swing(rows[0]["clean_s"])
     return pd.DataFrame(rows)
 
@@ -150,23 +147,68 @@ def need_a_swing(settling_time: float | str | bool) -> None:
         )
 
 
-def _row(rig: Rig, plain: PlantParameters, law: Law, leak: float, frequency: float) -> dict[str, float | str | bool]:
-    run = quick_stop(with_leak(plain, leak, law), rig)
+def _row(rig: Rig, plant: PlantParameters, law: Law, leak: float, frequency: float) -> dict[str, float | str | bool]:
+    run = quick_stop(with_leak(plant, leak, law), rig)
     settling = settling_of(run, frequency, rig.stretch)
-    seen = [settling_from_signal(run, frequency, seed, rig.stretch) for seed in NOISE_SEEDS]
+    from_signal = [settling_from_signal(run, frequency, seed, rig.stretch) for seed in NOISE_SEEDS]
     return {
-        "friction": plain.friction.model,
-        "valve_null_leakage": plain.valve.underlap > 0.0,
+        "friction": plant.friction.model,
+        "valve_null_leakage": plant.valve.underlap > 0.0,
         "law": law,
         "leak_lpm": leak,
         "resistance_pa_s_m3": resistance_from_flow(leak),
         "clean_s": settling.clean,
-        "signal_s": float(np.median(seen)),
-        "signal_low_s": min(seen),
-        "signal_high_s": max(seen),
+        "signal_s": float(np.median(from_signal)),
+        "signal_low_s": min(from_signal),
+        "signal_high_s": max(from_signal),
         "theory_s": settling.theory,
         "naive_s": settling.naive,
         "natural_frequency_rad_s": settling.frequency,
         "damping_ratio": settling.damping,
         "first_swing_m_s2": settling.start,
     }
+
+
+def chosen(table: pd.DataFrame, law: str, model: str, underlap: bool) -> pd.DataFrame:
+    """The rows of one law, friction model and valve, by leak."""
+    rows = (table["law"] == law) & (table["friction"] == model) & (table["valve_null_leakage"] == underlap)
+    return table[rows].set_index("leak_lpm", drop=False)
+
+
+def trends(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per friction model, valve, law and method: does settling fall at every step from leak to leak?
+
+    ``ratio``: settling with the tight seal over settling at the largest leak; ``falls``: at every step.
+    """
+    rows = []
+    for keys, part in table.groupby(["friction", "valve_null_leakage", "law"], sort=False):
+        for method in METHODS:
+            times = part.set_index("leak_lpm")[method]
+            if times.isna().all():
+                continue
+            first, last = times.iloc[0], times.iloc[-1]
+            row = dict(zip(("friction", "valve_null_leakage", "law"), keys, strict=True)) | {"method": method}
+            row |= {"first_s": first, "moderate_s": times[MODERATE], "last_s": last}
+            row |= {"ratio": first / last if last > 0.0 else math.inf, "falls": bool((times.diff().iloc[1:] < 0).all())}
+            rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def friction_scan_table(
+    rig: Rig, leaks: tuple[float, ...] = SCAN, shares: tuple[float, ...] = FRICTION_SHARES
+) -> pd.DataFrame:
+    """Settling time (s) of the quick stop over friction and leak; laminar leak.
+
+    Raises:
+        HydroError: the rig has no dry friction, or its stop is too gentle.
+    """
+    if not rig.has_friction:
+        raise HydroError("it has no dry friction that could hide the trend")
+    frequency, rows = healthy_frequency(rig), []
+    for leak in leaks:
+        for share in shares:
+            run = quick_stop(with_leak(rubbing(rig.parameters, share), leak, "laminar"), rig)
+            time = settling_of(run, frequency, rig.stretch).clean
+            rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
+            need_a_swing(rows[0]["settling_s"])
+    return pd.DataFrame(rows)

@@ -1,12 +1,13 @@
-"""The signals that the rig would record: its position transducer and its accelerometer, with noise and 16-bit steps."""
+"""The signals that the rig records, with noise and 16-bit steps, and the settling time of an oscillation in them."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import butter, hilbert, lfilter, sosfiltfilt
 
 from hydro_env.task.configuration import Sensor
 
@@ -21,6 +22,9 @@ ACQUISITION_STEP = 20.0 / 65536  # V; 16 bit over ±10 V
 
 CONVERTER_NOISE_BANDWIDTH = 0.5 * math.pi
 """Noise bandwidth of a first-order low-pass over its corner frequency."""
+
+SETTLED = 0.1
+"""m/s²; the paper calls the axis settled below this (ε_a)."""
 
 
 def accelerometer_noise() -> float:
@@ -47,3 +51,44 @@ def recorded_acceleration(true: Array, sample_time: float, generator: np.random.
     step = ACQUISITION_STEP / ACCELEROMETER_VOLTS
     stored: Array = step * np.round(value / step)
     return stored
+
+
+def drift(values: Array, sample_time: float, frequency: float) -> Array:
+    """The mean over one period of the oscillation (``frequency`` in rad/s): what is not oscillation."""
+    width = max(round(2 * np.pi / frequency / sample_time), 1)
+    before = width // 2
+    padded = np.pad(values, (before, width - 1 - before), mode="edge")
+    sums = np.cumsum(np.concatenate([[0.0], padded]))
+    mean: Array = (sums[width:] - sums[:-width]) / width
+    return mean
+
+
+def swing_envelope(time: Array, values: Array, frequency: float) -> Array:
+    """Envelope of what oscillates in ``values`` at about ``frequency`` (rad/s), without the drift.
+
+    Between its peaks |values| is interpolated in the logarithm; after the last peak it stays at that peak.
+    """
+    size = np.abs(values - drift(values, float(time[1] - time[0]), frequency))
+    peaks = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
+    if len(peaks) == 0:
+        return size
+    outline: Array = np.exp(np.interp(time, time[peaks], np.log(size[peaks] + 1e-12)))
+    return outline
+
+
+def last_above(time: Array, values: Array, level: float = SETTLED) -> float:
+    """Last time at which ``values`` exceeds ``level``; 0 where it never does."""
+    above = np.flatnonzero(values > level)
+    return float(time[above[-1]]) if len(above) else 0.0
+
+
+def band_envelope(values: Array, sample_time: float, frequency: float, width: float = 0.3) -> Array:
+    """Envelope of the part of a noisy signal within ``frequency`` (rad/s) × (1 ± width).
+
+    A band-pass of second order run forwards and backwards (no delay), then the size of the analytic signal. White
+    noise loses the share of its power that lies outside the band.
+    """
+    hertz = frequency / (2 * np.pi)
+    band: Any = butter(2, [hertz * (1 - width), hertz * (1 + width)], "bandpass", fs=1 / sample_time, output="sos")
+    size: Array = np.abs(hilbert(sosfiltfilt(band, values)))
+    return size

@@ -1,8 +1,8 @@
-"""Runs controllers on many axes for one episode and hands back what happened, for training and evaluation."""
+"""Runs a controller on a list of independent episodes and returns what happened."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.plant.states import State
+
+_SPOOL = State._fields.index("spool_position")
+
+
+class ControllerError(ConfigurationError):
+    """A controller raised an exception or returned something that is no command."""
 
 
 @dataclass(frozen=True)
 class Cases:
-    """A list of independent episodes: what is fixed in each. All arrays (N,)."""
+    """A list of N independent episodes: what is fixed in each. All arrays (N,)."""
 
     seeds: NDArray[np.int64]
     leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
@@ -25,23 +32,33 @@ class Cases:
         return len(self.seeds)
 
     def part(self, first: int, last: int) -> Cases:
-        """Some of the cases."""
+        """The cases from ``first`` to before ``last``."""
         leak = self.leakage_flow_lpm[first:last] if self.leakage_flow_lpm is not None else None
         families = self.families[first:last] if self.families is not None else None
         return Cases(self.seeds[first:last], leak, families)
+
+    def describe(self, case: int) -> str:
+        """What is fixed in one case, for messages."""
+        parts = [f"seed {self.seeds[case]}"]
+        if self.families is not None:
+            parts.append(f"reference {self.families[case]}")
+        if self.leakage_flow_lpm is not None:
+            parts.append(f"leak {self.leakage_flow_lpm[case]:g} l/min")
+        return ", ".join(parts)
 
 
 @dataclass(frozen=True)
 class Rollout:
     """One episode of each case; N cases, T control periods; values at the T samples after the first.
 
-    A case that fails (``terminated``) keeps the values of its last sample, at no further reward.
+    A case that fails (``terminated``) keeps the values of its last sample and gets no further reward. Without
+    ``states`` the arrays of position, reference, command, spool and reward have the shape (N, 0).
     """
 
     time: NDArray[np.float64]  # (T,), s
     position: NDArray[np.float32]  # (N, T), m, true
     reference: NDArray[np.float32]  # (N, T), m
-    command: NDArray[np.float32]  # (N, T), −1…1
+    command: NDArray[np.float32]  # (N, T), that acted, −1…1
     spool: NDArray[np.float32]  # (N, T), true
     reward: NDArray[np.float32]  # (N, T)
     failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
@@ -57,26 +74,29 @@ def run_cases(
     signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
     states: bool = True,
     chunk: int = 2048,
-    progress: Any = None,
+    progress: Callable[[int], None] | None = None,
 ) -> Rollout:
     """Run one episode of every case under a controller.
 
     Args:
         config: the task.
-        controller: what acts.
+        controller: acts on the observations.
         cases: what is fixed; the rest is drawn from each case's seed.
         signal_columns: columns of the observation to keep.
         states: keep positions, commands and so on as well.
-        chunk: cases that run together; does not change results.
+        chunk: number of cases that run together; does not change results.
         progress: called with the number of finished cases.
+
+    Raises:
+        ControllerError: the controller has no ``predict``, raised an exception, or returned no finite commands (N, 1)
+            with a state; the message names the case.
     """
+    check_predict(controller)
     parts = []
     for first in range(0, len(cases), chunk):
         parts.append(_run_chunk(config, controller, cases.part(first, first + chunk), signal_columns, states))
         if progress is not None:
             progress(min(first + chunk, len(cases)))
-    if len(parts) == 1:
-        return parts[0]
     joined: dict[str, Any] = {"time": parts[0].time}
     for name in Rollout.__dataclass_fields__:
         if name != "time":
@@ -107,17 +127,18 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         if signals is not None:
             signals[step] = observation[:, columns]
             signals[step, ~alive] = signals[step - 1, ~alive]
-        action, memory = controller.predict(observation, memory)
+        started = np.full(count, step == 0)
+        action, memory = _act(controller, observation, memory, started, alive, cases, step * config.control_period)
         observation, rewards, terminated, _, _ = env.step(action)
         if keep_states:
             position[:, step] = axes.column("position")
-            command[:, step] = action[:, 0]
-            spool[:, step] = axes.state[:, 4]
+            command[:, step] = axes.column("command")
+            spool[:, step] = axes.state[:, _SPOOL]
             reward[:, step] = rewards
-            if not alive.all():  # a failed axis stands where it failed while its reference goes on
-                for array in (position, command, spool):
-                    array[~alive, step] = array[~alive, step - 1]
-                reward[~alive, step] = 0.0
+            # A failed axis stays where it failed, while its reference goes on.
+            for array in (position, command, spool):
+                array[~alive, step] = array[~alive, step - 1]
+            reward[~alive, step] = 0.0
         flow = np.where(alive, axes.column("leak_flow"), flow)
         failed_at[alive & terminated] = step
     env.close()
@@ -133,3 +154,51 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         leakage_flow_lpm=flow,
         leakage_class=axes.leakage_class(flow),
     )
+
+
+def check_predict(controller: Any) -> None:
+    """Check that something can act at all.
+
+    Raises:
+        ControllerError: it has no method ``predict``, or is a class.
+    """
+    what = type(controller).__name__
+    if isinstance(controller, type):
+        raise ControllerError(f"{controller.__name__} is a class; a controller is an object of it")
+    if not callable(getattr(controller, "predict", None)):
+        raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
+
+
+def _act(
+    controller: Controller,
+    observation: NDArray[np.float32],
+    memory: Any,
+    started: NDArray[np.bool_],
+    alive: NDArray[np.bool_],
+    cases: Cases,
+    time: float,
+) -> tuple[NDArray[Any], Any]:
+    """Ask for commands (N, 1) and check them; an axis that has failed gets 0."""
+    when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
+    answer: Any
+    try:
+        answer = controller.predict(observation, memory, started, True)
+    except Exception as error:
+        raise ControllerError(f"{when}: predict raised {type(error).__name__}: {error}") from error
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")
+    needed = (len(cases), 1)
+    try:
+        action = np.asarray(answer[0], dtype=np.float64)
+        found = f"of shape {action.shape}"
+    except (TypeError, ValueError, RuntimeError):
+        action, found = np.zeros(0), f"that are no numbers ({type(answer[0]).__name__})"
+    if action.shape != needed:
+        raise ControllerError(
+            f"{when}: predict returned commands {found} for observations of shape "
+            f"{observation.shape}; needed is {needed}"
+        )
+    bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
+    if len(bad):
+        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
+    return np.where(alive[:, None], action, 0.0), answer[1]

@@ -2,13 +2,44 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
 import time
 from types import TracebackType
+from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Column
 
 SECONDS_BETWEEN_LINES = 10.0
+
+
+class PlainConsole(Console):
+    """A console that prints what it is given: no markup (a path may hold brackets), no emoji, no colour of numbers."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def on_broken_pipe(self) -> None:
+        """Leave it to who prints: Rich would end the program."""
+        raise BrokenPipeError
+
+    def lines(self, *parts: Any, **options: Any) -> None:
+        """Print, unless nobody listens any more (a closed pipe, a full disk): work must not end for that."""
+        try:
+            self.print(*parts, **options)
+        except OSError:
+            self.quiet = True
+            if self.file is sys.stdout:
+                discard_output()
+
+
+def discard_output() -> None:
+    """After a failed write to standard output: drop what its buffer still holds, or it fails again at the end."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class ProgressDisplay:
@@ -17,19 +48,20 @@ class ProgressDisplay:
     On a terminal each phase is a bar. Elsewhere (a log, CI) a line appears at most every ten seconds.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console or Console()
+    def __init__(self, console: PlainConsole | None = None) -> None:
+        self.console = console or PlainConsole()
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
         self._last_line: dict[str, float] = {}
         if self.console.is_terminal:
             self._bars = Progress(
-                TextColumn("[bold]{task.description}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeRemainingColumn(),
-                TextColumn("{task.fields[note]}"),
+                TextColumn("{task.description}", style="bold", markup=False),
+                BarColumn(bar_width=20),
+                TextColumn("{task.percentage:3.0f} %", markup=False),
+                TimeRemainingColumn(compact=True),
+                TextColumn("{task.fields[note]}", markup=False, table_column=_rest_of_the_line()),
                 console=self.console,
+                expand=True,
             )
 
     def __enter__(self) -> ProgressDisplay:
@@ -44,7 +76,7 @@ class ProgressDisplay:
             self._bars.stop()
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
-        """Say how far a phase is."""
+        """Say how far a phase is; call it with ``done = 0`` before the work, so that something is seen at once."""
         if self._bars is not None:
             if phase not in self._tasks:
                 self._tasks[phase] = self._bars.add_task(phase, total=total, note=note)
@@ -55,8 +87,13 @@ class ProgressDisplay:
         if first or done >= total or now - self._last_line[phase] >= SECONDS_BETWEEN_LINES:
             self._last_line[phase] = now
             share = f"{100 * done / total:3.0f} %" if total else ""
-            self.console.print(f"{phase}: {share} ({done:,} of {total:,}) {note}".rstrip(), highlight=False)
+            self.say(f"{phase}: {share} ({done:,} of {total:,}) {note}".rstrip())
 
     def say(self, text: str) -> None:
         """A line of its own."""
-        self.console.print(text, highlight=False, soft_wrap=True)
+        self.console.lines(text, soft_wrap=True)
+
+
+def _rest_of_the_line() -> Column:
+    """A column that gives way to the others: notes are cut before the bar is."""
+    return Column(ratio=1, no_wrap=True, overflow="ellipsis")

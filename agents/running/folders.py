@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import errno
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 
-from hydro_env.errors import ConfigurationError
-from hydro_env.files import write_whole
+from hydro_env import ConfigurationError, __version__
+from hydro_env.files import read_json, write_whole
 
+if sys.platform != "win32":
+    import fcntl
+
+MANIFEST_FILE = ".hydro.json"
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -21,29 +32,151 @@ def pretrained_folder() -> Path:
     return _PACKAGE / "pretrained"
 
 
-def prepare_folder(folder: Path, resume: bool, overwrite: bool, *written: str, can_resume: bool = False) -> None:
-    """Check that results may go into a folder, and that it can be written.
+@contextmanager
+def output_folder(
+    folder: Path, job: str, writes: Sequence[str], *, resume: bool | None = None, overwrite: bool = False
+) -> Iterator[Path]:
+    """Claim a folder for the files that a command writes; no file of anybody else's is ever replaced.
+
+    The folder's manifest (``.hydro.json``) lists each file and the command that wrote it. A command may replace only
+    its own files, and only when asked. While the block runs, no other process can claim the folder; the lock ends
+    with the process, however that ends. A block that writes nothing leaves nothing behind.
 
     Args:
-        folder: for the results.
-        resume: the user wants to go on with what is there.
-        overwrite: the user wants to replace what is there.
-        written: names of the files that the job writes.
-        can_resume: whether the job knows how to go on.
+        folder: for the results; made where it does not exist.
+        job: the command, as in ``hydro <job>``.
+        writes: names of all files that the block may write, relative to the folder; ``*`` stands for any characters.
+        resume: whether to go on with what is there; ``None`` for a command that cannot.
+        overwrite: whether to remove the earlier results of this command first.
+
+    Yields:
+        The folder.
 
     Raises:
-        ConfigurationError: it holds results and neither resume nor overwrite is asked for, or cannot be written.
+        ConfigurationError: the folder cannot be written, is in use by another process, holds results and neither
+            ``resume`` nor ``overwrite`` is set, or holds a file with one of these names that the command did not write.
     """
     if resume and overwrite:
         raise ConfigurationError("--resume and --overwrite exclude each other")
-    found = next((name for name in written if (folder / name).exists()), None)
-    if found is not None and not (resume or overwrite):
-        ways = "--resume goes on with them, " if can_resume else ""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise ConfigurationError(f"{folder}: is a file; --output needs a folder") from None
+    except OSError as error:
+        raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from None
+    try:
+        with _locked(folder):
+            owners = _owners(folder)
+            _refuse_foreign(folder, job, writes, owners)
+            present = _present(folder, [name for name, owner in owners.items() if owner == job])
+            if present and not (resume or overwrite):
+                go_on = "" if resume is None else "--resume goes on with them, "
+                raise ConfigurationError(
+                    f"{folder}: holds results already ({present[0]}); {go_on}--overwrite replaces them, "
+                    "--output takes another folder"
+                )
+            # Written before any result is, so that files of a killed command are known as ours; this also shows at
+            # once, and not after hours of work, whether the folder can be written.
+            claimed = owners | dict.fromkeys(writes, job)
+            _write_manifest(folder, claimed)
+            try:
+                if overwrite:
+                    _remove(folder, present)
+                yield folder
+            except KeyboardInterrupt as stop:
+                stop.add_note(_what_stays(folder, resume, _present(folder, writes)))
+                raise
+            finally:
+                with suppress(ConfigurationError):  # a full disk: the list from above names the same files
+                    _write_manifest(folder, {name: _owner(name, claimed) for name in _present(folder, claimed)})
+    finally:
+        for path in made:
+            with suppress(OSError):  # holds results, as it should
+                path.rmdir()
+
+
+def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
+    if not files:
+        return "nothing had been written"
+    if resume is None:
+        return f"the results in {folder} are incomplete, --overwrite begins anew"
+    return f"{folder} keeps what is done so far, --resume goes on with it"
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    if sys.platform == "win32":  # no lock there; everything else holds
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+                raise ConfigurationError(
+                    f"{folder}: another hydro command is writing here; wait for it to end, or take another --output"
+                ) from None
+            # Some network file systems cannot lock a folder.
+        yield
+    finally:
+        os.close(handle)
+
+
+def _owners(folder: Path) -> dict[str, str]:
+    """Command by file name (or pattern), from the manifest; empty without one."""
+    path = folder / MANIFEST_FILE
+    if not os.path.lexists(path):
+        return {}
+    try:
+        files = read_json(path)["files"]
+        if not all(isinstance(name, str) and isinstance(job, str) for name, job in files.items()):
+            raise TypeError
+    except (ConfigurationError, AttributeError, KeyError, TypeError):
         raise ConfigurationError(
-            f"{folder}: holds results already ({found}); {ways}--overwrite replaces them, --output takes another folder"
-        )
-    if folder.exists() and not folder.is_dir():
-        raise ConfigurationError(f"{folder}: is a file, a folder is needed")
-    probe = folder / ".write-test"
-    write_whole(probe, b"")
-    probe.unlink()
+            f"{path}: is not the list of results that hydro keeps; move it away, or take another --output"
+        ) from None
+    return {name: job for name, job in files.items() if not Path(name).is_absolute() and ".." not in Path(name).parts}
+
+
+def _owner(name: str, owners: Mapping[str, str]) -> str:
+    return next((job for pattern, job in owners.items() if fnmatchcase(name, pattern)), "")
+
+
+def _write_manifest(folder: Path, owners: Mapping[str, str]) -> None:
+    path = folder / MANIFEST_FILE
+    if owners:
+        text = json.dumps({"hydro_env": __version__, "files": dict(sorted(owners.items()))}, indent=1)
+        write_whole(path, text.encode())
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _present(folder: Path, names: Sequence[str] | Mapping[str, str]) -> list[str]:
+    """Names of what exists; a dangling link counts."""
+    found: dict[str, None] = {}
+    for name in names:
+        if "*" in name:
+            found |= dict.fromkeys(sorted(path.relative_to(folder).as_posix() for path in folder.glob(name)))
+        elif os.path.lexists(folder / name):
+            found[name] = None
+    return list(found)
+
+
+def _refuse_foreign(folder: Path, job: str, writes: Sequence[str], owners: Mapping[str, str]) -> None:
+    for name in _present(folder, writes):
+        owner = _owner(name, owners)
+        if owner != job:
+            whose = f"was written by hydro {owner}" if owner else "was not written by hydro"
+            raise ConfigurationError(
+                f"{folder / name}: {whose}, and hydro {job} would replace it; move it away, or take another --output"
+            )
+
+
+def _remove(folder: Path, names: Sequence[str]) -> None:
+    for name in names:
+        try:
+            (folder / name).unlink()
+        except OSError as error:
+            raise ConfigurationError(f"{folder / name}: cannot be removed: {error.strerror}") from None

@@ -1,7 +1,8 @@
-"""Weights as safetensors with a JSON beside them: loading runs no code."""
+"""Weights as safetensors with a JSON beside them, checkpoints as one file: loading either runs no code."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,21 +10,55 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
 from safetensors import SafetensorError
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
+from safetensors.numpy import load as unpack
+from safetensors.numpy import save as pack
 
+from agents.controllers.base import ObservationLayout
 from hydro_env import ConfigurationError
-from hydro_env.files import write_whole
+from hydro_env.files import Group, write_whole
 
+Tensors = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 1
+LARGEST_FILE = 2**31
+"""Bytes; more in a file of weights or a checkpoint must be a mistake."""
+
+_DESCRIPTION, _DIGEST = "description", "digest"
 
 
-def save_weights(path: str | Path, kind: str, tensors: Mapping[str, NDArray[Any]], settings: Mapping[str, Any]) -> Path:
+class StoredLayout(Group):
+    """The part of a weights' JSON that describes observations; subclasses add their own fields."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    observation_names: tuple[str, ...]
+    observation_scale: tuple[float, ...]
+    control_period: float = Field(gt=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StoredLayout:
+        if len(self.observation_names) != len(self.observation_scale) or not all(self.observation_scale):
+            raise ValueError("observation_scale must hold one number other than zero per name")
+        try:
+            _ = self.layout.preview_times
+        except ValueError:
+            raise ValueError(
+                "observation_names: a preview must say how far it looks, as reference_preview_5ms"
+            ) from None
+        return self
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The observations that the weights were trained on."""
+        return ObservationLayout(self.observation_names, self.observation_scale, self.control_period)
+
+
+def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
     """Write ``path``.safetensors and ``path``.json, each whole or not at all.
 
     Args:
-        path: without suffix (a suffix ``.safetensors`` is taken off).
+        path: without suffix (a suffix ``.safetensors`` or ``.json`` is taken off; any other dot belongs to the name).
         kind: what the weights are of; ``load_weights`` checks it.
         tensors: arrays by name.
         settings: everything else that inference needs, as JSON.
@@ -31,12 +66,11 @@ def save_weights(path: str | Path, kind: str, tensors: Mapping[str, NDArray[Any]
     Raises:
         ConfigurationError: the folder cannot be written.
     """
-    path = _stem(path)
-    arrays = {name: np.ascontiguousarray(array) for name, array in tensors.items()}
-    description = {"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **settings}
-    write_whole(path.with_suffix(".safetensors"), save_tensors(arrays))
-    write_whole(path.with_suffix(".json"), (json.dumps(description, indent=2) + "\n").encode())
-    return path.with_suffix(".safetensors")
+    weights, description = weight_files(path)
+    stored = {"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **settings}
+    write_whole(weights, _packed(tensors))
+    write_whole(description, (json.dumps(stored, indent=2) + "\n").encode())
+    return weights
 
 
 def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -45,63 +79,103 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
     Raises:
         ConfigurationError: a file is missing, unreadable, damaged, or of something else.
     """
-    path = _stem(path)
-    description = path.with_suffix(".json")
-    try:
-        settings = json.loads(description.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigurationError(f"{description}: cannot be read: {error.strerror}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError):
-        raise ConfigurationError(f"{description}: not a JSON file") from None
-    found = settings.get("format") if isinstance(settings, dict) else None
-    if found != f"hydro_env {kind}" or settings.get("format_version") != FORMAT_VERSION:
-        raise ConfigurationError(f"{description}: holds {found!r}, not the 'hydro_env {kind}' of format 1 asked for")
-    weights = path.with_suffix(".safetensors")
-    try:
-        tensors = load_tensors(weights.read_bytes())
-    except OSError as error:
-        raise ConfigurationError(f"{weights}: cannot be read: {error.strerror}") from None
-    except SafetensorError as error:
-        raise ConfigurationError(f"{weights}: damaged or not a safetensors file ({error})") from None
-    return tensors, settings
+    weights, description = weight_files(path)
+    settings = _described(_content(description), kind, description)
+    return _unpacked(weights), settings
 
 
-def require(tensors: Mapping[str, NDArray[Any]], shapes: Mapping[str, tuple[int, ...]], where: str | Path) -> None:
-    """Check that the tensors are those of the network that is to be built.
+def weight_files(path: str | Path) -> tuple[Path, Path]:
+    """The file of tensors and the file of settings that belong to a name.
 
     Raises:
-        ConfigurationError: one is missing, of another shape, or holds NaN.
+        ConfigurationError: the path has no name, as ``.`` or ``/``.
     """
-    for name, shape in shapes.items():
+    path = Path(path)
+    name = path.name.removesuffix(".safetensors").removesuffix(".json") if path.name else ""
+    if name in ("", "..") or "\0" in str(path):
+        raise ConfigurationError(f"{str(path)!r}: must be the name of weights, with or without .safetensors")
+    return path.with_name(f"{name}.safetensors"), path.with_name(f"{name}.json")
+
+
+def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mapping[str, Any]) -> None:
+    """Write arrays and their description (JSON) as one safetensors file, so that they cannot come apart.
+
+    Raises:
+        ConfigurationError: the folder cannot be written.
+    """
+    text = json.dumps({"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **description})
+    content = {**tensors, _DESCRIPTION: np.frombuffer(text.encode(), dtype=np.uint8)}
+    write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
+
+
+def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read what :func:`save_checkpoint` wrote.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable, damaged, or of something else.
+    """
+    tensors = _unpacked(path)
+    digest = tensors.pop(_DIGEST, None)
+    if digest is None or _DESCRIPTION not in tensors or not np.array_equal(digest, _digest(tensors)):
+        raise ConfigurationError(f"{path}: damaged, or not a checkpoint of this version")
+    return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path)
+
+
+def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool = True) -> None:
+    """Check that arrays have the names, shapes and kinds of number of the ``wanted`` ones.
+
+    Raises:
+        ConfigurationError: one is missing, of another shape or kind, or (with ``finite``) holds NaN or infinity.
+    """
+    for name, like in wanted.items():
         if name not in tensors:
             raise ConfigurationError(f"{where}: holds no tensor '{name}'")
-        if tensors[name].shape != shape:
-            raise ConfigurationError(f"{where}: tensor '{name}' has shape {tensors[name].shape}, needed is {shape}")
-        if not np.isfinite(tensors[name]).all():
+        found = tensors[name]
+        if found.shape != like.shape or found.dtype != like.dtype:
+            raise ConfigurationError(
+                f"{where}: tensor '{name}' holds {found.dtype} of shape {found.shape}, "
+                f"needed is {like.dtype} of shape {like.shape}"
+            )
+        if finite and not np.isfinite(found).all():
             raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
 
 
-def optimiser_tensors(optimiser: Any) -> dict[str, NDArray[Any]]:
-    """The memory of a torch optimiser as arrays, ``optimiser.<parameter>.<name>``."""
-    return {
-        f"optimiser.{index}.{name}": np.asarray(value.detach().cpu().numpy())
-        for index, entry in optimiser.state_dict()["state"].items()
-        for name, value in entry.items()
-    }
+def _packed(tensors: Tensors) -> bytes:
+    content: bytes = pack({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
+    return content
 
 
-def restore_optimiser(optimiser: Any, tensors: Mapping[str, NDArray[Any]]) -> None:
-    """Put back what :func:`optimiser_tensors` took."""
-    import torch
-
-    state: dict[int, dict[str, Any]] = {}
-    for name, value in tensors.items():
-        if name.startswith("optimiser."):
-            _, index, key = name.split(".")
-            state.setdefault(int(index), {})[key] = torch.from_numpy(np.array(value))
-    optimiser.load_state_dict({"state": state, "param_groups": optimiser.state_dict()["param_groups"]})
+def _digest(tensors: Tensors) -> NDArray[np.uint8]:
+    return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
 
 
-def _stem(path: str | Path) -> Path:
-    path = Path(path)
-    return path.with_suffix("") if path.suffix in (".safetensors", ".json") else path
+def _content(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise ConfigurationError(f"{path}: holds {size} bytes, more than {LARGEST_FILE}: not read")
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _unpacked(path: Path) -> dict[str, NDArray[Any]]:
+    content = _content(path)
+    try:
+        tensors: dict[str, NDArray[Any]] = unpack(content)
+    except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:  # KeyError: BF16 and the like
+        reason = str(error).replace("\n", " ")
+        raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
+    return tensors
+
+
+def _described(text: bytes, kind: str, path: Path) -> dict[str, Any]:
+    try:
+        settings: Any = json.loads(text.decode())
+    except (ValueError, RecursionError):  # ValueError: also bytes that are no text, and integers of 5000 digits
+        raise ConfigurationError(f"{path}: not a JSON file") from None
+    found = settings.get("format") if isinstance(settings, dict) else None
+    if found != f"hydro_env {kind}" or settings.get("format_version") != FORMAT_VERSION:
+        shown = str(found)[:60]
+        raise ConfigurationError(f"{path}: holds {shown!r}, not the 'hydro_env {kind}' of format 1 asked for")
+    return dict(settings)

@@ -17,7 +17,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.compiling import SOURCES, compiled, inline, lane_function, lane_reader, lane_writer, tuple_difference
+from hydro_env.compiling import (
+    SOURCES,
+    compiled,
+    inline,
+    lane_function,
+    lane_reader,
+    lane_writer,
+    tuple_map,
+    tuple_maximum,
+)
 from hydro_env.plant.equations import Coefficients, command_changed, derivatives, hold_limits, time_to_kink
 from hydro_env.plant.states import N_STATES, State
 
@@ -103,23 +112,23 @@ _SIZES = {
 }
 _ROW = dict(zip(_SIZES, np.cumsum([0, *_SIZES.values()]).tolist(), strict=False))
 _ROWS = sum(_SIZES.values())
-_STATE, _COEFFICIENTS, _PEAKS, _TRIAL, _ERROR = (
-    LANES * _ROW[name] for name in ("state", "coefficients", "peaks", "trial", "error")
-)
+_COEFFICIENTS, _PEAKS = (LANES * _ROW[name] for name in ("coefficients", "peaks"))
 _VOLTAGE, _REMAINING, _PROPOSED, _STEP, _REPEATED, _PLANT, _INTERVAL = (
     LANES * _ROW[name] for name in ("voltage", "remaining", "proposed", "step", "repeated", "plant", "interval")
 )
 _PRESSURE_PEAK, _SPEED_PEAK, _STEP_COUNT = (_PEAKS + LANES * row for row in range(N_PEAKS))
-_WEIGHTS = _COEFFICIENTS + LANES * Coefficients._fields.index("position_weight")
 
 _read_state, _read_trial, _read_derivative, _read_error = (
     lane_reader(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
 )
 _read_coefficients = lane_reader(Coefficients, _ROW["coefficients"], LANES)
-_write_state, _write_trial, _write_derivative, _write_error = (
-    lane_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative", "error")
+_write_state, _write_trial, _write_derivative = (
+    lane_writer(State, _ROW[name], LANES) for name in ("state", "trial", "derivative")
 )
-_difference = tuple_difference(State)
+_read_weights = lane_reader(State, _ROW["coefficients"] + Coefficients._fields.index("position_weight"), LANES)
+_difference = tuple_map(State, "a.{name} - b.{name}", "a, b")
+_choice = tuple_map(State, "a.{name} if condition else b.{name}", "condition, a, b")
+_weighted_maximum = tuple_maximum(State, "abs(error.{name} * weight.{name})", "error, weight")
 
 
 def _row(name: str) -> str:
@@ -163,22 +172,15 @@ def _judge(work, strictness, accuracy):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
     _estimate_error(work)
     for lane in range(LANES):
-        c = _read_coefficients(work, lane)
-        trial = _read_trial(work, lane)
-        held = hold_limits(trial, c)
-        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
-        _write_trial(work, lane, held)
-        _write_error(work, lane, _difference(held, other))
-    for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = work[_PROPOSED + lane]
         step = work[_STEP + lane]
-        largest = total = 0.0
-        for row in range(0, N_STATES * LANES, LANES):
-            weighted = abs(work[_ERROR + row + lane] * work[_WEIGHTS + row + lane])
-            largest = max(largest, weighted)
-            total += weighted
-        error = strictness * (largest if total == total else total)  # NaN if one is
+        c = _read_coefficients(work, lane)
+        old = _read_state(work, lane)
+        trial = _read_trial(work, lane)
+        new = hold_limits(trial, c)
+        other = hold_limits(_difference(trial, _read_error(work, lane)), c)
+        error = strictness * _weighted_maximum(_difference(new, other), _read_weights(work, lane))
         fits = error <= 1.0
         moving = remaining > 0.0
         accepted = moving and (fits or step <= SHORTEST_STEP)
@@ -194,15 +196,13 @@ def _judge(work, strictness, accuracy):
         work[_REMAINING + lane] = 0.0 if broken or given_up or left <= 1e-12 else left
         work[_REPEATED + lane] = 1.0 if moving and not accepted and not given_up else 0.0
         # Peaks: of pressure over all steps, of speed where an end stop has just been met.
-        old, new = _read_state(work, lane), _read_trial(work, lane)
         highest = max(new.pressure_a, new.pressure_b) if accepted else -1e300
         work[_PRESSURE_PEAK + lane] = max(work[_PRESSURE_PEAK + lane], highest)
-        beyond = accepted and abs(new.position) > _read_coefficients(work, lane).end_stop_position
+        beyond = accepted and abs(new.position) > c.end_stop_position
         outwards = max(old.velocity, 0.0) if new.position > 0.0 else max(-old.velocity, 0.0)
         work[_SPEED_PEAK + lane] = max(work[_SPEED_PEAK + lane], outwards if beyond else 0.0)
         work[_STEP_COUNT + lane] += 1.0 if moving else 0.0
-        for row in range(0, N_STATES * LANES, LANES):
-            work[_STATE + row + lane] = work[_TRIAL + row + lane] if accepted else work[_STATE + row + lane]
+        _write_state(work, lane, _choice(accepted, new, old))
 
 
 @inline

@@ -16,6 +16,7 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.units import Number, quantity
 
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
@@ -75,17 +76,11 @@ class LeakageDraw(TaskGroup):
         return self
 
 
-def _families() -> tuple[str, ...]:
-    from hydro_env.task.reference_signals import REFERENCE_FAMILIES  # loads the compiler, which a class need not
-
-    return REFERENCE_FAMILIES
-
-
 class References(TaskGroup):
     """Which references are asked for, within what force and speed of each plant allow."""
 
     weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
-        default_factory=lambda: {name: 1.0 for name in _families() if name != "user"},
+        default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
         description="relative frequency of each family; absent families do not occur",
     )
     user: list[Number] | None = Field(
@@ -104,8 +99,8 @@ class References(TaskGroup):
     @model_validator(mode="after")
     def _consistent(self) -> References:
         for name in self.weights:
-            if name not in _families():
-                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(_families())}")
+            if name not in REFERENCE_FAMILIES:
+                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
         if not sum(self.weights.values()) > 0.0:
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
@@ -157,7 +152,7 @@ class Sensors(Group):
             return values
         return {
             name: {**cls.model_fields[name].default.model_dump(), **value}
-            if isinstance(value, Mapping) and name in cls.model_fields
+            if isinstance(value, Mapping) and name in cls.model_fields and cls.model_fields[name].annotation is Sensor
             else value
             for name, value in values.items()
         }

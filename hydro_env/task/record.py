@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_env.compiling import numba
 from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
-from hydro_env.plant.states import N_STATES, State
+from hydro_env.plant.states import N_STATES, STATE_NAMES
 from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.rewards import REWARD_TERMS
 
@@ -97,7 +97,7 @@ FAILURES = (
     "none",
     "end stop hit at speed",
     "pressure above the rating",
-    *(f"{name} outside its valid range" for name in State._fields),
+    *(f"{name} outside its valid range" for name in STATE_NAMES),
     "integration budget exceeded",
     "initial position cannot be held",
     "reference beyond the force of the supply",
@@ -111,4 +111,4 @@ OVER_BUDGET, CANNOT_BE_HELD, CANNOT_BE_REACHED = range(len(FAILURES) - 3, len(FA
 def table(count: int, kind: np.dtype[Any]) -> NDArray[Any]:
     """Rows of zeros whose fields compiled code reads and writes by name, also where nothing is compiled."""
     rows = np.zeros(count, kind)
-    return rows.view(np.recarray) if numba.config.DISABLE_JIT else rows  # type: ignore[attr-defined]
+    return rows.view(np.recarray) if numba().config.DISABLE_JIT else rows

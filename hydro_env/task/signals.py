@@ -7,13 +7,12 @@ A further measured signal is a ``Sensor`` in :class:`~hydro_env.task.configurati
 from __future__ import annotations
 
 import math
-from collections import namedtuple
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_env.compiling import inline
+from hydro_env.compiling import inline, named_tuple
 from hydro_env.task.configuration import CHANNELS, TaskConfig
 from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
@@ -26,7 +25,7 @@ POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
 _BIAS = 1_000_000_000
 """First number of the noise's key that serves a bias; far beyond those of the steps."""
 
-Signals = namedtuple("Signals", CHANNELS)  # type: ignore[misc]
+Signals = named_tuple("Signals", CHANNELS, __name__)
 """One value per measured signal."""
 
 
@@ -45,7 +44,7 @@ def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
     )
 
 
-Entries = namedtuple("Entries", [name for name, *_ in _entries(1.0)])  # type: ignore[misc]
+Entries = named_tuple("Entries", [name for name, *_ in _entries(1.0)], __name__)
 """One value per entry of the observation besides the previews, which follow the first."""
 
 LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8")])

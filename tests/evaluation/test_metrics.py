@@ -200,3 +200,27 @@ def test_every_case_of_a_rollout():
     np.testing.assert_array_equal(found["failed"], [0.0, 1.0])
     np.testing.assert_allclose(found["mean_error_mm"], 0.1, rtol=1e-4)
     np.testing.assert_allclose(found["settling_time_s"], 30 * 0.005)
+
+
+def test_a_standstill_that_the_preview_cuts_short_does_not_end_the_search():
+    reference = np.repeat([0.0, 0.01, 0.02], [10, 20, 60])
+    position = reference + 0.001
+    zeros = np.zeros(90)
+    found = case_metrics(position, reference, zeros, zeros, 0.005, True, False, preview=0.06)
+    assert found["steady_state_error_mm"] == pytest.approx(1.0)  # of the second one alone
+    assert found["unsettled_share"] == 1.0
+
+
+def test_overshoot_counts_from_the_sample_before_the_step():
+    reference = np.concatenate([[0.0, 0.004, 0.008], np.full(40, 0.01)])
+    position = reference.copy()
+    position[20] += 0.001
+    assert metrics_of(reference, position, period=0.005)["overshoot_percent"] == pytest.approx(50.0)
+
+
+def test_at_slow_sampling_the_steady_state_is_the_last_sample():
+    reference = np.concatenate([np.zeros(3), np.full(6, 0.01)])
+    position = reference.copy()
+    position[-2:] += [0.003, 0.001]
+    found = metrics_of(reference, position, period=0.05)
+    assert found["steady_state_error_mm"] == pytest.approx(1.0)

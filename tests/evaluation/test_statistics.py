@@ -48,6 +48,40 @@ def test_constant_values_have_no_spread():
     assert mean_interval(np.full(10, 0.25)) == (0.25, 0.25, 0.25)
 
 
+def test_the_seed_is_zero_where_none_is_given():
+    values, others = np.random.default_rng(8).lognormal(size=(2, 3, 12))
+    assert mean_interval(values[0]) == mean_interval(values[0], seed=0)
+    assert ratio_interval(values[0], others[0]) == ratio_interval(values[0], others[0], seed=0)
+    assert geometric_ratio_interval(values, others) == geometric_ratio_interval(values, others, seed=0)
+    for function, arguments in (
+        (ratio_interval, (values[0], others[0])),
+        (geometric_ratio_interval, (values, others)),
+    ):
+        assert function(*arguments, seed=3) != function(*arguments, seed=4)
+
+
+def test_an_interval_is_the_percentile_bootstrap_of_2000_samples():
+    values = np.random.default_rng(9).lognormal(size=15)
+    generator = np.random.default_rng(0)
+    means = [generator.choice(values, 15).mean() for _ in range(20_000)]
+    found = mean_interval(values)
+    spread = np.std(means)
+    assert found.low == pytest.approx(np.quantile(means, 0.025), abs=0.1 * spread)
+    assert found.high == pytest.approx(np.quantile(means, 0.975), abs=0.1 * spread)
+
+
+def test_three_plants_are_enough_for_an_interval():
+    found = mean_interval(np.array([1.0, 2.0, 6.0]))
+    assert (found.low, found.high) == (1.0, 6.0)
+    lists = ratio_interval([1, 2, 6], [1, 1, 1])  # whole numbers and lists are numbers too
+    assert (lists.value, lists.low, lists.high) == (3.0, 1.0, 6.0)
+
+
+def test_one_varying_sample_is_enough_for_an_interval():
+    found = ratio_interval(np.array([1.0, 2.0, 3.0, 4.0]), np.ones(4))
+    assert found.low < found.value < found.high
+
+
 def test_intervals_are_reproducible():
     values = np.random.default_rng(3).lognormal(size=20)
     assert mean_interval(values, seed=4) == mean_interval(values, seed=4)

@@ -89,3 +89,18 @@ def test_threshold_uses_the_false_alarms_it_may():
 def test_detection_rate():
     assert detection_rate(np.array([0.1, 0.5, 0.9]), 0.5) == pytest.approx(2 / 3)
     assert math.isnan(detection_rate(np.array([]), 0.5))
+
+
+def test_where_nothing_is_flagged_precision_is_one_and_recall_zero():
+    for positive in (np.array([True, False, True]), np.zeros(3, dtype=bool)):
+        curve = precision_recall_curve(np.array([0.2, 0.9, 0.5]), positive)
+        assert (curve.x[0], curve.y[0], curve.threshold[0]) == (0.0, 1.0, np.inf)
+        assert curve.y[1] == 0.0
+        assert curve.x[-1] == float(positive.any())
+    assert detection_rate([0.1, 0.7], 0.7) == 0.5
+
+
+def test_one_leak_and_one_healthy_seal_are_enough_for_a_curve():
+    curve = roc_curve(np.array([0.8, 0.3]), np.array([True, False]))
+    assert (curve.x.tolist(), curve.y.tolist()) == ([0.0, 0.0, 1.0], [0.0, 1.0, 1.0])
+    assert precision_recall_curve(np.array([0.8, 0.3]), np.array([True, False])).x.tolist() == [0.0, 1.0, 1.0]

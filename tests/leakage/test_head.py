@@ -4,13 +4,16 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.head import SIGNALS, LeakageHead, MonitoredController
+from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController
 from agents.leakage.metrics import area_under_roc
-from agents.leakage.training import HeadTrainingSettings, make_dataset, train_head
+from agents.leakage.training import CHECKPOINT_FILE, KIND, HeadTrainingSettings, make_dataset, targets, train_head
 from agents.running.seeds import TRAINING_SEEDS
+from agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.4)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -23,6 +26,14 @@ SETTINGS = HeadTrainingSettings(
 @pytest.fixture(scope="module")
 def head():
     return train_head(CONFIG, [CONTROLLER], SETTINGS)
+
+
+SMALL = SETTINGS.model_copy(update={"episodes": 200, "validation_episodes": 100, "epochs": 3})
+
+
+@pytest.fixture(scope="module")
+def small_head():
+    return train_head(CONFIG, [CONTROLLER], SMALL)
 
 
 def test_learns_to_tell_severe_leaks(head):
@@ -53,17 +64,23 @@ def test_round_trip(head, tmp_path):
         head.estimate(np.zeros((3, 3)))
     stored = json.loads((tmp_path / "head.json").read_text())
     (tmp_path / "head.json").write_text(json.dumps(stored | {"signals": ["flow"]}))
-    with pytest.raises(ConfigurationError, match="other signals"):
+    with pytest.raises(ConfigurationError, match="other signals than"):
         LeakageHead.load(tmp_path / "head")
 
 
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("threshold", -0.2, "threshold = -0.2: must be a probability, within 0 to 1"),
-        ("threshold", float("nan"), "threshold = nan: must be a probability"),
-        ("window", -3, "window = -3 observations: must be within 1 to"),
-        ("window", 0, "window = 0 observations"),
+        ("threshold", -0.2, "threshold = -0.2: must be a number within 0 to 1"),
+        ("threshold", float("nan"), "threshold = nan: must be a number within 0 to 1"),
+        ("threshold", "high", "threshold = 'high': must be a number"),
+        ("window", -3, "window = -3: must be a whole number within 56"),
+        ("window", 10**30, "window: must be a whole number within 56"),
+        ("width", 8, "width = 8: its tensors are of another network"),
+        ("observation_scale", [], "observation_scale must hold one number other than zero per name"),
+        ("observation_names", ["reference_preview_soonms"] * 13, "a preview must say how far it looks"),
+        ("observation_names", ["position"] * 13, "the observation holds no 'pressure_a'"),
+        ("training", None, "training: must be a group of settings"),
     ],
 )
 def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
@@ -109,17 +126,95 @@ def test_predict_watches_with_the_signature_of_a_controller(head):
     np.testing.assert_allclose(found, np.column_stack(head.estimate(rows.transpose(1, 0, 2))), rtol=1e-4)
 
 
-def test_interrupted_training_resumes_to_the_same_head(head, tmp_path):
+def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
     def interrupt(phase, done, total, loss):
         if phase == "training" and done == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_head(CONFIG, [CONTROLLER], SETTINGS, progress=interrupt, folder=tmp_path)
-    assert json.loads((tmp_path / "head_checkpoint.json").read_text())["epoch"] == 2
-    resumed = train_head(CONFIG, [CONTROLLER], SETTINGS, folder=tmp_path, resume=True)
-    for name, value in head.network.state_dict().items():
-        np.testing.assert_allclose(resumed.network.state_dict()[name], value, rtol=1e-4, atol=1e-6)
-    other = SETTINGS.model_copy(update={"width": 8})
+        train_head(CONFIG, [CONTROLLER], SMALL, progress=interrupt, folder=tmp_path)
+    tensors, stored = load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)
+    assert stored["epoch"] == 2
+    resumed = train_head(CONFIG, [CONTROLLER], SMALL, folder=tmp_path, resume=True)
+    for name, value in small_head.network.state_dict().items():
+        np.testing.assert_array_equal(resumed.network.state_dict()[name], value)
+    assert resumed.settings.threshold == small_head.settings.threshold
+    other = SMALL.model_copy(update={"width": 8})
     with pytest.raises(ConfigurationError, match="another seed, settings or task"):
         train_head(CONFIG, [CONTROLLER], other, folder=tmp_path, resume=True)
+    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
+    with pytest.raises(ConfigurationError, match="episodes of other controllers"):
+        train_head(CONFIG, [PID(PIDGains(), LAYOUT)], SMALL, folder=tmp_path, resume=True)
+    for change in ({"epoch": 99}, {"epoch": "2"}, {"data": 5}):
+        save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored | change)
+        with pytest.raises(ConfigurationError, match="damaged: epoch"):
+            train_head(CONFIG, [CONTROLLER], SMALL, folder=tmp_path, resume=True)
+
+
+def test_a_training_that_is_stopped_while_it_simulates_can_be_resumed(small_head, tmp_path):
+    def interrupt(phase, done, total, loss):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_head(CONFIG, [CONTROLLER], SMALL, progress=interrupt, folder=tmp_path)
+    assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["epoch"] == 0
+    resumed = train_head(CONFIG, [CONTROLLER], SMALL, folder=tmp_path, resume=True)
+    np.testing.assert_array_equal(
+        resumed.network.output[0].weight.detach(), small_head.network.output[0].weight.detach()
+    )
+
+
+def test_leaks_to_train_on_must_suit_the_task():
+    for change, message in (
+        ({"lowest_healthy_flow": 5.0}, r"lowest_healthy_flow = 5: must be below the task's leakage.class_bounds\[0\]"),
+        ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow = 0.03"),
+        ({"highest_flow": 0.1}, "highest_flow = 0.1: must be above"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            train_head(CONFIG, [CONTROLLER], SETTINGS.model_copy(update=change))
+    with pytest.raises(ConfigurationError, match="an episode of 55 control periods is its window: must have at least"):
+        SETTINGS.check(TaskConfig(episode_duration=0.275))
+    SETTINGS.check(TaskConfig(episode_duration=0.28))
+
+
+def test_the_shortest_window_can_be_judged():
+    network = LeakageNetwork(4)
+    assert network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW)).shape == (1, 2)
+    with pytest.raises(RuntimeError, match="Kernel size"):
+        network(torch.zeros(1, len(SIGNALS), SHORTEST_WINDOW - 1))
+
+
+def test_sizes_below_the_healthy_bound_are_not_asked_for():
+    label, size = targets(np.array([0.003, 0.03, 0.1, 1.0]), 0.03)
+    assert label.tolist() == [0.0, 0.0, 1.0, 1.0]
+    np.testing.assert_allclose(size, np.log10([0.03, 0.03, 0.1, 1.0]), rtol=1e-6)
+
+
+def test_learning_rate_rises_and_falls():
+    settings = HeadTrainingSettings(learning_rate=0.01)
+    rates = [settings.learning_rate_at(share) for share in np.linspace(0.0, 1.0, 101)]
+    assert rates[0] == rates[-1] == pytest.approx(1e-5)
+    assert rates[5] == pytest.approx(0.01 * 0.5 * (1 + np.cos(0.05 * np.pi)))
+    assert np.all(np.diff(rates[:6]) > 0)
+    assert np.all(np.diff(rates[5:98]) < 0)
+    assert rates[50] == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize("field", ["learning_rate", "weight_decay", "size_weight", "highest_flow"])
+def test_infinite_settings_are_refused(field):
+    with pytest.raises(ConfigurationError, match=f"{field} = inf"):
+        validate(HeadTrainingSettings, {field: float("inf")}, "head.yaml")
+
+
+def test_a_state_that_was_given_is_never_changed(head):
+    rows = np.random.default_rng(0).standard_normal((CONFIG.steps + 3, 2, len(LAYOUT.names))).astype(np.float32)
+    state, states, answers = None, [], []
+    for row in rows:
+        answer, after = head.predict(row, state, np.array([True, False]))
+        states.append(state)
+        answers.append(answer)
+        state = after
+    assert np.isnan(answers[-1][0]).all()  # its episode starts at every step
+    assert np.isfinite(answers[-1][1]).all()
+    for row, before, answer in zip(rows, states, answers, strict=True):
+        np.testing.assert_array_equal(head.predict(row, before, np.array([True, False]))[0], answer)

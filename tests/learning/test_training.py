@@ -5,11 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from agents.controllers import ObservationLayout, PIDGains
+from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, make_features, make_model, train_ppo
+from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
+from agents.learning.validation import validation_cases, validation_errors
 from agents.learning.vec_env import AxisVecEnv
+from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
 GAINS = PIDGains()
@@ -35,7 +39,7 @@ def test_policy_controller_acts_as_the_model_does(activation):
     features = make_features(CONFIG, SETTINGS, GAINS)
     env = AxisVecEnv(CONFIG, 16, features)
     model = make_model(env, SETTINGS.model_copy(update={"activation": activation}), 0)
-    policy = PolicyController.from_model(model, make_features(CONFIG, SETTINGS, GAINS), {})
+    policy = PolicyController.from_sb3(model)
     inputs = env.reset()
     observation, _ = env.env.reset(seed=list(range(16)))
     output, _ = model.predict(inputs, deterministic=True)
@@ -79,34 +83,117 @@ def test_weights_round_trip(tmp_path, residual):
     assert not np.array_equal(noisy, quiet)
 
 
-def test_interrupted_training_keeps_its_checkpoint_and_resumes(tmp_path):
-    def interrupt(progress):
-        if progress.steps >= 512:
-            raise KeyboardInterrupt
+def test_learning_rate_falls_along_a_cosine_to_a_tenth():
+    settings = SETTINGS.model_copy(update={"learning_rate": 0.01})
+    assert settings.learning_rate_at(1.0) == 0.01
+    assert settings.learning_rate_at(0.5) == pytest.approx(0.0055)
+    assert settings.learning_rate_at(0.75) == pytest.approx(0.001 + 0.009 * 0.5 * (1 + np.sqrt(0.5)))
+    assert settings.learning_rate_at(0.0) == settings.learning_rate_at(-0.1) == pytest.approx(0.001)
 
-    with pytest.raises(KeyboardInterrupt):
-        train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path, progress=interrupt)
-    stored = json.loads((tmp_path / "checkpoint.json").read_text())
-    assert 512 <= stored["steps"] < 1024
-    seen = []
-    policy = train_ppo(
-        CONFIG, SETTINGS, GAINS, folder=tmp_path, resume=True, progress=lambda progress: seen.append(progress.steps)
+
+def test_log_of_a_training(tmp_path):
+    """Schedules are followed, rows come once per update, and stable-baselines3's figures are in them."""
+    settings = SETTINGS.model_copy(update={"validation_every": 600, "learning_rate": 0.01})
+    policy = train_ppo(CONFIG, settings, GAINS, seed=1, folder=tmp_path)
+    rows = read_progress(tmp_path / PROGRESS_FILE)
+    share = np.array([0.25, 0.5, 0.75, 1.0])
+    assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
+    rate = [row["train/learning_rate"] for row in rows]
+    np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))
+    np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * share), rtol=1e-6)
+    assert policy.log_standard_deviation == -3.0
+    for name in ("approx_kl", "clip_fraction", "explained_variance", "entropy_loss", "value_loss", "loss"):
+        assert np.isfinite([row[f"train/{name}"] for row in rows]).all()
+    assert rows[-1]["train/approx_kl"] > 0.0
+    assert all(-5.0 < row["rollout/mean_reward"] < 0.0 for row in rows[1:])
+    assert rows[-1]["rollout/ep_len_mean"] <= CONFIG.steps
+    assert np.all(np.diff([row["time/time_elapsed"] for row in rows]) > 0.0)
+    # On validation plants: when 600 steps are passed, and at the end.
+    assert [bool(np.isfinite(row["validation/mean_error_mm"])) for row in rows] == [False, False, True, True]
+    mean, worst, failures = validation_errors(CONFIG, policy)
+    last = {name: rows[-1][f"validation/{name}"] for name in ("mean_error_mm", "worst_error_mm", "failures")}
+    assert last == {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures}
+    assert worst > mean > 0.0
+    base = validation_errors(CONFIG, PID(GAINS, ObservationLayout.of(CONFIG)))
+    assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
+
+
+def test_the_log_is_found_by_stable_baselines3s_own_reader(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path)
+    frame = pandas.read_csv(tmp_path / PROGRESS_FILE)
+    assert list(frame[STEPS]) == [256, 512, 768, 1024]
+
+
+def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):
+    silent = train_ppo(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), GAINS, seed=3)
+    logged = train_ppo(
+        *(CONFIG, SETTINGS.model_copy(update={"validation_every": 256}), GAINS),
+        **{"seed": 3, "folder": tmp_path, "checkpoint_seconds": 0.0},
     )
-    assert seen[0] == stored["steps"] + 256
-    assert policy.training["steps"] == 1024
+    np.testing.assert_array_equal(weights_of(silent), weights_of(logged))
 
 
-def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"checkpoint.json: cannot be read"):
-        train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path, resume=True)
-    short = SETTINGS.model_copy(update={"total_steps": 256})
-    train_ppo(CONFIG, short, GAINS, folder=tmp_path)
-    other = SETTINGS.model_copy(update={"discount": 0.5})
-    with pytest.raises(ConfigurationError, match="'discount' differs"):
-        train_ppo(CONFIG, other, GAINS, folder=tmp_path, resume=True)
-    task = TaskConfig(episode_duration=0.2)
-    with pytest.raises(ConfigurationError, match="'episode_duration' differs"):
-        train_ppo(task, SETTINGS, GAINS, folder=tmp_path, resume=True)
+def test_validation_covers_families_and_leaks_on_validation_plants():
+    cases = validation_cases(TaskConfig())
+    assert len(cases) == 18
+    assert all(int(seed) in VALIDATION_SEEDS for seed in cases.seeds)
+    assert sorted(set(cases.leakage_flow_lpm)) == pytest.approx([np.sqrt(0.003 * 0.03), 0.3, 4.0])
+    few = validation_cases(TaskConfig(references={"weights": {"step": 1.0, "sine": 0.0}}))
+    assert list(few.families) == ["step"] * 3
+
+
+def test_progress_tells_where_a_training_stands():
+    seen = []
+    train_ppo(CONFIG, SETTINGS, GAINS, progress=seen.append)
+    assert [progress.steps for progress in seen] == [256, 512, 768, 1024]
+    assert all(progress.total_steps == 1024 for progress in seen)
+    assert all(progress.mean_reward < 0.0 for progress in seen[1:])
+
+
+def test_the_residual_form_starts_as_the_pid():
+    features = make_features(CONFIG, SETTINGS, GAINS)
+    env = make_env(CONFIG, SETTINGS, features, 0)
+    model = make_model(env, SETTINGS, 0)
+    output, _ = model.predict(env.reset(), deterministic=True)
+    assert np.abs(output).max() < 0.02
+    assert not model.policy.log_std.requires_grad
+
+
+def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
+    def env(**practice):
+        features = make_features(CONFIG, SETTINGS, GAINS)
+        return make_env(CONFIG, SETTINGS.model_copy(update={"practice": practice}), features, 0)
+
+    assert env(leakage={"healthy_share": 1.0}).env.config.leakage.healthy_share == 1.0
+    for practice, message in (
+        ({"control_period": 0.01}, "must leave the control period"),
+        ({"references": {"preview_times": [0.01]}}, "must leave the control period and the names"),
+        ({"nonsense": 1}, "ppo.practice: task: nonsense = 1: unknown key"),
+    ):
+        with pytest.raises(ConfigurationError, match=message) as caught:
+            env(**practice)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"learning_rate": float("inf")}, "learning_rate = inf"),
+        ({"reward_scale": float("nan")}, "reward_scale = nan"),
+        ({"steps_per_rollout": 10**12}, "steps_per_rollout = 1000000000000"),
+        ({"axes": 65536, "steps_per_rollout": 65536}, "axes × steps_per_rollout = 4294967296 must not exceed"),
+        ({"axes": 4, "steps_per_rollout": 4, "minibatches": 16}, "into parts of at least 2"),
+        ({"axes": 4, "steps_per_rollout": 5, "minibatches": 3}, "minibatches = 3 must divide"),
+        ({"hidden_sizes": []}, "hidden_sizes"),
+        ({"clip_range": 1e300}, "clip_range"),
+        ({"total_steps": 10**20}, "total_steps"),
+    ],
+)
+def test_impossible_settings_are_refused_with_one_line(change, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        validate(PPOSettings, change, "ppo.yaml")
+    assert "\n" not in str(caught.value)
 
 
 @pytest.fixture
@@ -131,8 +218,8 @@ def test_foreign_and_damaged_weights_are_refused(saved):
     saved.with_suffix(".safetensors").write_bytes(good)
     for change, message in (
         ({"layer_sizes": [3, 8, 1]}, "must begin with"),
-        ({"features": None}, "lacks or mistypes"),
-        ({"layer_sizes": [*description["layer_sizes"][:1], 9, 1]}, "has shape"),
+        ({"features": None}, "features: must be a group of settings"),
+        ({"layer_sizes": [*description["layer_sizes"][:1], 9, 1]}, "of shape"),
         ({"format": "another"}, "holds 'another'"),
     ):
         saved.with_suffix(".json").write_text(json.dumps(description | change))
@@ -144,3 +231,14 @@ def test_foreign_and_damaged_weights_are_refused(saved):
         PolicyController.load(saved)
     with pytest.raises(ConfigurationError, match="cannot be read"):
         PolicyController.load(saved.parent / "absent")
+
+
+def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
+    events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path)
+    stored = events.EventAccumulator(str(tmp_path))
+    stored.Reload()
+    rows = read_progress(tmp_path / PROGRESS_FILE)
+    for name in ("train/approx_kl", "rollout/mean_reward"):
+        assert [scalar.step for scalar in stored.Scalars(name)] == [row[STEPS] for row in rows]
+        np.testing.assert_allclose([s.value for s in stored.Scalars(name)], [row[name] for row in rows], rtol=1e-5)

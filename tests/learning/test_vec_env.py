@@ -18,7 +18,7 @@ def make(count=6, gains=GAINS, **options):
 
 
 def test_residual_of_zero_is_the_pid():
-    env = make(stagger=False, seed=11)
+    env = make(seed=11)
     env.reset()
     plain = ServoHydraulicVectorEnv(6, CONFIG, autoreset_mode="SameStep")
     observation, _ = plain.reset(seed=11)
@@ -46,7 +46,7 @@ def test_paired_reward_of_the_pid_against_itself_is_zero():
 
 
 def test_infos_of_ended_axes():
-    env = make(stagger=False, seed=5)
+    env = make(seed=5)
     env.reset()
     for step in range(20):
         inputs, _, done, infos = env.step(np.zeros((6, 1)))
@@ -62,7 +62,7 @@ def test_infos_of_ended_axes():
 
 
 def test_stagger_spreads_the_ends():
-    env = make(count=10)
+    env = make(count=10, stagger=True)
     env.reset()
     ends = [int(env.step(np.zeros((10, 1)))[2].sum()) for _ in range(20)]
     assert sum(ends) == 10
@@ -109,3 +109,107 @@ def test_vec_env_methods():
 def test_pairing_needs_a_pid():
     with pytest.raises(ConfigurationError, match="residual form"):
         make(gains=None, paired=True)
+
+
+SHORT_STROKE = {
+    "plant": {"cylinder": {"stroke": 0.06}, "load": {"spring_stiffness": 0.0}},
+    "randomisation": {},
+    "references": {"largest_amplitude": 0.01},
+    "failure": {"end_stop_speed": 0.01},
+    "initial_position_range": (0.0, 0.0),
+}
+"""Axes that hit an end stop within 0.2 s of full command."""
+
+
+def test_a_physical_failure_is_no_time_limit():
+    env = AxisVecEnv(TaskConfig(episode_duration=0.9, **SHORT_STROKE), 3, PolicyFeatures(LAYOUT, None), seed=1)
+    env.reset()
+    rewards, ended = np.zeros(3), []
+    for _ in range(env.env.config.steps - 1):
+        _, reward, done, infos = env.step(np.ones((3, 1)))
+        rewards += reward
+        for axis in np.flatnonzero(done):
+            ended.append(infos[axis])
+            assert infos[axis]["TimeLimit.truncated"] is False
+            assert infos[axis]["episode"]["r"] == pytest.approx(rewards[axis], rel=1e-5)
+            assert 10 < infos[axis]["episode"]["l"] < 300
+            rewards[axis] = 0.0
+    assert len(ended) >= 3
+    assert all(info["episode"]["r"] < -env.env.config.reward.failure for info in ended)
+
+
+def test_an_axis_and_its_twin_restart_together():
+    config = TaskConfig(episode_duration=0.9, **SHORT_STROKE)
+    env = AxisVecEnv(config, 3, PolicyFeatures(LAYOUT, GAINS, 2.0), seed=1, paired=True)
+    env.reset()
+    for _ in range(200):
+        _, _, done, _ = env.step(np.ones((3, 1)))
+        steps = env.env.axes.column("step")
+        np.testing.assert_array_equal(steps[:3], steps[3:])
+        if done.any():
+            assert np.all(steps[:3][done] == 0)
+            _, reward, _, _ = env.step(np.zeros((3, 1)))
+            assert np.all(reward[done] == 0.0)  # the same plant, reference and noise, under the same PID
+            return
+    raise AssertionError("no axis failed")
+
+
+def test_reward_scale_multiplies_and_the_return_is_the_environments():
+    plain, scaled = (make(seed=3, reward_scale=scale) for scale in (1.0, 0.25))
+    plain.reset()
+    scaled.reset()
+    for _ in range(20):
+        _, reward, _, infos = plain.step(np.ones((6, 1)))
+        _, quarter, _, others = scaled.step(np.ones((6, 1)))
+        np.testing.assert_allclose(quarter, 0.25 * reward, rtol=1e-6)
+    assert [info["episode"] for info in infos] == [info["episode"] for info in others]
+
+
+def test_inputs_are_cut_off():
+    env = make(gains=None)
+    env.features = PolicyFeatures(LAYOUT, None)
+    env.reset()
+    assert env._inputs(np.full((6, len(LAYOUT.names)), 1e6, dtype=np.float32), None).max() == 50.0
+    assert env._inputs(np.full((6, len(LAYOUT.names)), -1e6, dtype=np.float32), None).min() == -50.0
+
+
+@pytest.mark.parametrize("kind", ["plain", "features", "paired"])
+def test_state_goes_back_and_into_another_adaptor(kind):
+    def build(seed):
+        features = None if kind == "plain" else PolicyFeatures(LAYOUT, GAINS, 0.5)
+        return AxisVecEnv(CONFIG, 4, features, seed=seed, paired=kind == "paired")
+
+    def run(env):
+        generator = np.random.default_rng(0)
+        return [env.step(generator.uniform(-1, 1, (4, 1)).astype(np.float32)) for _ in range(30)]
+
+    env, other = build(1), build(2)
+    env.reset()
+    other.reset()
+    run(env)
+    state = env.get_state()
+    kept = {name: array.copy() for name, array in state.items()}
+    first = run(env)
+    for name, array in kept.items():
+        np.testing.assert_array_equal(state[name], array)
+    for again in (env, other):
+        again.set_state(state)
+        for (inputs, reward, done, infos), (inputs2, reward2, done2, infos2) in zip(first, run(again), strict=True):
+            np.testing.assert_array_equal(inputs, inputs2)
+            np.testing.assert_array_equal(reward, reward2)
+            np.testing.assert_array_equal(done, done2)
+            assert [info.get("episode") for info in infos] == [info.get("episode") for info in infos2]
+
+
+def test_attributes_methods_and_indices():
+    env = make()
+    env.set_attr("reward_scale", 3.0)
+    assert env.get_attr("reward_scale", [0, 1]) == [3.0, 3.0]
+    assert [tuple(names) for names in env.get_attr("observation_names", 2)] == [LAYOUT.names]
+    env.reset()
+    assert [state.count for state in env.env_method("get_state", [1, 3, 5], indices=[0, 2])] == [3, 3]
+    assert env.env_method("get_state", axes=[1])[0].count == 1
+    assert env.has_attr("features")
+    assert env.has_attr("axes")
+    assert not env.has_attr("absent")
+    assert env.get_images() == [None] * 6

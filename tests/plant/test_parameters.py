@@ -86,23 +86,29 @@ def test_parameters_are_frozen():
 
 WRONG = {
     "unknown key": ("load: {weight: 60}", "load.weight = 60: unknown key; known here: mass, spring_stiffness"),
-    "unknown group": ("loads: {mass: 60}", "loads: unknown key; known here: cylinder, valve, fluid, load"),
+    "unknown group": (
+        "loads: {mass: 60}",
+        "loads: unknown key; did you mean load. known here: cylinder, valve, fluid, load",
+    ),
     "bar instead of Pa": (
         "supply: {pressure: 70}",
-        "supply.pressure = 70: .* greater than or equal to 100000 .*unit: Pa",
+        "supply.pressure = 70: must be a number within 100000 to 1e.08 .unit: Pa",
     ),
-    "mm instead of m": ("cylinder: {stroke: 400}", "cylinder.stroke = 400: .* less than or equal to 10 .*unit: m"),
-    "l/min": ("valve: {rated_flow: 10}", "valve.rated_flow = 10: .* less than or equal to 0.1 .*unit: m³/s"),
-    "sign": ("load: {mass: -60.0}", "load.mass = -60.0: .* greater than or equal to 0.01 .*unit: kg"),
+    "mm instead of m": (
+        "cylinder: {stroke: 400}",
+        "cylinder.stroke = 400: must be a number within 0.01 to 10 .unit: m",
+    ),
+    "l/min": ("valve: {rated_flow: 10}", "valve.rated_flow = 10: must be a number within 1e-07 to 0.1 .unit: m³/s"),
+    "sign": ("load: {mass: -60.0}", "load.mass = -60.0: must be a number within 0.01 to 1e.06 .unit: kg"),
     "NaN": ("load: {mass: .nan}", "load.mass = nan: .*unit: kg"),
     "NaN as text": ("load: {mass: nan}", "load.mass = 'nan': .*unit: kg"),
-    "infinite": ("load: {mass: .inf}", r"load.mass = inf: .* less than or equal to 1000000 .*unit: kg"),
-    "bool": ("load: {mass: true}", "load.mass = True: must be a number, not true/false .*unit: kg"),
+    "infinite": ("load: {mass: .inf}", r"load.mass = inf: must be a number within 0.01 to 1e.06 .unit: kg"),
+    "bool": ("load: {mass: true}", "load.mass = true: must be a number, not true/false .*unit: kg"),
     "text": ("load: {mass: heavy}", "load.mass = 'heavy': .* number.*unit: kg"),
     "number and unit": ("load: {mass: 60 kg}", "load.mass = '60 kg': .* number.*unit: kg"),
     "list": ("load: {mass: [60]}", r"load.mass = \[60\]: .* number.*unit: kg"),
     "nothing": ("load: {mass: }", "load.mass: .* number.*unit: kg"),
-    "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*'none', 'coulomb', 'stribeck' or 'lugre'"),
+    "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*none, coulomb, stribeck, lugre"),
     "group is a number": ("load: 60", "load = 60: .*"),
     "rod does not fit": (
         "cylinder: {rod_diameter: 0.05}",
@@ -117,8 +123,8 @@ WRONG = {
         "friction: {breakaway_force: 100}",
         "breakaway_force = 100 N must not be below coulomb_force = 120 N",
     ),
-    "two at once": ("load: {mass: -1, speed: 2}", r"load.mass = -1: .* \(and 1 more\)"),
-    "a list": ("- load", "a mapping of settings is needed, not list"),
+    "two at once": ("load: {mass: -1, speed: 2}", r"load.mass = -1: .* \(and 1 more mistake\)"),
+    "a list": ("- load", "must be a mapping of settings, not a list"),
     "not YAML": ("load: {mass: 60", "not valid YAML in line 1: .*"),
     "line break in a key": ('"lo\\nad": 1', "lo ad = 1: unknown key.*"),
     "number as a key": ("7: 1", "7.*"),
@@ -137,24 +143,24 @@ def test_a_wrong_value_is_answered_with_one_line(text, message, tmp_path):
 @pytest.mark.parametrize(
     ("values", "bounds"),
     [
-        ({"load": {"mass": -60.0}}, "greater than or equal to 0.01 and less than or equal to 1000000"),
-        ({"load": {"mass": 1e9}}, "greater than or equal to 0.01 and less than or equal to 1000000"),
+        ({"load": {"mass": -60.0}}, " within 0.01 to 1e+06"),
+        ({"load": {"mass": 1e9}}, " within 0.01 to 1e+06"),
         (
             {"leakage": {"internal_resistance": 1.0}},
-            "greater than or equal to 100000000 (unit",
+            ", at least 1e+08 (unit",
         ),  # the other is infinity
     ],
 )
 def test_both_bounds_are_told(values, bounds):
     with pytest.raises(ConfigurationError) as caught:
         PlantParameters.from_dict(values)
-    assert f"should be {bounds}" in str(caught.value)
+    assert f"must be a number{bounds}" in str(caught.value)
 
 
 def test_both_bounds_are_told_where_a_field_holds_many():
     with pytest.raises(ConfigurationError) as caught:
         task_config(None, references={"weights": {"step": -1.0}})
-    assert "should be greater than or equal to 0 and less than or equal to 1000000" in str(caught.value)
+    assert "must be a number within 0 to 1e+06" in str(caught.value)
 
 
 def test_unreadable_files_are_answered_with_one_line(tmp_path):

@@ -3,19 +3,25 @@
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_rgb
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from agents.evaluation.statistics import Interval
 from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
-from agents.report.canvas import controllers_of, looks_of
-from agents.report.findings import caution, failures, findings, interval_text, number, verdict
-from agents.report.report import Example, StudyRecord, duration, render_report, write_report, write_tables
+from agents.report.canvas import COLOURS, controllers_of, looks_of
+from agents.report.findings import caution, failures, findings, interval_text, verdict
+from agents.report.leaks import LOOKS
+from agents.report.plots import example_plot
+from agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
+from agents.report.text import duration, number
+from agents.report.training_plots import training_plots
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -154,7 +160,7 @@ def test_the_page_tells_how_it_was_made(page):
         assert wanted in text
     assert "so no plant met here took part in training" in text
     assert "steps and sines" in text
-    assert "too small to decide anything by" in text  # three plants
+    assert "are too few for any decision" in text  # three plants
 
 
 def test_seeds_outside_the_test_set_are_confessed(evaluation):
@@ -186,7 +192,7 @@ def test_a_report_that_cannot_be_written_says_so(evaluation, tmp_path):
 def test_one_controller_without_a_head(lonely, tmp_path):
     text = Page(render_report(lonely, replace(record(), training_curve=NOTHING, versions={}, timings={}))).text
     assert "One leak size was tried: 0.3 l/min" in text.replace("\u00a0", " ")
-    assert "there are no intervals" in text
+    assert "without intervals" in text
     for absent in ("Noticing the leak", "Single runs", "Ratio of errors", "nan", "AUROC"):
         assert absent not in text
     names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
@@ -195,7 +201,8 @@ def test_one_controller_without_a_head(lonely, tmp_path):
 
 def test_tables_hold_all_numbers(evaluation, tmp_path):
     paths = write_tables(tmp_path, evaluation)
-    assert [path.stem for path in paths] == list(Evaluation.__dataclass_fields__)
+    tables = [name for name in Evaluation.__dataclass_fields__ if name not in ("bounds", "errors")]
+    assert [path.stem for path in paths] == tables
     for path in paths:
         expected = getattr(evaluation, path.stem).reset_index(drop=True)
         stored = pd.read_csv(path, dtype={"value": str}, keep_default_na=True)
@@ -236,7 +243,7 @@ def test_what_a_leak_does(evaluation):
     assert "× 2.50 (2.50 to 2.50). More error in steps (× 3.00) and sines (× 2.00)." in texts(worse)[0]
     mixed = with_errors(evaluation, {"step": 1.5, "sine": 0.4}.get)
     assert leads(mixed)[0].startswith("With a leak of 4 l/min, PID makes 5 % less error than")
-    assert "More error in steps (× 1.50); less error in sines (× 0.40)." in texts(mixed)[0]
+    assert "More error in steps (× 1.50); less error in sines (× 0.400)." in texts(mixed)[0]
     same = with_errors(evaluation, {"step": 1.0, "sine": 1.0}.get)
     assert leads(same)[0] == "A leak of 4 l/min makes no clear difference to the mean error of PID."
     assert "No clear difference in steps (× 1.00) and sines (× 1.00)." in texts(same)[0]
@@ -255,8 +262,8 @@ WIN, LOSS, OPEN = (0.8, 0.7, 0.9), (1.25, 1.1, 1.4), (0.9, 0.7, 1.1)
 def test_who_copes_better(evaluation):
     won = with_ratios(evaluation, WIN, [WIN, WIN], [OPEN, LOSS])
     assert leads(won)[1] == f"{ODD_NAME} positions better than PID: 20 % less error."
-    assert "is 0.80 (0.70 to 0.90) times that of PID" in texts(won)[1]
-    assert "the better one in 75 % of the runs" in texts(won)[1]
+    assert "is 0.800 (0.700 to 0.900) times that of PID" in texts(won)[1]
+    assert "better in 75 % of the runs" in texts(won)[1]
     assert "It wins at every leak size." in texts(won)[1]
     assert "By reference it loses on sines; shows no clear difference on steps." in texts(won)[1]
     lost = with_ratios(evaluation, LOSS, [WIN, LOSS], [LOSS, LOSS])
@@ -280,7 +287,7 @@ def with_detection(evaluation, found, alarms):
     rates.loc[rates["value"] == "≥ 0.3", ["flagged_share", "low", "high"]] = (found, found - 0.02, found + 0.01)
     rates.loc[rates["value"] == "0.1–0.2", ["flagged_share", "low", "high"]] = (0.25, 0.2, 0.3)
     summary["false_alarm_rate"], summary["healthy_episodes"] = alarms, 1000
-    summary["auroc_above_0.1_lpm"] = 0.9876
+    summary["auroc"] = 0.9876
     summary["median_size_error_factor"], summary["p90_size_error_factor"] = [1.31, 1.42], [2.5, 3.0]
     return replace(evaluation, detection_rates=rates, detection_summary=summary)
 
@@ -298,7 +305,7 @@ def test_whether_leaks_are_noticed(evaluation):
     assert leads(with_detection(evaluation, 0.6, 0.01))[2].endswith("can be flagged, but not reliably.")
     assert leads(with_detection(evaluation, 0.97, 0.2))[2].endswith("can be flagged, but not reliably.")
     bad = with_detection(evaluation, 0.05, 0.04)
-    assert leads(bad)[2].startswith("Leaks from 0.3 l/min cannot be told")
+    assert leads(bad)[2].startswith("Leaks from 0.3 l/min cannot be distinguished")
     assert f"clearly more under PID and {ODD_NAME}" in texts(bad)[2]
 
 
@@ -325,3 +332,95 @@ def test_controllers_keep_their_look():
     assert looks_of(["PID", "PPO"])["PPO"] == looks["PPO"]
     assert len({look.colour for look in looks.values()}) == 3
     assert len({look.marker for look in looks.values()}) == 3
+
+
+def test_numbers_have_a_true_minus_and_no_signed_zero():
+    values = [number(-12.3), number(-0.0004, 2), number(0.09, 2, signed=True), number(-0.0, signed=True)]
+    assert values == ["−12.3", "0.00", "+0.09", "0"]
+    assert number(0.0000123) == "0.0000123"
+    assert number(948.14, digits=4) == "948.1"
+
+
+def contrast_on_white(colour):
+    parts = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in to_rgb(colour)]
+    return 1.05 / (np.dot(parts, (0.2126, 0.7152, 0.0722)) + 0.05)
+
+
+def test_lines_stand_out_from_white_and_from_each_other():
+    leaks = [contrast_on_white(LOOKS[leak].colour) for leak in sorted(LOOKS)]
+    assert min(leaks) >= 3.0
+    assert leaks == sorted(leaks, reverse=True)  # dark is tight
+    assert min(map(contrast_on_white, COLOURS)) >= 3.0
+    drawn = sorted(LOOKS)
+    assert all(LOOKS[a].line != LOOKS[b].line for a, b in pairwise(drawn))
+    assert not {look.colour for look in LOOKS.values()} & set(COLOURS)
+
+
+def test_bounds_come_from_the_task():
+    """With other classes the report speaks of other leaks, and of none of the usual ones."""
+    leakage = {"class_bounds": (0.05, 0.6, 2.0), "healthy_range": (0.003, 0.05), "faulty_range": (0.2, 6.0)}
+    config = TaskConfig(episode_duration=0.4, leakage=leakage)
+    settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
+    head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    evaluation = evaluate(config, {"PID": PID(PIDGains(), LAYOUT)}, head, settings)
+    page = render_report(evaluation, replace(record(), training_curve=NOTHING))
+    found = Page(page)
+    text = (found.text + " ".join(svg.get("aria-label", "") for svg in found.all("svg"))).replace("\u00a0", " ")
+    for wanted in (
+        "up to 0.05 l/min a seal counts as healthy",
+        "Leaks from 0.6 l/min c",
+        "leaks above 0.2 l/min",
+        "a healthy seal (0.04 l/min)",
+        "≥ 0.6",
+    ):
+        assert wanted in text
+    for usual in (r"\b0\.03 l/min", r"\b0\.1 l/min", r"(?<!–)\b0\.3 l/min", "0.1–0.2"):
+        assert not re.search(usual, text)
+
+
+def test_a_policy_that_corrects_is_called_so(evaluation):
+    names = controllers_of(evaluation)
+    corrects = replace(record([example(names)]), corrects={ODD_NAME: "PID", "absent": "PID"})
+    text = Page(render_report(evaluation, corrects)).text.replace("\u00a0", " ")
+    assert f"{ODD_NAME} on PID is a policy that adds a correction to the command of PID." in text
+    assert "absent" not in text
+    assert not re.search(re.escape(ODD_NAME) + "(?! on PID)", text)
+    assert controllers_of(evaluation) == names  # the tables keep their names
+
+
+def test_the_preview_is_marked_beside_a_step():
+    time = np.arange(1, 81) * 0.005
+    step = np.where(time > 0.2, 0.01, 0.0)
+    shown = Example("steps", time, step, {"PID": step}, {"PID": step}, preview=0.04)
+    with_preview = example_plot(shown, 0, looks_of(["PID"]))
+    without = example_plot(replace(shown, preview=0.0), 0, looks_of(["PID"]))
+    assert "40 ms ahead" in with_preview.note
+    assert "ahead" not in without.note
+    assert len(with_preview.svg) > len(without.svg)
+    smooth = replace(shown, reference=0.01 * time)
+    assert "ahead" not in example_plot(smooth, 0, looks_of(["PID"])).note
+
+
+def test_the_log_of_a_training_is_drawn():
+    steps = np.linspace(1e4, 1e6, 50)
+    log = pd.DataFrame(
+        {
+            "time/total_timesteps": steps,
+            "rollout/mean_reward": -1.0 - 50.0 * np.exp(-steps / 1e4),
+            "train/approx_kl": 0.01,
+            "train/explained_variance": np.linspace(0.0, 0.9, 50),
+            "validation/mean_error_mm": np.where(np.arange(50) % 10 == 0, 0.3, np.nan),
+        }
+    )
+    plots = training_plots(log)
+    assert [plot.title for plot in plots] == [
+        "Reward while learning",
+        "Error on validation plants",
+        "Updates of the policy",
+    ]
+    assert "early values beyond the scale" in plots[0].note
+    assert "explained variance of the value function from 0 to 0.900" in plots[2].alt
+    assert training_plots(log[["time/total_timesteps"]]) == []
+    assert training_plots(pd.DataFrame()) == []
+    two = pd.concat([log.assign(controller="PPO"), log.assign(controller="SAC")])
+    assert "of SAC" in training_plots(two)[0].alt

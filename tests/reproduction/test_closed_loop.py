@@ -5,19 +5,26 @@ import math
 import numpy as np
 import pytest
 
-from agents.controllers.sampled_loop import CONTROL_PERIOD, SampledLoop, sampled_loop, speed_per_command
-from agents.reproduction.closed_bode import closed_bode_table
+from agents.controllers.sampled_loop import (
+    CONTROL_PERIOD,
+    SampledLoop,
+    places_in_reach,
+    sampled_loop,
+    speed_per_command,
+)
 from agents.reproduction.closed_loop import (
     GAIN_MARGIN,
+    achievable,
     bandwidth,
     closed_loop_run,
-    places,
+    limit_table,
+    proportional,
     sensible_gain,
     settling_time,
 )
-from agents.reproduction.closed_moves import closed_moves_table, told_by
+from agents.reproduction.frequency import closed_bode_table
+from agents.reproduction.moves import closed_moves_summary, closed_moves_table
 from agents.reproduction.rig import Rig, simplified, with_leak
-from agents.reproduction.stability import LEAKS, achievable, limit_table
 from hydro_env import PlantParameters, equilibrium, simulate
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s
@@ -77,7 +84,7 @@ def test_response_is_that_of_the_nonlinear_plant(leak, hertz):
     place, gain, periods, size = 0.02, 300.0, 400, 1e-5
     reference = place + size * np.sin(2 * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))
     _, holding = equilibrium(plant(leak), place)
-    run = closed_loop_run(plant(leak), reference, gain, place, offset=holding / 10.0)
+    run = closed_loop_run(plant(leak), reference, proportional(gain, holding / 10.0), place)
     late = slice(periods // 2, periods)
     position = run["position_m"].to_numpy()[::5][:periods][late] - place
     turning = np.exp(-2j * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))[late]
@@ -94,7 +101,9 @@ def test_just_inside_the_limit_decays_and_just_outside_swings_up(law, leak, plac
     _, holding = equilibrium(axis, place)
     sizes = {}
     for share in (0.95, 1.05):
-        run = closed_loop_run(axis, np.full(240, place), share * limit, place, holding / 10.0, deviation=1e-6)
+        run = closed_loop_run(
+            axis, np.full(240, place), proportional(share * limit, holding / 10.0), place, deviation=1e-6
+        )
         error = (run["position_m"].to_numpy() - place)[::5]
         error = np.abs(error - error[-80:].mean())
         sizes[share] = error[-40:].max() / error[60:100].max()
@@ -111,30 +120,30 @@ def test_speed_per_command_is_what_the_plant_shows():
 
 @pytest.fixture(scope="module")
 def limits():
-    return limit_table(Rig())
+    return limit_table(Rig(), (0.01, 0.3, 4.0))
 
 
 def test_limits_are_those_of_the_loop_and_gains_keep_the_margin(limits):
-    row = limits.query("law == 'throttle' and leak_lpm == 0.3").iloc[2]
-    loop = sampled_loop(with_leak(PlantParameters(), 0.3, "throttle"), places(Rig())[2])
+    row = limits.query("law == 'throttle' and leak_lpm == 0.3").iloc[4]
+    loop = sampled_loop(with_leak(PlantParameters(), 0.3, "throttle"), places_in_reach(PlantParameters())[4])
     assert row["limit_per_m"] == pytest.approx(loop.largest_stable_gain())
     assert row["bandwidth_hz"] == pytest.approx(bandwidth(loop, row["gain_per_m"]))
     told = achievable(limits)
-    assert len(told) == 2 * len(LEAKS)
+    assert len(told) == 2 * 3
     tight = told.query("law == 'laminar'").iloc[0]
     assert tight["gain_per_m"] == pytest.approx(sensible_gain(Rig()))
     assert tight["gain_per_m"] * GAIN_MARGIN <= tight["limit_per_m"] + 1e-9
     grows = limits.query("law == 'laminar'").pivot(
         index="leak_lpm", columns="position_mm", values="continuous_limit_per_m"
     )
-    assert np.all(np.diff(grows[places(Rig())[2] * 1e3]) > 0.0)  # 2 ζ ω grows with the leak
+    assert np.all(np.diff(grows[places_in_reach(PlantParameters())[4] * 1e3]) > 0.0)  # 2 ζ ω grows with the leak
 
 
 def test_settling_of_the_linear_loop_is_that_of_the_nonlinear_one():
     axis, place, gain, step = plant(4.0), 0.022, 474.0, 2e-5
     loop = sampled_loop(axis, place)
     _, holding = equilibrium(axis, place)
-    run = closed_loop_run(axis, np.full(400, place + step), gain, place, offset=holding / 10.0)
+    run = closed_loop_run(axis, np.full(400, place + step), proportional(gain, holding / 10.0), place)
     seen = (run["position_m"].to_numpy()[::5] - place) / step
     assert seen == pytest.approx(loop.step_response(gain, 400), abs=0.02)
 
@@ -150,7 +159,7 @@ def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():
 
 def test_feedback_hides_the_leak_in_the_moves():
     table = closed_moves_table(Rig())
-    told = told_by(table, Rig())
+    told = closed_moves_summary(table, Rig())
     assert told["left_mm"].abs().iloc[-1] > 10.0 * told["left_mm"].abs().iloc[0]
     assert told["command"].abs().is_monotonic_increasing
     assert told["largest_mm"].max() < 2.0

@@ -7,7 +7,8 @@ import pytest
 
 from agents.commands import reproduce as command
 from agents.commands.application import main
-from agents.reproduction.displacement import displacement_figure, displacement_table
+from agents.reproduction.figures import FIGURES, write_words
+from agents.reproduction.moves import displacement_table
 from agents.reproduction.rig import Rig
 from hydro_env import ConfigurationError
 from hydro_env.task.configuration import Sensors
@@ -64,4 +65,4 @@ def test_recorded_displacement_has_the_noise_of_the_sensor():
 
 
 def test_displacement_words_name_the_sensor():
-    assert f"{1e3 * Sensors().position.noise:.3f} mm" in displacement_figure(Rig()).how
+    assert f"{1e3 * Sensors().position.noise:.3f} mm" in write_words(FIGURES[0], displacement_table(Rig()), Rig()).how

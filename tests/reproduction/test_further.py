@@ -6,13 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.reproduction.bode import LOWEST, bode_table
-from agents.reproduction.energy import energy_table
-from agents.reproduction.friction_scan import friction_scan_table
-from agents.reproduction.holding import controllers, held_error
-from agents.reproduction.maps import map_table
-from agents.reproduction.results import RESULTS
+from agents.reproduction.frequency import LOWEST, bode_table, map_table
+from agents.reproduction.holding import controllers, energy_table, held_error
+from agents.reproduction.results import RESULTS, setting_of
 from agents.reproduction.rig import Rig, own_rig, simplified, with_leak
+from agents.reproduction.settling import friction_scan_table
 from agents.reproduction.variations import unused_parameters
 from hydro_env import PlantParameters, equilibrium, simulate
 
@@ -73,7 +71,7 @@ def test_every_assumed_parameter_is_ranked_for_every_result(sensitivity):
     assert set(unused_parameters(Rig())) == unused
     names -= unused
     assert len(names) >= 29
-    assert set(sensitivity["result"]) == {result.name for result in RESULTS}
+    assert set(sensitivity["result"]) == {result.name for result in RESULTS if not result.name.startswith("settling")}
     for _, part in sensitivity.groupby("result"):
         assert set(part["parameter"]) == names
         assert np.all(np.diff(part.sort_values("rank")["effect_percent"].dropna()) <= 0.0)
@@ -88,8 +86,12 @@ def test_effects_with_known_answers(sensitivity):
         gain = rows.loc[("gain_limit_per_m", name)]  # a factor of the loop gain like any other
         assert gain["at_low"] / gain["normal"] == pytest.approx(1 / 0.8, rel=1e-6)
         assert gain["at_high"] / gain["normal"] == pytest.approx(1 / 1.2, rel=1e-6)
-    damping = rows.loc[("settling_s", "load.viscous_damping")]
-    assert damping["at_low"] > damping["normal"] > damping["at_high"]
+    settling, at = next(result for result in RESULTS if result.name == "settling_s"), setting_of(Rig())
+    damped = (
+        settling.compute(PlantParameters().replace(load={"viscous_damping": factor * 300.0}), at, 1.0)
+        for factor in (0.8, 1.2)
+    )
+    assert next(damped) > settling.compute(PlantParameters(), at, 1.0) > next(damped)
 
 
 def test_the_held_error_is_that_of_the_simulated_loop(sensitivity):
@@ -99,7 +101,8 @@ def test_the_held_error_is_that_of_the_simulated_loop(sensitivity):
 
 
 def test_friction_hides_the_trend_little_by_little():
-    scan = friction_scan_table(Rig()).pivot(index="friction_share", columns="leak_lpm", values="settling_s")
+    table = friction_scan_table(Rig(), (0.01, 1.0), (0.0, 0.02, 0.2, 1.0))
+    scan = table.pivot(index="friction_share", columns="leak_lpm", values="settling_s")
     assert scan[0.01].is_monotonic_decreasing
     assert scan.loc[0.0, 0.01] > 3.0 * scan.loc[0.0, 1.0]
     assert scan.loc[1.0, 0.01] < 1.5 * scan.loc[1.0, 1.0]

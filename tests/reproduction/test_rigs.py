@@ -8,13 +8,12 @@ import pytest
 
 from agents.commands import reproduce as command
 from agents.commands.application import main
-from agents.reproduction.closed_bode import closed_bode_figure
-from agents.reproduction.displacement import displacement_figure, displacement_table
-from agents.reproduction.friction_scan import friction_scan_figure
-from agents.reproduction.page import true_minus
+from agents.reproduction.figures import FIGURES, write_words
+from agents.reproduction.frequency import closed_bode_table
+from agents.reproduction.moves import displacement_table
 from agents.reproduction.rig import Rig, own_rig, rig_from
-from agents.reproduction.settling_figure import settling_figure
-from agents.running.folders import config_folder
+from agents.reproduction.settling import friction_scan_table, settling_table
+from agents.running.folders import config_folder, output_folder
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -38,11 +37,10 @@ def test_the_file_of_the_papers_rig_is_the_papers_rig():
 
 
 @pytest.fixture(scope="module")
-def own_folder(tmp_path_factory):
+def own_folder(tmp_path_factory, quick_figures):
     path = tmp_path_factory.mktemp("own_rig")
-    (path / "friction_scan.png").write_text("of an earlier run", encoding="utf-8")
     file = next(file for file in RIGS if "symmetric" in file.stem)
-    quick = [entry for entry in command.FIGURES if entry.key != "sensitivity"]
+    quick = [entry for entry in quick_figures if entry.key != "sensitivity"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command, "FIGURES", tuple(quick))
         command.reproduce_to_folder(path, overwrite=False, rig_file=file)
@@ -64,15 +62,17 @@ def test_a_figure_that_a_rig_cannot_do_is_said_in_its_place(own_folder):
 
 def test_overwriting_removes_what_an_earlier_run_wrote(tmp_path, monkeypatch):
     """Figures that are no longer made go; what the command did not write stays."""
-    (tmp_path / "page.html").write_text('<section id="gone_figure"></section>', encoding="utf-8")
-    for name in ("gone_figure.png", "gone_figure.svg", "gone_figure.csv", "mine.png"):
-        (tmp_path / name).write_text("old", encoding="utf-8")
+    gone = ["page.html", "gone_figure.png", "gone_figure.svg"]
+    with output_folder(tmp_path, "reproduce", gone):
+        for name in gone:
+            (tmp_path / name).write_text("old", encoding="utf-8")
+    (tmp_path / "mine.png").write_text("mine", encoding="utf-8")
     monkeypatch.setattr(command, "FIGURES", ())
     with pytest.raises(ConfigurationError, match="--overwrite"):
         command.reproduce_to_folder(tmp_path, overwrite=False)
     assert (tmp_path / "gone_figure.png").exists()
     command.reproduce_to_folder(tmp_path, overwrite=True)
-    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png"}
+    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png", ".hydro.json"}
 
 
 def test_the_page_says_whose_rig_it_is(own_folder):
@@ -88,7 +88,7 @@ def test_the_page_says_whose_rig_it_is(own_folder):
 def test_a_slow_axis_gets_more_time():
     heavy = own_rig(PlantParameters().replace(load={"mass": 1200.0}), "heavy")
     assert heavy.stretch > 3.0
-    assert "ms after the stop" in displacement_figure(heavy).found[2]
+    assert "ms after the stop" in write_words(FIGURES[0], displacement_table(heavy), heavy).found[2]
 
 
 def test_an_axis_that_is_too_slow_for_the_figures_is_refused():
@@ -108,7 +108,7 @@ def test_a_light_axis_is_sampled_finer():
 def test_a_rig_without_a_stable_gain_says_so(monkeypatch):
     monkeypatch.setattr("agents.controllers.sampled_loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
     with pytest.raises(HydroError, match="no sensible gain"):
-        closed_bode_figure(own_rig(PlantParameters().replace(load={"mass": 61.0}), "unlimited"))
+        closed_bode_table(own_rig(PlantParameters().replace(load={"mass": 61.0}), "unlimited"))
 
 
 @pytest.mark.parametrize(
@@ -132,15 +132,9 @@ def test_a_missing_rig_is_one_line(tmp_path):
         command.reproduce_to_folder(tmp_path, overwrite=False, rig_file=tmp_path / "absent.yaml")
 
 
-def test_signs():
-    assert true_minus("from -0.05 to -0.000 and +0.00, -12 mm, 1e-5, +0.09") == (
-        "from −0.05 to 0.000 and 0.00, −12 mm, 1e-5, +0.09"
-    )
-
-
 def test_a_stop_too_gentle_to_settle_is_said():
     """A spool that takes seconds to close: nothing swings, and no figure divides by zero."""
     slow = own_rig(PlantParameters().replace(valve={"slew_limit": 0.1}), "slow spool")
-    for figure in (settling_figure, friction_scan_figure):
+    for table in (settling_table, friction_scan_table):
         with pytest.raises(HydroError, match="nothing to settle"):
-            figure(slow)
+            table(slow)

@@ -109,7 +109,7 @@ def test_the_force_of_the_last_episode_is_forgotten():
 @pytest.mark.parametrize(
     ("disturbance", "message"),
     [
-        ({"kind": "gust"}, "disturbance.kind = 'gust': .*'none', 'step', 'pulse' or 'sine'"),
+        ({"kind": "gust"}, "disturbance.kind = 'gust': .*one of none, step, pulse, sine"),
         ({"force_range": [500.0, 100.0]}, r"force_range = \[500, 100\]: must rise within 0 to 1e[+]06 N"),
         ({"force_range": [float("nan"), 100.0]}, "force_range.* must be a number, not NaN"),
         ({"pulse_duration": 0.0}, "pulse_duration = 0.0: .*unit: s"),

@@ -222,14 +222,14 @@ def test_a_users_reference_competes_with_the_others_by_weight():
     [
         ({"weights": {"zigzag": 1.0}}, "unknown family 'zigzag'; known: step, point_to_point"),
         ({"weights": {"step": 0.0}}, "at least one family needs a positive weight"),
-        ({"weights": {"step": -1.0}}, "weights.step = -1.0: .*greater than or equal to 0"),
+        ({"weights": {"step": -1.0}}, "weights.step = -1.0: .*within 0 to"),
         ({"weights": {"user": 1.0}}, "family 'user' needs 'user', an array of positions"),
         ({"weights": {"user": 1.0}, "user": [0.0, 0.3]}, r"references.user\[1\] = 0.3 m: must be a position within"),
         ({"weights": {"user": 1.0}, "user": [float("nan")]}, r"references.user.*nan"),
         ({"step_range": [0.02, 0.01]}, r"step_range = \[0.02, 0.01\]: must rise within 1e-06 to 10 m"),
         ({"frequency_range": [0.0, 1.0]}, r"frequency_range = \[0, 1\]: must rise within 0.001 to 1000 Hz"),
         ({"preview_times": [0.02, 0.01]}, "preview_times must rise"),
-        ({"range_share": 0.99}, "range_share = 0.99: .*less than or equal to 0.95"),
+        ({"range_share": 0.99}, "range_share = 0.99: .*at most 0.95"),
     ],
 )
 def test_impossible_references_are_refused_with_one_line(references, message):

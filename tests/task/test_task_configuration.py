@@ -141,7 +141,10 @@ def test_initial_positions_fill_the_configured_range():
 
 NAN = float("nan")
 WRONG = {
-    "unknown key": ({"controll_period": 0.01}, "controll_period = 0.01: unknown key; known here: control_period"),
+    "unknown key": (
+        {"controll_period": 0.01},
+        "controll_period = 0.01: unknown key; did you mean control_period. known",
+    ),
     "unknown deep key": ({"plant": {"load": {"weight": 1}}}, "plant.load.weight = 1: unknown key; known here: mass"),
     "plant value": ({"plant": {"supply": {"pressure": 70}}}, "plant.supply.pressure = 70: .*unit: Pa"),
     "plant geometry": ({"plant": {"cylinder": {"rod_diameter": 0.04}}}, "rod_diameter = 0.04 m does not fit"),
@@ -181,7 +184,7 @@ WRONG = {
     "otherwise alone": ({"randomisation": {"load.mass": {"uniform": [50, 60], "otherwise": 55}}}, "belong together"),
     "probability": (
         {"randomisation": {"load.mass": {"uniform": [50, 60], "otherwise": 55, "otherwise_probability": 2}}},
-        "otherwise_probability = 2: .*less than or equal to 1",
+        "otherwise_probability = 2: .*within 0 to 1",
     ),
     "initial range": (
         {"initial_position_range": [-2.0, 1.0]},
@@ -206,7 +209,7 @@ WRONG = {
         "'times' runs in a circle",
     ),
     "error_scale": ({"reward": {"error_scale": 0.0}}, "reward.error_scale = 0.0: .*unit: m"),
-    "negative weight": ({"reward": {"effort": -1}}, "reward.effort = -1: .*greater than or equal to 0"),
+    "negative weight": ({"reward": {"effort": -1}}, "reward.effort = -1: must be a number"),
     "rating": ({"failure": {"pressure_rating": 250}}, "failure.pressure_rating = 250: .*unit: Pa"),
 }
 

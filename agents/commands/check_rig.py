@@ -1,0 +1,29 @@
+"""``hydro check-rig``: the figures of a rig as a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agents.commands.options import Overwrite, Rig, say
+
+
+def check_rig(
+    rig: Rig = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; without it none.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Print what an engineer works out by hand for a rig, and refuse a rig that cannot work.
+
+    Areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional gain of the
+    sampled position loop with a tight and a leaking seal, and how finely the rig must be integrated.
+    """
+    from agents.rigs.check_table import check_to_console
+
+    files = check_to_console(rig, output, overwrite)
+    if files:
+        say(*files)

@@ -1,0 +1,54 @@
+"""``hydro evaluate``: compare controllers on test plants."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents
+
+
+def evaluate(
+    output: Output = Path("results/evaluate"),
+    config: Config = None,
+    agent: Agents = None,
+    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
+    plants: Annotated[
+        int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Judge the controllers of a study, yours and the leakage head on test plants.
+
+    The same plants, references and noise for each. Trained controllers take the shipped weights where `--agent` gives
+    no others. Writes CSV tables with every number and a report, and prints the main figures. A controller that fails
+    does not lose the others' results.
+    """
+    from agents.evaluation.opponents import load_head
+    from agents.evaluation.protocol import ProtocolSettings
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from agents.study.results import REPORT_FILES, evaluate_study, print_summary
+    from agents.study.settings import default_study
+    from hydro_env import ConfigurationError
+    from hydro_env.files import validate, write_yaml
+
+    study = default_study(config)
+    if plants is not None:
+        changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
+        study = study.model_copy(update={"evaluation": changed})
+    controllers = study.with_weights(named_agents(agent))
+    watching = load_head(head, study.task)
+    settings_file = "evaluation.yaml"
+    with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
+        write_yaml(output / settings_file, study.model_dump(mode="json"))
+        text = (output / settings_file).read_text(encoding="utf-8")
+        with ProgressDisplay() as display:
+            evaluation = evaluate_study(
+                study, controllers, watching, output, display, configuration=text, command=command_line()
+            )
+            print_summary(evaluation, display)
+    if evaluation.errors:
+        raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")

@@ -1,0 +1,130 @@
+"""``hydro train``: train one part of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from agents.commands.options import (
+    Agents,
+    Config,
+    Output,
+    Overwrite,
+    Resume,
+    Seed,
+    named_agents,
+    say,
+)
+from hydro_env import ConfigurationError
+
+if TYPE_CHECKING:
+    from agents.study.settings import StudySettings
+
+
+def train(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="ppo (or another trained controller of the study), head (the leakage head), or pid (its gains, by an "
+            "optimiser)."
+        ),
+    ],
+    output: Output = Path("results/train"),
+    config: Config = None,
+    agent: Agents = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
+    seed: Seed = None,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` goes on from it.
+
+    The head learns from episodes under every controller of the study, with the shipped weights where `--agent` gives
+    no others.
+    """
+    from agents.study.settings import default_study
+
+    study = default_study(config)
+    seed = study.seed if seed is None else seed
+    part = what.lower()
+    _refuse("--steps", steps is not None and part in ("head", "pid"), part)
+    _refuse("--agent", agent is not None and part != "head", part)
+    _refuse("--resume", resume and part == "pid", part)
+    if part == "head":
+        file = _head(study, output, seed, resume, overwrite, named_agents(agent))
+    elif part == "pid":
+        file = _gains(study, output, seed, overwrite)
+    else:
+        name = next((name for name in study.trained if name.lower() == part), None)
+        if name is None:
+            known = ", ".join([*(name.lower() for name in study.trained), "head", "pid"])
+            raise ConfigurationError(f"train '{what}': unknown; this study trains: {known}")
+        file = _controller(study, name, output, seed, resume, overwrite, steps)
+    say(f"written: {file}")
+
+
+def _refuse(option: str, given: bool, part: str) -> None:
+    if given:
+        raise ConfigurationError(f"{option}: does not apply to hydro train {part}")
+
+
+def _controller(
+    study: StudySettings, name: str, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
+) -> Path:
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, train_controller
+    from hydro_env.files import validate
+
+    settings = study.training_settings(name)
+    if steps is not None:
+        settings = validate(type(settings), {**settings.model_dump(), "total_steps": steps}, "--steps")
+    corrected = study.controllers[name].corrects
+    if corrected in study.trained:
+        raise ConfigurationError(f"{name} corrects {corrected}, which is trained itself; run hydro study")
+    base = study.make(corrected) if corrected is not None else None
+    if resume and not any(folder.glob(CHECKPOINTS)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint; leave --resume out")
+    with (
+        output_folder(folder, f"train {name}", TRAINING_FILES, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        train_controller(study, name, folder, seed, resume, base, display, settings)
+    return folder / f"{WEIGHTS}.safetensors"
+
+
+def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
+
+    controllers = list(study.with_weights(agents).values())
+    if resume and not any(folder.glob(HEAD_CHECKPOINTS)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint of the head; leave --resume out")
+    with (
+        output_folder(folder, "train head", HEAD_FILES, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        train_leakage_head(study, folder, seed, resume, controllers, display)
+    return folder / f"{HEAD_WEIGHTS}.safetensors"
+
+
+def _gains(study: StudySettings, folder: Path, seed: int, overwrite: bool) -> Path:
+    from agents.learning.tuning import tune_pid
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+
+    generations = 80
+    path = folder / "pid.yaml"
+    with output_folder(folder, "train pid", [path.name], overwrite=overwrite), ProgressDisplay() as display:
+
+        def report(generation: int, cost: float, gains: object) -> None:
+            note = f"mean cost {cost:.5f}, proportional {getattr(gains, 'proportional', 0.0):.4g} 1/m"
+            display.update("tune PID", min(generation, generations), generations, note)
+
+        display.update("tune PID", 0, generations)
+        gains, _ = tune_pid(study.task, generations=generations, seed=seed, progress=report)
+        gains.to_yaml(path)
+    return path

@@ -1,0 +1,84 @@
+"""Controllers by name: ``kind: pid``, or ``kind: "my_module:MyController"`` for one of your own."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import os
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.pid import PID, PIDGains
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
+
+
+def _pid(config: TaskConfig, **gains: Any) -> PID:
+    return PID(validate(PIDGains, gains, "pid"), ObservationLayout.of(config))
+
+
+CONTROLLERS: dict[str, Callable[..., Controller]] = {"pid": _pid}
+"""Makes a controller from the task and its settings, by kind."""
+
+
+def imported(name: str) -> Any:
+    """What ``"module:attribute"`` names; modules in the current folder count.
+
+    Raises:
+        ConfigurationError: the module cannot be imported or has no such attribute.
+    """
+    module, _, attribute = name.partition(":")
+    if not module or not attribute:
+        raise ConfigurationError(f"'{name}': must be 'module:attribute'")
+    if os.getcwd() not in sys.path and "" not in sys.path:
+        sys.path.append(os.getcwd())
+    try:
+        found: Any = importlib.import_module(module)
+    except Exception as error:
+        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {_reason(error)}") from error
+    for part in attribute.split("."):
+        if not hasattr(found, part):
+            raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'")
+        found = getattr(found, part)
+    return found
+
+
+def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] | None = None) -> Controller:
+    """A controller for a task.
+
+    Args:
+        kind: a key of :data:`CONTROLLERS`, or ``"module:attribute"``. The attribute is a controller (used as it is),
+            or a class or function that makes one: it is called as ``attribute(config, **settings)``, or as
+            ``attribute()`` where it takes no argument.
+        config: the task, which tells the controller the layout of its observations and the control period.
+        settings: of the controller.
+
+    Raises:
+        ConfigurationError: the kind is unknown, or the settings do not fit it.
+    """
+    make: Any
+    if ":" in kind:
+        make = imported(kind)
+        if not isinstance(make, type) and hasattr(make, "predict"):
+            if settings:
+                raise ConfigurationError(f"'{kind}': is a controller already and takes no settings")
+            return make  # type: ignore[no-any-return]
+        if not callable(make):
+            raise ConfigurationError(f"'{kind}': has no method predict, and is no class or function that makes one")
+    elif kind in CONTROLLERS:
+        make = CONTROLLERS[kind]
+    else:
+        raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}, or 'module:attribute'")
+    try:
+        task = (config,) if inspect.signature(make).parameters else ()
+        return make(*task, **(settings or {}))  # type: ignore[no-any-return]
+    except ConfigurationError:
+        raise
+    except Exception as error:
+        raise ConfigurationError(f"'{kind}': cannot be made from task and settings: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

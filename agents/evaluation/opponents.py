@@ -1,0 +1,124 @@
+"""Who takes part in an evaluation: tasks and controllers by name, file or object, checked against each other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.registry import make_controller
+from agents.leakage.head import LeakageHead
+from agents.learning.trainers import TRAINERS, Trainer
+from agents.running.cases import check_predict
+from agents.running.folders import config_folder, pretrained_folder
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import read_yaml
+from hydro_env.task.configuration import task_config
+
+_ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+HEAD_FILE = "leakage_head"
+SHIPPED_WEIGHTS = {"ppo": "policy"}
+"""Names of the files in the folder of shipped weights, by kind."""
+
+
+def task_named(task: TaskConfig | Mapping[str, Any] | str | Path | None) -> TaskConfig:
+    """A task from its name in ``configs/tasks``, a YAML file, a mapping, or nothing.
+
+    Raises:
+        ConfigurationError: no such file, unknown key, or impossible value.
+    """
+    if isinstance(task, str):
+        named = config_folder() / "tasks" / f"{task}.yaml"
+        if named.exists():
+            task = named
+    return task_config(task)
+
+
+def shipped(kind: str, config: TaskConfig) -> Controller:
+    """The tuned PID or the trained policy that comes with the project.
+
+    Raises:
+        ConfigurationError: there is none of this kind.
+    """
+    if kind in SHIPPED_WEIGHTS:
+        return TRAINERS[kind].load(pretrained_folder() / SHIPPED_WEIGHTS[kind])
+    settings = config_folder() / "agents" / f"{kind}.yaml"
+    if not settings.exists():
+        raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
+    return make_controller(kind, config, read_yaml(settings))
+
+
+def opponent(
+    what: Controller | str | Path, config: TaskConfig, name: str, trainer: Trainer | None = None
+) -> Controller:
+    """A controller for a task.
+
+    Args:
+        what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
+            :func:`~agents.controllers.registry.make_controller`), or the path of weights.
+        config: the task.
+        name: for messages.
+        trainer: loads weights; default PPO.
+
+    Raises:
+        ConfigurationError: there is no such controller, or it was made for other observations; the message names it.
+    """
+    try:
+        controller: Controller
+        what = str(what) if isinstance(what, Path) else what
+        if not isinstance(what, str):
+            controller = what
+        elif what in ("pid", *SHIPPED_WEIGHTS):
+            controller = shipped(what, config)
+        elif what.endswith(".zip"):
+            raise ConfigurationError(
+                f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in a module of your own "
+                "and give module:attribute"
+            )
+        elif _ATTRIBUTE.fullmatch(what):
+            controller = make_controller(what, config)
+        else:
+            controller = (trainer or TRAINERS["ppo"]).load(Path(what))
+        check_predict(controller)
+        layout = getattr(getattr(controller, "features", controller), "layout", None)
+        if isinstance(layout, ObservationLayout):
+            check_layout(layout, config)
+    except ConfigurationError as error:
+        raise type(error)(f"{name}: {error}") from error
+    return controller
+
+
+def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
+    """Weights fit a task only if its observations are those that they were trained on.
+
+    Raises:
+        ConfigurationError: names, scales or control period differ.
+    """
+    if layout != ObservationLayout.of(config):
+        raise ConfigurationError(
+            "was trained on other observations (names, scales or control period) than this task gives"
+        )
+
+
+def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
+    """Check that a leakage head can watch the episodes of a task.
+
+    Raises:
+        ConfigurationError: other observations, or a window that is not an episode.
+    """
+    try:
+        check_layout(head.settings.layout, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}") from None
+    if head.settings.window != config.steps:
+        raise ConfigurationError(f"{name}: reads {head.settings.window} observations, an episode has {config.steps}")
+
+
+def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
+    """Weights of a leakage head, the shipped ones by default, checked against the task."""
+    path = path or pretrained_folder() / HEAD_FILE
+    head = LeakageHead.load(path)
+    check_head(head, config, str(path))
+    return head

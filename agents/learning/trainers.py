@@ -1,0 +1,121 @@
+"""What can be trained, by name: another algorithm is a class with two methods, in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from agents.controllers.base import Controller
+from agents.controllers.pid import PID
+from agents.controllers.registry import imported
+from agents.learning.policy import PolicyController
+from agents.learning.progress import Progress
+from agents.learning.training import PPOSettings, train_ppo
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+
+
+class TrainedController(Controller, Protocol):
+    """A controller whose weights can be kept."""
+
+    def save(self, path: str | Path) -> Path:
+        """Write the weights without running code on loading; returns the file."""
+        ...
+
+
+class Trainer(Protocol):
+    """An algorithm that makes a controller for a task."""
+
+    settings: type[Group]
+    """What a YAML file may say."""
+
+    def train(
+        self,
+        config: TaskConfig,
+        settings: Group,
+        *,
+        seed: int,
+        folder: Path,
+        resume: bool,
+        base: Controller | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> TrainedController:
+        """Train a controller.
+
+        Args:
+            config: the task.
+            settings: an instance of the class's ``settings``.
+            seed: of everything that is drawn.
+            folder: for checkpoints and logs.
+            resume: go on from the checkpoint in ``folder``.
+            base: the controller that a residual form corrects, if there is one.
+            progress: called now and then.
+
+        Raises:
+            ConfigurationError: impossible settings, or nothing to resume.
+        """
+        ...
+
+    def load(self, path: Path) -> TrainedController:
+        """Read weights that a controller of this trainer saved.
+
+        Raises:
+            ConfigurationError: the files are missing, damaged, or of something else.
+        """
+        ...
+
+
+class PPOTrainer:
+    """PPO of stable-baselines3 on the native vector environment; see :func:`~agents.learning.training.train_ppo`."""
+
+    settings: type[Group] = PPOSettings
+
+    def train(
+        self,
+        config: TaskConfig,
+        settings: Group,
+        *,
+        seed: int,
+        folder: Path,
+        resume: bool,
+        base: Controller | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> PolicyController:
+        """Train a policy; the residual form corrects ``base``, a PID."""
+        assert isinstance(settings, PPOSettings)
+        if settings.residual and base is not None and not isinstance(base, PID):
+            raise ConfigurationError(f"ppo: the residual form corrects a PID, not {type(base).__name__}")
+        gains = base.gains if isinstance(base, PID) else None
+        return train_ppo(config, settings, gains, seed, folder, resume=resume, progress=progress)
+
+    def load(self, path: Path) -> PolicyController:
+        """Read weights that ``PolicyController.save`` wrote."""
+        return PolicyController.load(path)
+
+
+TRAINERS: dict[str, Trainer] = {"ppo": PPOTrainer()}
+"""Trainers by their ``kind`` in a YAML file."""
+
+
+def trainer(kind: str) -> Trainer:
+    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
+
+    Raises:
+        ConfigurationError: no such trainer, or it cannot be loaded.
+    """
+    if kind in TRAINERS:
+        return TRAINERS[kind]
+    if ":" not in kind:
+        raise ConfigurationError(f"trainer '{kind}': unknown; known: {', '.join(TRAINERS)}, or my_module:MyTrainer")
+    found = imported(kind)
+    try:
+        made: Any = found() if isinstance(found, type) else found
+    except Exception as error:  # whatever a class of the user's raises
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason}") from None
+    lacking = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
+    if lacking:
+        raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(lacking)}")
+    checked: Trainer = made
+    return checked

@@ -1,0 +1,29 @@
+"""Errors of a policy on a small fixed set of validation plants, for the log of its training."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from agents.controllers.base import Controller
+from agents.running.cases import Cases, run_cases
+from agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import TaskConfig
+
+
+def validation_cases(config: TaskConfig) -> Cases:
+    """One plant for each family of references at three leaks: healthy, incipient, and the largest that is drawn."""
+    leakage = config.leakage
+    leaks = (math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1])
+    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
+    grid = [(leak, family) for leak in leaks for family in families]
+    seeds = VALIDATION_SEEDS.start + 600_000 + np.arange(len(grid))
+    return Cases(seeds, np.array([leak for leak, _ in grid]), np.array([family for _, family in grid]))
+
+
+def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
+    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and how many cases failed."""
+    run = run_cases(config, controller, validation_cases(config))
+    errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
+    return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())

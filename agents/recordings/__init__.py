@@ -1,0 +1,1 @@
+"""Files from a rig: columns of numbers, read without ever misreading one."""

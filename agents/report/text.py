@@ -1,0 +1,102 @@
+"""Numbers, lists and durations as text, the same on every page; and the templates that pages are made from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+MOST_DECIMALS = 9
+
+
+def number(value: float, decimals: int | None = None, digits: int = 3, signed: bool = False) -> str:
+    """A number with ``digits`` significant digits, or with so many decimals; never an exponent; – for NaN.
+
+    The minus is a minus sign (−), and a zero has no sign; ``signed`` writes the plus of positive numbers.
+    """
+    if not np.isfinite(value):
+        return "–" if np.isnan(value) else "∞" if value > 0 else "−∞"
+    text = f"{value:{'+' if signed else ''}.{decimals_for(value, digits) if decimals is None else decimals}f}"
+    return text.lstrip("+-") if float(text) == 0.0 else text.replace("-", "−")
+
+
+def decimals_for(size: float, digits: int = 3) -> int:
+    """Decimals that give a number of this size so many significant digits."""
+    if size == 0.0 or not np.isfinite(size):
+        return 0
+    return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), MOST_DECIMALS)
+
+
+def setting(value: float) -> str:
+    """A number that somebody chose, as short as it can be written: 0.01, 4, −30."""
+    return f"{value:g}".replace("-", "−")
+
+
+def span(low: float, high: float, decimals: int = 0) -> str:
+    """A range: 1 to 4."""
+    return f"{number(low, decimals)} to {number(high, decimals)}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Parts as in a sentence: a, b and c."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person says them."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def unbroken(text: str) -> str:
+    """The text with every number kept on one line with its unit."""
+    return re.sub(r"(?<=[\d×]) (?=(%|mm|l/min)(?!\w)|\d)", "\u00a0", text)
+
+
+FAMILY_NAMES = {
+    "step": "steps",
+    "point_to_point": "point-to-point moves",
+    "ramp": "ramps",
+    "sine": "sines",
+    "multi_sine": "sums of sines",
+    "start_stop": "start–stop runs",
+    "user": "own reference",
+}
+
+
+def family_name(family: str) -> str:
+    """What a person calls a family of references."""
+    return FAMILY_NAMES.get(family, family)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts; the first column names its rows."""
+
+    caption: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    groups: tuple[tuple[str, int], ...] = ()  # (title, columns) above the header, after the first column
+
+
+def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
+    """Templates of some folders and of this one: of HTML, or of prose, whose line breaks do not matter.
+
+    Filters: ``n`` is :func:`number`, ``s`` is :func:`setting`.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
+        autoescape=not prose,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=not prose,
+        lstrip_blocks=not prose,
+    )
+    environment.filters.update({"n": number, "s": setting})
+    return environment

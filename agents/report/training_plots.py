@@ -1,0 +1,114 @@
+"""The figures of the report about training: reward, error on validation plants, measures of the policy's updates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from agents.report.canvas import GREY, Plot, add_legend, draw, looks_of
+from agents.report.text import number
+
+LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
+"""Columns of stable-baselines3's log that the training curve calls otherwise."""
+
+UPDATES = {
+    "train/approx_kl": "approximate KL divergence",
+    "train/explained_variance": "explained variance of the value function",
+    "train/entropy_loss": "entropy loss",
+    "train/loss": "total loss",
+}
+DISCARDED = 0.05
+"""Part of the training whose values do not set the scale: the untrained policy would flatten the rest."""
+
+
+def training_plots(curve: pd.DataFrame) -> list[Plot]:
+    """Figures of what a training curve or log has; none without a curve.
+
+    Args:
+        curve: ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the columns of
+            stable-baselines3's log; ``controller`` if several were trained.
+    """
+    curve = curve.rename(columns={old: new for old, new in LOG_NAMES.items() if new not in curve})
+    if "steps" not in curve or curve.empty:
+        return []
+    if "controller" not in curve:
+        curve = curve.assign(controller="policy")
+    errors = {name: _words(name) for name in curve if name.startswith("validation/") and name.endswith("_mm")}
+    reward = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
+    kl = "How much an update changes the policy (KL divergence), and how well the value function predicts (1 is best)."
+    updates = {name: words for name, words in UPDATES.items() if name in curve}
+    return [
+        *_plot(curve, "training", "Reward while learning", {"mean_reward": "mean reward"}, reward),
+        *_plot(
+            curve,
+            "validation",
+            "Error on validation plants",
+            errors,
+            "Lower is better; no policy is trained on these plants.",
+        ),
+        *_plot(curve, "updates", "Updates of the policy", updates, kl),
+    ]
+
+
+def _words(column: str) -> str:
+    return column.removeprefix("validation/").removesuffix("_mm").replace("_", " ") + ", mm"
+
+
+def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str], note: str) -> list[Plot]:
+    """A panel per column that has values; no figure without one."""
+    known = {name: words for name, words in columns.items() if name in curve and curve[name].notna().any()}
+    if not known:
+        return []
+    factor, unit = (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
+    looks = looks_of(curve["controller"].unique())
+    cut = False
+
+    def paint(figure: Figure) -> None:
+        nonlocal cut
+        panels: list[Axes] = list(figure.subplots(len(known), 1, sharex=True, squeeze=False)[:, 0])
+        for axes, (column, words) in zip(panels, known.items(), strict=True):
+            for name, look in looks.items():
+                part = curve[curve["controller"] == name].dropna(subset=[column])
+                axes.plot(part["steps"] / factor, part[column], label=name, linewidth=1.2, **look.stroke)
+            cut = _scale(axes, curve, column) or cut
+            axes.set_ylabel(words if len(known) == 1 else words.replace(" of ", "\nof "), fontsize=8.0)
+        panels[-1].set_xlabel(f"training, {unit}")
+        panels[-1].set_xlim(left=0.0)
+        if len(looks) > 1:
+            add_legend(panels[0])
+
+    parts = [
+        f"{words}{'' if len(looks) == 1 else f' of {name}'} from {number(values.iloc[0])} to {number(values.iloc[-1])}"
+        for column, words in known.items()
+        for name in looks
+        if len(values := curve[curve["controller"] == name][column].dropna())
+    ]
+    alt = f"{title}: {'; '.join(parts)} after {number(curve['steps'].max() / factor)} {unit}."
+    svg = draw(key, alt, paint, max(3.0, 1.0 + 1.4 * len(known)))
+    return [Plot(title, note + (" An arrow marks early values beyond the scale." if cut else ""), alt, svg)]
+
+
+def _scale(axes: Axes, curve: pd.DataFrame, column: str) -> bool:
+    """Let the values after the first part set the scale; mark earlier ones beyond it. Whether there are any."""
+    late = curve[curve["steps"] > DISCARDED * curve["steps"].max()][column].dropna().to_numpy(dtype=np.float64)
+    if len(late) < 2:
+        return False
+    room = 0.08 * float(np.ptp(late)) or 0.05 * abs(float(late[0])) or 1.0
+    low, high = float(late.min()) - room, float(late.max()) + room
+    early = curve[column].dropna()
+    axes.set_ylim(low, high)
+    for beyond, place, arrow in ((early.min() < low, 0.0, "↓"), (early.max() > high, 1.0, "↑")):
+        if beyond:
+            axes.annotate(
+                f"{arrow} {number(early.min() if place == 0.0 else early.max())}",
+                (0.015, 0.04 if place == 0.0 else 0.96),
+                xycoords="axes fraction",
+                va="bottom" if place == 0.0 else "top",
+                color=GREY,
+                fontsize=8.0,
+            )
+    return bool(early.min() < low or early.max() > high)

@@ -1,0 +1,85 @@
+"""``hydro check-rig``: the figures of a rig on the console, as CSV and as Markdown."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+from rich.table import Table
+
+from agents.rigs.check import BAR, Row, check_rig
+from agents.running.console import PlainConsole
+from agents.running.folders import output_folder
+from hydro_env import PlantParameters
+from hydro_env.files import write_text
+from hydro_env.plant.analysis import leak_at_test_pressure
+
+CSV_FILE = "check.csv"
+TABLE_FILE = "check.md"
+HEADINGS = ("", "quantity", "at", "value", "unit")
+NOTE = (
+    "Leaks are in l/min at 100 bar across the piston. Gains are valve command (1 = 10 V) per metre of error, in a "
+    "loop with a proportional controller, linearised at rest without dry friction, exactly sampled."
+)
+
+
+def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> list[Path]:
+    """Print the table of a rig; with a folder write ``check.csv`` and ``check.md`` too. See ``hydro check-rig --help``.
+
+    Raises:
+        ConfigurationError: the rig is wrong or cannot work, or the folder cannot be used.
+    """
+    parameters = PlantParameters.from_yaml(rig) if rig is not None else PlantParameters()
+    rows = check_rig(parameters, str(rig) if rig is not None else "rig")
+    title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(parameters)}"
+    files = []
+    if folder is not None:
+        with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
+            write_text(folder / CSV_FILE, check_csv(rows))
+            write_text(folder / TABLE_FILE, check_markdown(rows, title))
+        files = [folder / CSV_FILE, folder / TABLE_FILE]
+    PlainConsole().print(_table(rows, title))
+    return files
+
+
+def _summary(parameters: PlantParameters) -> str:
+    cylinder = parameters.cylinder
+    rods = f"{1e3 * cylinder.rod_diameter:.4g}"
+    rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
+    leak = leak_at_test_pressure(parameters)
+    return (
+        f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
+        f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "
+        f"own leak {leak:.3g} l/min at 100 bar"
+    )
+
+
+def _table(rows: list[Row], title: str) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for heading in HEADINGS:
+        table.add_column(heading, justify="right" if heading == "value" else "left")
+    group = ""
+    for row in rows:
+        if group and row.group != group:
+            table.add_section()
+        table.add_row(row.group if row.group != group else "", row.quantity, row.at, row.text(4), row.unit)
+        group = row.group
+    return table
+
+
+def check_csv(rows: list[Row]) -> str:
+    """All figures with nine digits, one per line."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Row._fields)
+    writer.writerows([row.group, row.quantity, row.at, row.text(9), row.unit] for row in rows)
+    return text.getvalue()
+
+
+def check_markdown(rows: list[Row], title: str) -> str:
+    """The table as Markdown."""
+    cells = [HEADINGS, ("---", "---", "---", "---:", "---")]
+    cells += [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
+    table = "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in cells)
+    return f"# {title}\n\n{table}\n\n{NOTE}\n"

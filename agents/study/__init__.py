@@ -1,0 +1,1 @@
+"""A study: which controllers are trained and compared, how it runs, and how it resumes."""

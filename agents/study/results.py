@@ -1,0 +1,143 @@
+"""What an evaluation leaves: tables, report, example episodes, and the main figures on the console."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.table import Table
+
+from agents.controllers.base import Controller
+from agents.evaluation.protocol import Evaluation, evaluate
+from agents.leakage.head import LeakageHead
+from agents.report.report import Example, StudyRecord, write_report, write_tables
+from agents.running.cases import Cases, run_cases
+from agents.running.console import ProgressDisplay
+from agents.running.machine import machine_description, package_versions
+from agents.running.seeds import TEST_SEEDS
+from agents.study.phases import Phases
+from agents.study.settings import StudySettings
+from hydro_env import TaskConfig
+
+REPORT_FILE = "report.html"
+REPORT_FILES = (REPORT_FILE, "tables/*.csv")
+EXAMPLE_SEED = TEST_SEEDS.start + 900_000
+EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop"}
+
+
+def evaluate_study(
+    study: StudySettings,
+    controllers: Mapping[str, Controller],
+    head: LeakageHead | None,
+    folder: Path,
+    display: ProgressDisplay,
+    *,
+    configuration: str,
+    command: str,
+    seed: int = 0,
+    phases: Phases | None = None,
+    training_curve: pd.DataFrame | None = None,
+) -> Evaluation:
+    """Evaluate controllers; tables and report go into the folder.
+
+    A controller that fails is named on the standard error stream; the others' results are written.
+    """
+
+    def work() -> Evaluation:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the errors are printed below
+            return evaluate(study.task, controllers, head, study.evaluation, display.update)
+
+    evaluation = phases.run("evaluate", work) if phases is not None else work()
+    working = {name: controller for name, controller in controllers.items() if name not in evaluation.errors}
+    levels = (min(study.evaluation.leak_levels), max(study.evaluation.leak_levels))
+    write_tables(folder / "tables", evaluation)
+    record = StudyRecord(
+        title=study.title,
+        configuration=configuration,
+        command=command,
+        versions=package_versions(),
+        machine=machine_description(),
+        seed=seed,
+        timings=dict(phases.seconds) if phases is not None else {},
+        training_curve=training_curve if training_curve is not None else pd.DataFrame(),
+        examples=example_traces(study.task, working, levels),
+        corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
+    )
+    write_report(folder / REPORT_FILE, evaluation, record)
+    display.say(f"report: {(folder / REPORT_FILE).resolve()}")
+    for error in evaluation.errors.values():
+        print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)
+    return evaluation
+
+
+def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], levels: Sequence[float]) -> list[Example]:
+    """Time traces of a few test episodes under every controller, at each leak level (l/min at 100 bar)."""
+    kinds = [(family, level) for family in EXAMPLE_FAMILIES for level in levels]
+    cases = Cases(
+        np.full(len(kinds), EXAMPLE_SEED, dtype=np.int64),
+        np.array([level for _, level in kinds]),
+        np.array([family for family, _ in kinds]),
+    )
+    runs = {name: run_cases(config, controller, cases) for name, controller in controllers.items()}
+    first = next(iter(runs.values()))
+    healthy = config.leakage.class_bounds[0]
+    examples = []
+    for case, (family, level) in enumerate(kinds):
+        seal = f"healthy seal ({level:g} l/min at 100 bar)" if level <= healthy else f"{level:g} l/min at 100 bar"
+        examples.append(
+            Example(
+                title=f"{EXAMPLE_FAMILIES[family]}, {seal}" if level == levels[0] else f"the same with {level:g} l/min",
+                time=first.time,
+                reference=first.reference[case],
+                position={name: run.position[case] for name, run in runs.items()},
+                command={name: run.command[case] for name, run in runs.items()},
+                preview=max(config.references.preview_times, default=0.0),
+            )
+        )
+    return examples
+
+
+def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
+    """The main figures as tables on the console."""
+    names = list(evaluation.cases["controller"].unique())
+    ratios = evaluation.ratios
+
+    def ratio(name: str, group: str, value: str | None = None) -> str:
+        chosen = (ratios["controller"] == name) & (ratios["group"] == group)
+        row = ratios[chosen & (ratios["value"] == value)].iloc[0] if value is not None else ratios[chosen].iloc[0]
+        return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
+
+    table = Table(title="Mean absolute tracking error, mm (test plants)")
+    for heading in ("leakage, l/min at 100 bar", *names, *(f"{name} / {names[0]} [95 %]" for name in names[1:])):
+        table.add_column(heading, justify="right")
+    errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
+    for level in evaluation.cases["leakage_flow_lpm"].unique():
+        means = [f"{errors[name, level]:.4f}" for name in names]
+        table.add_row(f"{level:g}", *means, *(ratio(name, "level", str(level)) for name in names[1:]))
+    means = [f"{evaluation.cases.loc[evaluation.cases['controller'] == n, 'mean_error_mm'].mean():.4f}" for n in names]
+    table.add_row("all", *means, *(ratio(name, "all") for name in names[1:]))
+    if len(names) > 1:
+        equal = (ratio(name, "equal_weight") for name in names[1:])
+        table.add_row("all, references weighing the same", *[""] * len(names), *equal)
+    display.console.lines(table)
+    if evaluation.detection_summary.empty:
+        return
+    bounds = evaluation.bounds
+    table = Table(title="Leakage head, one episode of observations (test plants)")
+    auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
+    for heading in ("controller", auroc, "false alarms", moderate, "size error, median"):
+        table.add_column(heading, justify="right")
+    for _, entry in evaluation.detection_summary.iterrows():
+        table.add_row(
+            str(entry["controller"]),
+            f"{entry['auroc']:.4f}",
+            f"{100 * entry['false_alarm_rate']:.2f} %",
+            f"{100 * entry['detection_rate_moderate']:.2f} %",
+            f"× {entry['median_size_error_factor']:.2f}",
+        )
+    display.console.lines(table)

@@ -1,0 +1,155 @@
+"""The main job: train the controllers and the leakage head of a study, compare the controllers, write the report.
+
+Each phase leaves its result in the output folder, so that a study that was stopped can be resumed.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from agents.controllers.base import Controller
+from agents.evaluation.opponents import opponent
+from agents.evaluation.protocol import Evaluation
+from agents.leakage.head import LeakageHead
+from agents.running.cases import Cases, run_cases
+from agents.running.console import ProgressDisplay
+from agents.running.folders import output_folder
+from agents.running.seeds import VALIDATION_SEEDS
+from agents.study.phases import STATE_FILE, Phases
+from agents.study.results import REPORT_FILES, evaluate_study, print_summary
+from agents.study.settings import StudySettings
+from agents.study.training import (
+    CHECKPOINTS,
+    HEAD_CHECKPOINTS,
+    HEAD_FILES,
+    HEAD_WEIGHTS,
+    TRAINING_FILES,
+    WEIGHTS,
+    read_curve,
+    train_controller,
+    train_leakage_head,
+)
+from hydro_env import ConfigurationError
+from hydro_env.files import read_yaml, write_yaml
+
+CONFIG_FILE = "study.yaml"
+HEAD_PHASE = "train leakage head"
+TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
+"""What trained weights depend on; the rest of a study may change when it is resumed."""
+
+
+def run_study(
+    study: StudySettings,
+    folder: Path,
+    seed: int,
+    resume: bool = False,
+    overwrite: bool = False,
+    command: str = "hydro study",
+) -> Evaluation:
+    """Run all phases; with ``resume`` those that are done with the same settings are not repeated.
+
+    Raises:
+        ConfigurationError: settings do not fit each other, the folder cannot be used, or its results are of other
+            settings.
+        KeyboardInterrupt: Ctrl-C; what was done so far stays and can be resumed.
+    """
+    study.check()
+    below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
+    writes = [CONFIG_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
+    with output_folder(folder, "study", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        _note_settings(study, folder, seed)
+        _try_out(study)
+        phases = Phases(folder)
+        controllers: dict[str, Controller] = {}
+        curves = []
+        for name, entry in study.controllers.items():
+            if entry.trainer is None:
+                controllers[name] = study.make(name)
+                continue
+            controllers[name] = _trained(study, name, folder, seed, controllers, phases, display)
+            curves.append(read_curve(folder / "controllers" / name).assign(controller=name))
+        head = _head(study, folder, seed, controllers, phases, display)
+        evaluation = evaluate_study(
+            study,
+            controllers,
+            head,
+            folder,
+            display,
+            configuration=(folder / CONFIG_FILE).read_text(encoding="utf-8"),
+            command=command,
+            seed=seed,
+            phases=phases,
+            training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
+        )
+        print_summary(evaluation, display)
+        for phase, seconds in phases.seconds.items():
+            display.say(f"{phase}: {seconds:.0f} s")
+    return evaluation
+
+
+def _note_settings(study: StudySettings, folder: Path, seed: int) -> None:
+    """Write the settings into the folder; what is there must have been trained with the same."""
+    described: dict[str, Any] = {**study.model_dump(mode="json"), "seed": seed}
+    file = folder / CONFIG_FILE
+    if file.exists():
+        before, now = read_yaml(file), json.loads(json.dumps(described))
+        changed = next((key for key in TRAINED_BY if before.get(key) != now[key]), None)
+        if changed is not None:
+            raise ConfigurationError(
+                f"{file}: was made with another seed or other settings ('{changed}' differs); --overwrite begins anew"
+            )
+    write_yaml(file, described)
+
+
+def _try_out(study: StudySettings) -> None:
+    """Run each controller that needs no training for two episodes, before hours of training.
+
+    Raises:
+        ConfigurationError: one cannot act; the message names it.
+    """
+    cases = Cases(np.array([VALIDATION_SEEDS.stop - 2, VALIDATION_SEEDS.stop - 1]))
+    for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:
+        try:
+            run_cases(study.task, study.make(name), cases, states=False)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"controllers.{name}: {error}") from error
+
+
+def _trained(
+    study: StudySettings,
+    name: str,
+    folder: Path,
+    seed: int,
+    controllers: dict[str, Controller],
+    phases: Phases,
+    display: ProgressDisplay,
+) -> Controller:
+    own, entry = folder / "controllers" / name, study.controllers[name]
+    assert entry.trainer is not None
+    if f"train {name}" in phases.done:
+        display.say(f"{name}: already trained")
+        return opponent(entry.trainer.load(own / WEIGHTS), study.task, name)
+    base = controllers[entry.corrects] if entry.corrects is not None else None
+    resume = any(own.glob(CHECKPOINTS))
+    return phases.run(f"train {name}", lambda: train_controller(study, name, own, seed, resume, base, display))
+
+
+def _head(
+    study: StudySettings,
+    folder: Path,
+    seed: int,
+    controllers: dict[str, Controller],
+    phases: Phases,
+    display: ProgressDisplay,
+) -> LeakageHead:
+    if HEAD_PHASE in phases.done:
+        display.say("leakage head: already trained")
+        return LeakageHead.load(folder / HEAD_WEIGHTS)
+    resume = any(folder.glob(HEAD_CHECKPOINTS))
+    acting = list(controllers.values())
+    return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, resume, acting, display))

@@ -1,0 +1,192 @@
+"""What a study says: the task, the controllers, the training of the leakage head, and the size of the evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, StringConstraints, model_validator
+
+from agents.controllers.base import Controller
+from agents.controllers.registry import CONTROLLERS, imported, make_controller
+from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
+from agents.evaluation.protocol import ProtocolSettings
+from agents.leakage.training import HeadTrainingSettings
+from agents.learning.trainers import TRAINERS, Trainer, trainer
+from agents.running.folders import config_folder
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_yaml, validate
+
+Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
+
+
+class ControllerEntry(Group):
+    """One controller of a study."""
+
+    kind: str = Field(description="pid, ppo, or module:attribute for a controller or trainer of your own")
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="of the controller or its training; or the path of a YAML file"
+    )
+    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
+
+    @cached_property
+    def trainer(self) -> Trainer | None:
+        """What trains it; ``None`` for a controller that needs no training.
+
+        Raises:
+            ConfigurationError: no such kind.
+        """
+        if self.kind in CONTROLLERS:
+            return None
+        if ":" in self.kind:
+            found = imported(self.kind)
+            return trainer(self.kind) if hasattr(found, "train") and hasattr(found, "load") else None
+        if self.kind not in TRAINERS:
+            known = ", ".join([*CONTROLLERS, *TRAINERS])
+            raise ConfigurationError(f"kind = '{self.kind}': unknown; known: {known}, or 'module:attribute'")
+        return TRAINERS[self.kind]
+
+
+class StudySettings(Group):
+    """A study: the task, the controllers, what is trained and how it is judged. ``configs/studies`` holds some."""
+
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="of everything that is drawn; --seed overrides")
+    title: str = "A servo axis that leaks: PID, PPO and the leakage head"
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    controllers: dict[Name, ControllerEntry] = Field(
+        min_length=1, description="by name; the others are compared with the first"
+    )
+    leakage_head: HeadTrainingSettings = Field(default_factory=HeadTrainingSettings)
+    evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
+
+    @model_validator(mode="after")
+    def _corrections(self) -> StudySettings:
+        earlier: list[str] = []
+        for name, entry in self.controllers.items():
+            if entry.corrects is not None and entry.corrects not in earlier:
+                raise ValueError(
+                    f"controllers.{name}: corrects = '{entry.corrects}': must be a controller before it"
+                    f" ({', '.join(earlier) or 'none'})"
+                )
+            earlier.append(name)
+        return self
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> StudySettings:
+        """Read a study; a group, and the settings of a controller, may be the path of another YAML file.
+
+        Such a path is relative to the file of the study.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key or impossible value.
+        """
+        values = read_yaml(path)
+        folder = Path(path).parent
+        groups: dict[str, type[Group]] = {
+            "task": TaskConfig,
+            "leakage_head": HeadTrainingSettings,
+            "evaluation": ProtocolSettings,
+        }
+        for key, group in groups.items():
+            if isinstance(values.get(key), str):
+                file = folder / values[key]
+                values[key] = validate(group, read_yaml(file), str(file))
+        controllers, sources = values.get("controllers"), {}
+        if isinstance(controllers, dict):
+            for name, entry in controllers.items():
+                if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
+                    sources[name] = str(folder / entry["settings"])
+                    controllers[name] = {**entry, "settings": read_yaml(sources[name])}
+        study = validate(cls, values, str(path))
+        study.check(str(path), sources)
+        return study
+
+    def check(self, source: str = "study", sources: Mapping[str, str] | None = None) -> None:
+        """Check before any work what would otherwise fail after hours.
+
+        Args:
+            source: for messages.
+            sources: files from which the settings of controllers came, by name.
+
+        Raises:
+            ConfigurationError: a controller cannot be made, settings do not fit each other, or the episodes are too
+                short for the leakage head.
+        """
+        for name, entry in self.controllers.items():
+            where = (sources or {}).get(name, f"{source}: controllers.{name}")
+            try:
+                found = entry.trainer
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{source}: controllers.{name}: {error}") from error
+            if found is None:
+                try:
+                    opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
+                except ConfigurationError as error:
+                    raise ConfigurationError(f"{where}: {error}") from error
+                if entry.corrects is not None:
+                    raise ConfigurationError(f"{source}: controllers.{name}: corrects: only a trained one can correct")
+            else:
+                settings = validate(found.settings, entry.settings, where)
+                if getattr(settings, "residual", False) and entry.corrects is None:
+                    raise ConfigurationError(
+                        f"{source}: controllers.{name}: is trained as a correction (residual: true): give 'corrects: "
+                        "NAME' of the controller that it corrects"
+                    )
+        try:
+            self.leakage_head.check(self.task)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{source}: {error}") from None
+
+    def make(self, name: str) -> Controller:
+        """A controller of the study that needs no training."""
+        entry = self.controllers[name]
+        return make_controller(entry.kind, self.task, entry.settings)
+
+    def training_settings(self, name: str) -> Group:
+        """Settings of the training of a controller.
+
+        Raises:
+            ConfigurationError: it is not trained, or its settings are wrong.
+        """
+        found = self.controllers[name].trainer
+        if found is None:
+            raise ConfigurationError(f"controllers.{name}: is not trained")
+        return validate(found.settings, self.controllers[name].settings, f"controllers.{name}")
+
+    @property
+    def trained(self) -> list[str]:
+        """Names of the controllers that are trained."""
+        return [name for name, entry in self.controllers.items() if entry.trainer is not None]
+
+    def with_weights(self, agents: Mapping[str, str]) -> dict[str, Controller]:
+        """All controllers ready to act, without any training.
+
+        Args:
+            agents: controllers that are added or replace those of the study, as texts that
+                :func:`~agents.evaluation.opponents.opponent` understands. A trained controller that is not among them
+                takes the shipped weights.
+
+        Raises:
+            ConfigurationError: one cannot be made or has no weights.
+        """
+        controllers: dict[str, Controller] = {}
+        for name, entry in self.controllers.items():
+            if name in agents:
+                controllers[name] = opponent(agents[name], self.task, name, entry.trainer)
+            elif entry.trainer is None:
+                controllers[name] = opponent(self.make(name), self.task, name)
+            elif entry.kind in SHIPPED_WEIGHTS:
+                controllers[name] = opponent(shipped(entry.kind, self.task), self.task, name)
+            else:
+                raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
+        for name, what in agents.items():
+            if name not in controllers:
+                controllers[name] = opponent(what, self.task, name)
+        return controllers
+
+
+def default_study(path: Path | None = None) -> StudySettings:
+    """The study of a file, or that of ``make study``."""
+    return StudySettings.from_yaml(path if path is not None else config_folder() / "studies" / "default.yaml")

@@ -1,0 +1,102 @@
+"""Trains the controllers and the leakage head of a study, with progress on the console."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from agents.controllers.base import Controller
+from agents.leakage.head import LeakageHead
+from agents.leakage.training import train_head
+from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
+from agents.running.console import ProgressDisplay
+from agents.study.settings import StudySettings
+from hydro_env.files import Group
+
+WEIGHTS = "policy"
+HEAD_WEIGHTS = "leakage_head"
+CHECKPOINTS = "checkpoint*"
+HEAD_CHECKPOINTS = "head_checkpoint*"
+TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
+"""What the training of a controller writes; the checkpoints of a trainer begin with ``checkpoint``."""
+
+HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
+
+
+def train_controller(
+    study: StudySettings,
+    name: str,
+    folder: Path,
+    seed: int,
+    resume: bool,
+    base: Controller | None,
+    display: ProgressDisplay,
+    settings: Group | None = None,
+) -> Controller:
+    """Train one controller of a study; weights, checkpoints and log go into the folder.
+
+    Args:
+        study: the study.
+        name: of the controller.
+        folder: for its files.
+        seed: of everything that is drawn.
+        resume: go on from the checkpoint in the folder.
+        base: the controller that it corrects.
+        display: for the progress.
+        settings: of the training, instead of the study's.
+
+    Raises:
+        ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
+        KeyboardInterrupt: Ctrl-C; the trainer has kept a checkpoint.
+    """
+    settings = settings if settings is not None else study.training_settings(name)
+    trainer = study.controllers[name].trainer
+    assert trainer is not None
+    last = [0.0, 0.0]
+
+    def report(progress: Progress) -> None:
+        passed, steps = progress.seconds - last[0], progress.steps - last[1]
+        rate = f"{steps / passed:,.0f} steps/s" if passed > 0 and last[1] else ""
+        last[:] = progress.seconds, progress.steps
+        reward = "" if math.isnan(progress.mean_reward) else f"mean reward {progress.mean_reward:.4f}"
+        note = ", ".join(part for part in (rate, reward) if part)
+        display.update(f"train {name}", min(progress.steps, progress.total_steps), progress.total_steps, note)
+
+    controller = trainer.train(
+        study.task, settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
+    )
+    controller.save(folder / WEIGHTS)
+    return controller
+
+
+def read_curve(folder: Path) -> pd.DataFrame:
+    """The log of a training; empty where there is none. Columns: see :mod:`agents.learning.progress`.
+
+    Raises:
+        ConfigurationError: the file is damaged.
+    """
+    file = folder / PROGRESS_FILE
+    curve = pd.DataFrame(read_progress(file) if file.exists() else [])
+    names = {"time/total_timesteps": "steps", "time/time_elapsed": "seconds", "rollout/mean_reward": "mean_reward"}
+    return curve.rename(columns=names)
+
+
+def train_leakage_head(
+    study: StudySettings,
+    folder: Path,
+    seed: int,
+    resume: bool,
+    controllers: Sequence[Controller],
+    display: ProgressDisplay,
+) -> LeakageHead:
+    """Train the leakage head on episodes under each controller; its weights go into the folder."""
+
+    def report(phase: str, done: int, total: int, loss: float) -> None:
+        display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
+
+    head = train_head(study.task, controllers, study.leakage_head, seed, report, folder=folder, resume=resume)
+    head.save(folder / HEAD_WEIGHTS)
+    return head

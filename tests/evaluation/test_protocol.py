@@ -1,0 +1,252 @@
+"""The protocol: which cases are run, who is compared with whom, and what a failing controller costs."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import agents
+from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.evaluation.detection import detection_cases
+from agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
+from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
+from agents.running.cases import ControllerError, run_cases
+from agents.running.seeds import TEST_SEEDS
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.4)
+LAYOUT = ObservationLayout.of(CONFIG)
+SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=100)
+STRONG, WEAK = PID(PIDGains(proportional=200.0), LAYOUT), PID(PIDGains(proportional=40.0), LAYOUT)
+
+
+def test_levels_share_plants_and_families_do_not():
+    settings = ProtocolSettings(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
+    cases, table = tracking_cases(settings)
+    assert len(cases) == len(table) == 3 * 2 * 4
+    seeds = {}
+    for seed, leak, family, row in zip(
+        cases.seeds, cases.leakage_flow_lpm, cases.families, table.itertuples(), strict=True
+    ):
+        assert (leak, family) == (row.leakage_flow_lpm, row.family)
+        seeds.setdefault((leak, str(family)), []).append(int(seed))
+    for family in settings.families:
+        assert seeds[0.01, family] == seeds[1.0, family] == seeds[4.0, family]
+        assert len(set(seeds[0.01, family])) == 4
+    assert not set(seeds[0.01, "sine"]) & set(seeds[0.01, "step"])
+
+
+def test_seeds_of_the_protocol_do_not_move():
+    cases, table = tracking_cases(ProtocolSettings(plants=3))
+    assert len(cases) == 7 * 6 * 3
+    assert cases.seeds.dtype == np.int64
+    for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
+        assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
+    assert list(table["plant"][:3]) == [0, 1, 2]
+    assert list(dict.fromkeys(table["family"])) == list(REFERENCE_FAMILIES[:-1])
+    largest, _ = tracking_cases(ProtocolSettings(plants=10_000, leak_levels=(1.0,)))
+    assert len(set(largest.seeds)) == 60_000
+    watched = detection_cases(CONFIG, 200_000).seeds
+    assert watched[0] == 2_500_000
+    assert not set(largest.seeds) & set(watched)
+    assert max(watched) < TEST_SEEDS.stop
+
+
+def test_detection_cases_are_healthy_and_leaking_in_turn():
+    cases = detection_cases(CONFIG, 1000)
+    flow = cases.leakage_flow_lpm
+    assert cases.families is None
+    assert np.all((flow[::2] >= 0.003) & (flow[::2] <= 0.03))
+    assert np.all((flow[1::2] >= 0.1) & (flow[1::2] <= 4.0))
+    assert np.median(flow[::2]) == pytest.approx(np.sqrt(0.003 * 0.03), rel=0.15)  # log-uniform
+    assert np.median(flow[1::2]) == pytest.approx(np.sqrt(0.1 * 4.0), rel=0.2)
+    np.testing.assert_array_equal(flow, detection_cases(CONFIG, 1000).leakage_flow_lpm)
+    other = TaskConfig(leakage={"healthy_range": [0.01, 0.02], "faulty_range": [0.5, 0.6]})
+    flow = detection_cases(other, 100).leakage_flow_lpm
+    assert flow[::2].max() <= 0.02
+    assert flow[1::2].min() >= 0.5
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"leak_levels": [0.1, 0.0]}, "leak_levels: 0 l/min: must be within 0"),
+        ({"leak_levels": [20.1]}, "leak_levels: 20.1 l/min"),
+        ({"families": ["user"]}, "families: unknown 'user'; known: step, "),
+        ({"families": ["step", "step"]}, "families: holds something twice"),
+        ({"leak_levels": [1.0, 1.0]}, "leak_levels: holds something twice"),
+        ({"plants": 2}, "plants"),
+        ({"plants": True}, "plants"),
+        ({"detection_episodes": 99}, "detection_episodes"),
+        ({"plant": 3}, "plant"),
+    ],
+)
+def test_impossible_settings_are_refused(values, message):
+    with pytest.raises(ConfigurationError, match=message) as raised:
+        evaluate(CONFIG, {"PID": STRONG}, settings=values)
+    assert "evaluation" in str(raised.value)
+    ProtocolSettings(leak_levels=(20.0,), plants=3, detection_episodes=100)
+
+
+@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
+def evaluation():
+    network = LeakageNetwork(4)
+    head = LeakageHead(network, HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    phases = []
+    result = evaluate(CONFIG, {"strong": STRONG, "weak": WEAK}, head, SETTINGS, lambda *args: phases.append(args))
+    return result, phases, head
+
+
+def test_every_case_is_in_the_table_with_its_own_error(evaluation):
+    result, _, _ = evaluation
+    cases, table = tracking_cases(SETTINGS)
+    for name, controller in (("strong", STRONG), ("weak", WEAK)):
+        own = result.cases[result.cases["controller"] == name]
+        np.testing.assert_array_equal(own["seed"], cases.seeds)
+        for column in table.columns:
+            np.testing.assert_array_equal(own[column], table[column])
+        run = run_cases(CONFIG, controller, cases)
+        error = 1e3 * np.abs(run.reference.astype(np.float64) - run.position).mean(axis=1)
+        np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
+    assert list(result.cases["controller"].unique()) == ["strong", "weak"]
+    assert result.errors == {}
+
+
+def test_the_preview_is_left_out_of_standstills():
+    blind = TaskConfig(episode_duration=2.0, references={"preview_times": []})
+    seeing = TaskConfig(episode_duration=2.0)
+
+    class Hold:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            return np.zeros((len(observation), 1)), None
+
+    settings = ProtocolSettings(plants=3, leak_levels=(1.0,), families=("step",))
+    tables = [evaluate(task, {"hold": Hold()}, settings=settings).cases for task in (blind, seeing)]
+    np.testing.assert_array_equal(tables[0]["mean_error_mm"], tables[1]["mean_error_mm"])
+    assert (tables[0]["steady_state_error_mm"] != tables[1]["steady_state_error_mm"]).any()
+
+
+def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
+    result, phases, head = evaluation
+    assert set(result.levels.columns[:2]) == {"controller", "leakage_flow_lpm"}
+    assert set(result.families["family"]) == {"step", "sine"}
+    assert set(result.ratios["controller"]) == {"weak"}
+    assert set(result.ratios["against"]) == {"strong"}
+    assert len(result.detection) == 2 * 100
+    assert list(result.detection_summary["controller"]) == ["strong", "weak"]
+    assert set(result.detection_summary["threshold"]) == {head.settings.threshold}
+    assert set(result.curves["curve"]) == {"roc", "precision_recall"}
+    assert set(result.detection_rates["controller"]) == {"strong", "weak"}
+    assert result.bounds == (0.03, 0.1, 0.3)
+    assert phases == [
+        ("tracking, strong", 12, 12),
+        ("detection, strong", 100, 100),
+        ("tracking, weak", 12, 12),
+        ("detection, weak", 100, 100),
+    ]
+
+
+def test_the_head_sees_each_episode_under_each_controller(evaluation):
+    result, _, head = evaluation
+    watched = detection_cases(CONFIG, 100)
+    columns = [LAYOUT.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")]
+    columns.append(LAYOUT.index("previous_command"))
+    for name, controller in (("strong", STRONG), ("weak", WEAK)):
+        own = result.detection[result.detection["controller"] == name]
+        run = run_cases(CONFIG, controller, watched, columns, states=False)
+        estimate = head.estimate_signals(run.signals)
+        np.testing.assert_array_equal(own["probability"], estimate.probability)
+        np.testing.assert_array_equal(own["estimated_flow_lpm"], estimate.flow_lpm)
+        np.testing.assert_array_equal(own["flagged"], estimate.probability >= head.settings.threshold)
+        np.testing.assert_array_equal(own["leakage_flow_lpm"], watched.leakage_flow_lpm)
+        np.testing.assert_array_equal(own["seed"], watched.seeds)
+        flow = own["leakage_flow_lpm"]
+        assert set(own["class"][flow <= 0.03]) == {"healthy"}
+        assert set(own["class"][(flow > 0.3) & (flow <= 1.0)]) == {"moderate"}
+
+
+def test_without_a_head_there_is_no_detection():
+    result = evaluate(CONFIG, {"PID": STRONG}, settings=SETTINGS)
+    for table in (result.detection, result.detection_rates, result.detection_summary, result.curves, result.ratios):
+        assert table.empty
+    assert len(result.cases) == 12
+
+
+class NotANumber:
+    """Returns NaN on the second axis of a batch, after ten steps."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        step = 0 if state is None else state
+        command = np.zeros((len(observation), 1))
+        command[1] = np.nan if step == 10 else 0.0
+        return command, step + 1
+
+
+def test_a_failing_controller_costs_only_its_own_results():
+    with pytest.warns(UserWarning, match=r"bad: seed 2000001, reference step, leak 0.01 l/min, at 0.050 s"):
+        result = evaluate(CONFIG, {"strong": STRONG, "bad": NotANumber(), "weak": WEAK}, settings=SETTINGS)
+    assert list(result.errors) == ["bad"]
+    assert result.errors["bad"].startswith("bad: seed 2000001")
+    alone = evaluate(CONFIG, {"strong": STRONG, "weak": WEAK}, settings=SETTINGS)
+    for name in ("cases", "levels", "families", "ratios"):
+        assert getattr(result, name).equals(getattr(alone, name))
+
+
+def test_a_controller_that_fails_under_the_head_alone_has_no_results():
+    network = LeakageHead(LeakageNetwork(4), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+
+    class Unlucky:
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            if len(observation) == 100:
+                raise RuntimeError("no more")
+            return np.zeros((len(observation), 1)), None
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = evaluate(CONFIG, {"unlucky": Unlucky(), "PID": STRONG}, network, SETTINGS)
+    assert list(result.cases["controller"].unique()) == ["PID"]
+    assert "RuntimeError: no more" in result.errors["unlucky"]
+    assert list(result.detection["controller"].unique()) == ["PID"]
+    assert result.ratios.empty
+
+
+def test_the_next_controller_is_the_yardstick_where_the_first_fails():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = evaluate(CONFIG, {"bad": NotANumber(), "strong": STRONG, "weak": WEAK}, settings=SETTINGS)
+        assert set(result.ratios["against"]) == {"strong"}
+        with pytest.raises(ControllerError, match=r"bad: .*returned nan.*worse: .*returned nan"):
+            evaluate(CONFIG, {"bad": NotANumber(), "worse": NotANumber()}, settings=SETTINGS)
+
+
+def test_what_cannot_take_part_is_refused_at_once():
+    head = LeakageHead(LeakageNetwork(4), HeadSettings(LAYOUT, CONFIG.steps + 1, 0.5, {}))
+    for controllers, watching, message in (
+        ({"PID": STRONG, "mine": lambda observation: 0.0}, None, "mine: function has no method predict"),
+        ({"mine": PID}, None, "mine: PID is a class"),
+        ({"mine": "nowhere/policy"}, None, "mine: .*policy"),
+        ({"mine": "no_such_module:Thing"}, None, "mine: 'no_such_module:Thing': module 'no_such_module' cannot"),
+        ({"mine": "model.zip"}, None, "mine: model.zip: a zip file of stable-baselines3 runs code"),
+        ({}, None, "at least one controller"),
+        ({"PID": STRONG}, head, "leakage head: reads 81 observations, an episode has 80"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            evaluate(CONFIG, controllers, watching, SETTINGS)
+    other = TaskConfig(episode_duration=0.4, control_period=0.004)
+    with pytest.raises(ConfigurationError, match="PID: was trained on other observations"):
+        evaluate(other, {"PID": STRONG}, settings=SETTINGS)
+
+
+def test_a_task_may_be_given_in_any_form(tmp_path):
+    file = tmp_path / "task.yaml"
+    file.write_text("episode_duration: 0.1\n")
+    settings = {"plants": 3, "leak_levels": [1.0], "families": ["ramp"]}
+    plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).cases
+    for task in (str(file), file, {"episode_duration": 0.1}):
+        assert agents.evaluate(task, {"PID": "pid"}, settings=settings).cases.equals(plain)
+    with pytest.raises(ConfigurationError, match=r"nowhere\.yaml"):
+        evaluate("nowhere.yaml", {"PID": "pid"})
+    with pytest.raises(AttributeError, match="no attribute 'assess'"):
+        _ = agents.assess
+    named = evaluate("default", {"PID": "pid", "PPO": "ppo"}, settings=settings)
+    assert set(named.cases["controller"]) == {"PID", "PPO"}

@@ -1,0 +1,35 @@
+"""Another algorithm in one file: A2C of stable-baselines3. In YAML: ``kind: "a2c_trainer:A2CTrainer"``."""
+
+from pydantic import Field
+from stable_baselines3 import A2C
+
+from agents.controllers import ObservationLayout
+from agents.learning.features import PolicyFeatures
+from agents.learning.policy import PolicyController
+from agents.learning.progress import training_logger
+from agents.learning.vec_env import AxisVecEnv
+from hydro_env import ConfigurationError
+from hydro_env.files import Group
+
+
+class A2CSettings(Group):
+    total_steps: int = Field(100_000, ge=1)
+    axes: int = Field(64, ge=1)
+    learning_rate: float = Field(7e-4, gt=0.0, le=1.0)
+
+
+class A2CTrainer:
+    settings = A2CSettings
+
+    def train(self, config, settings, *, seed, folder, resume, base, progress):
+        if resume:
+            raise ConfigurationError("a2c: cannot resume")
+        features = PolicyFeatures(ObservationLayout.of(config), base.gains if base is not None else None)
+        env = AxisVecEnv(config, settings.axes, features, seed)
+        model = A2C("MlpPolicy", env, settings.learning_rate, seed=seed, device="cpu")
+        model.set_logger(training_logger(folder))
+        model.learn(settings.total_steps)
+        return PolicyController.from_sb3(model)
+
+    def load(self, path):
+        return PolicyController.load(path)

@@ -1,0 +1,211 @@
+"""A training that was interrupted and resumed ends bit for bit as one that was not."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from agents.controllers import PIDGains
+from agents.learning.checkpoint import CHECKPOINT_FILE
+from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from agents.learning.training import PPOSettings, train_ppo
+from agents.running.weights import load_checkpoint, save_checkpoint
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.1)
+SETTINGS = PPOSettings(
+    total_steps=1280, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), validation_every=500
+)
+ROLLOUT = 256
+KIND = "training checkpoint"
+
+
+def train(folder, **options):
+    return train_ppo(CONFIG, options.pop("settings", SETTINGS), PIDGains(), seed=1, folder=folder, **options)
+
+
+def result(policy, folder):
+    """Weights and curve, times left out."""
+    layers = [array for network in (policy.layers, policy.critic) for layer in network for array in layer]
+    rows = [[value for name, value in row.items() if name != "time/time_elapsed"] for row in read_progress(folder)]
+    return np.concatenate([array.ravel() for array in layers]), np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    return result(train(folder), folder / PROGRESS_FILE)
+
+
+def interrupt_at(steps):
+    def report(progress):
+        if progress.steps >= steps:
+            raise KeyboardInterrupt
+
+    return report
+
+
+@pytest.mark.parametrize("paired", [True, False])
+def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, paired):
+    settings = SETTINGS.model_copy(update={"paired": paired, "residual": paired})
+    expected = result(train(tmp_path / "whole", settings=settings), tmp_path / "whole" / PROGRESS_FILE)
+    folder, seen = tmp_path / "parts", []
+    for steps in (256, 512, 1024):  # the interrupt comes when a rollout is over and its update is not
+        with pytest.raises(KeyboardInterrupt):
+            train(folder, settings=settings, resume=steps > 256, progress=interrupt_at(steps))
+        _, stored = load_checkpoint(folder / CHECKPOINT_FILE, KIND)
+        assert stored["steps"] == steps - ROLLOUT
+    policy = train(folder, settings=settings, resume=True, progress=lambda progress: seen.append(progress))
+    assert [progress.steps for progress in seen] == [1024, 1280]
+    assert policy.training["steps"] == 1280
+    for found, wanted in zip(result(policy, folder / PROGRESS_FILE), expected, strict=True):
+        np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_finished_training_resumes_to_the_same_policy_and_may_be_made_longer(tmp_path, whole):
+    train(tmp_path)
+    again = result(train(tmp_path, resume=True), tmp_path / PROGRESS_FILE)
+    np.testing.assert_array_equal(again[0], whole[0])
+    longer = train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 1536}), resume=True)
+    assert longer.training["steps"] == 1536
+    assert [row[STEPS] for row in read_progress(tmp_path / PROGRESS_FILE)] == list(range(256, 1537, 256))
+
+
+def test_rows_after_the_checkpoint_are_written_once(tmp_path, whole):
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path, progress=interrupt_at(768))
+    curve = tmp_path / PROGRESS_FILE
+    with curve.open("a") as file:  # as a killed training leaves it: a row after the checkpoint, and half a row
+        file.write(curve.read_text().splitlines()[-1].replace("512", "768", 1) + "\n1024,0.1")
+    found = result(train(tmp_path, resume=True), curve)
+    np.testing.assert_array_equal(found[1], whole[1])
+
+
+def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"checkpoint.safetensors: cannot be read: No such file"):
+        train(tmp_path, resume=True)
+    with pytest.raises(ConfigurationError, match="a folder with a checkpoint is needed"):
+        train(None, resume=True)
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path, progress=interrupt_at(256))
+    with pytest.raises(ConfigurationError, match="another settings \\('discount' differs\\)"):
+        train(tmp_path, resume=True, settings=SETTINGS.model_copy(update={"discount": 0.5}))
+    for message, config, gains, seed in (
+        ("another task \\('episode_duration' differs\\)", TaskConfig(episode_duration=0.2), PIDGains(), 1),
+        ("another features \\('pid_gains' differs\\)", CONFIG, PIDGains(proportional=3.0), 1),
+        ("another seed; cannot resume", CONFIG, PIDGains(), 2),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            train_ppo(config, SETTINGS, gains, seed, tmp_path, resume=True)
+
+
+def test_a_training_that_begins_anew_drops_the_checkpoint_before_anything_else(tmp_path):
+    train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 256}))
+
+    with pytest.raises(ConfigurationError, match="practice"):
+        train(tmp_path, settings=SETTINGS.model_copy(update={"practice": {"control_period": 0.01}}))
+    assert not (tmp_path / CHECKPOINT_FILE).exists()
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored")
+    with pytest.raises(KeyboardInterrupt):
+        train(folder, progress=interrupt_at(768))
+    return load_checkpoint(folder / CHECKPOINT_FILE, KIND)
+
+
+def changed(tensors, name, value):
+    return {**tensors, name: value}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t, d: (t, d | {"steps": "many"}), "damaged: steps"),
+        (lambda t, d: (t, d | {"steps": -5}), "damaged: steps"),
+        (lambda t, d: (t, d | {"seconds": float("inf")}), "damaged: steps"),
+        (lambda t, d: (t, d | {"made_with": []}), "does not say what it was made with"),
+        (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
+        (lambda t, d: (changed(t, "episodes", np.full((3, 2), np.nan)), d), "'episodes' holds values that are not"),
+        (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),
+        (lambda t, d: (changed(t, "axes.env.record", ~t["axes.env.record"]), d), "env.record: holds no state"),
+        (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
+        (lambda t, d: (changed(t, "axes.slot", np.array(40)), d), "slot = 40: must be within 0 to 36"),
+        (lambda t, d: (changed(t, "torch_generator", t["torch_generator"][:9]), d), "'torch_generator' holds"),
+        (lambda t, d: (changed(t, "torch_generator", t["torch_generator"] * 0), d), "torch_generator"),
+        (lambda t, d: (changed(t, "numpy_generator_position", np.array(9999)), d), "numpy_generator"),
+        (lambda t, d: ({k.replace("exp_avg_sq", "momentum"): v for k, v in t.items()}, d), "no tensor 'optimiser"),
+        (lambda t, d: (changed(t, "optimiser.x.step", np.zeros(())), d), "optimiser.x.step"),
+        (lambda t, d: ({k: v for k, v in t.items() if k != "policy.log_std"}, d), "holds no tensor 'policy.log_std'"),
+    ],
+)
+def test_a_checkpoint_that_was_tampered_with_is_refused_with_one_line(tmp_path, stored, change, message):
+    tensors, description = change(*stored)
+    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, description)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        train(tmp_path, resume=True)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("one,two\n1,2\n", "must name the columns"), (f"{STEPS},b\n1,x\n", "line 2"), (f"{STEPS},b\n1\n", "2 numbers")],
+)
+def test_a_garbled_curve_is_refused_with_one_line(tmp_path, stored, content, message):
+    save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, *stored)
+    (tmp_path / PROGRESS_FILE).write_text(content)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        train(tmp_path, resume=True)
+    assert "\n" not in str(caught.value)
+
+
+PROGRAM = """
+import sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from test_resume import CHECKPOINT_FILE, SETTINGS, train
+folder = Path(sys.argv[1])
+settings = SETTINGS.model_copy(update={{"total_steps": 40_000}})
+policy = train(folder, settings=settings, resume=(folder / CHECKPOINT_FILE).exists(), checkpoint_seconds=0.05)
+policy.save(folder / "policy")
+"""
+
+
+@pytest.mark.slow
+def test_ten_kills_at_random_moments_change_nothing(tmp_path):
+    from pathlib import Path
+
+    from agents.learning.policy import PolicyController
+
+    program = PROGRAM.format(tests=str(Path(__file__).parent))
+
+    def start(folder):
+        folder.mkdir(exist_ok=True)
+        return subprocess.Popen([sys.executable, "-c", program, str(folder)])
+
+    assert start(tmp_path / "whole").wait() == 0
+    expected = result(PolicyController.load(tmp_path / "whole" / "policy"), tmp_path / "whole" / PROGRESS_FILE)
+    generator, kills, folder = np.random.default_rng(), 0, tmp_path / "killed"
+    while kills < 10:
+        process = start(folder)
+        rows = len(read_progress(folder / PROGRESS_FILE)) if (folder / PROGRESS_FILE).exists() else 0
+        goal = rows + int(generator.integers(0, 12))  # rows of the log that it may add before the kill
+        while process.poll() is None:
+            text = (folder / PROGRESS_FILE).read_text() if (folder / PROGRESS_FILE).exists() else ""
+            if text.count("\n") - 1 >= goal and (folder / CHECKPOINT_FILE).exists():
+                time.sleep(generator.uniform(0.0, 0.05))
+                process.send_signal(signal.SIGKILL)
+                break
+        assert process.wait() == -signal.SIGKILL, "the training ended before it was killed ten times"
+        kills += 1
+    assert start(folder).wait() == 0
+    assert json.loads((folder / "policy.json").read_text())["training"]["steps"] >= 40_000
+    for found, wanted in zip(
+        result(PolicyController.load(folder / "policy"), folder / PROGRESS_FILE), expected, strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)

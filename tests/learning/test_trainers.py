@@ -1,0 +1,63 @@
+"""Trainers by name: PPO, and another algorithm in one file."""
+
+import numpy as np
+import pytest
+
+from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.learning.progress import STEPS, read_progress
+from agents.learning.trainers import TRAINERS, trainer
+from agents.learning.training import PPOSettings
+from agents.running.cases import Cases, run_cases
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
+
+CONFIG = TaskConfig(episode_duration=0.1)
+BASE = PID(PIDGains(), ObservationLayout.of(CONFIG))
+
+
+@pytest.mark.parametrize("base", [BASE, None])
+def test_another_algorithm_is_one_file(tmp_path, base):
+    a2c = trainer("a2c_trainer:A2CTrainer")
+    settings = validate(a2c.settings, {"total_steps": 8000, "axes": 16, "learning_rate": 0.001}, "study.yaml")
+    options = {"seed": 0, "folder": tmp_path, "resume": False, "base": base, "progress": None}
+    policy = a2c.train(CONFIG, settings, **options)
+    policy.save(tmp_path / "a2c.v1")
+    again = a2c.load(tmp_path / "a2c.v1")
+    cases = Cases(np.arange(6))
+    run = run_cases(CONFIG, again, cases)
+    np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
+    assert len(np.unique(run.command)) > 3
+    rows = read_progress(tmp_path / "progress.csv")
+    assert [row[STEPS] for row in rows] == [8000.0]  # stable-baselines3's own interval
+    assert np.isfinite(rows[0]["train/value_loss"])
+
+
+def test_ppo_is_a_trainer(tmp_path):
+    ppo = trainer("ppo")
+    assert ppo is TRAINERS["ppo"]
+    settings = PPOSettings(total_steps=64, axes=4, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(4,))
+    options = {"seed": 0, "folder": tmp_path, "resume": False, "progress": None}
+    policy = ppo.train(CONFIG, settings, base=BASE, **options)
+    assert policy.features.gains == BASE.gains
+    assert (tmp_path / "checkpoint.safetensors").exists()
+    with pytest.raises(ConfigurationError, match="needs the gains of a PID"):
+        ppo.train(CONFIG, settings, base=None, **options)
+    with pytest.raises(ConfigurationError, match="corrects a PID, not PolicyController"):
+        ppo.train(CONFIG, settings, base=policy, **options)
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("sac", "trainer 'sac': unknown; known: ppo, or my_module:MyTrainer"),
+        ("absent_module:Trainer", "absent_module"),
+        ("a2c_trainer:Absent", "Absent"),
+        ("a2c_trainer:A2CSettings", "lacks settings, train, load"),
+        ("pathlib:PosixPath", "lacks"),
+        ("builtins:type", "cannot be made: TypeError"),
+    ],
+)
+def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        trainer(kind)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,270 @@
+"""Episodes of cases: the same as of single environments, whatever runs beside them, and what a failure leaves."""
+
+import numpy as np
+import pytest
+
+from agents.running.cases import Cases, ControllerError, check_predict, run_cases
+from hydro_env import ServoHydraulicEnv, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.3)
+LONG = TaskConfig(
+    episode_duration=1.0,
+    leakage={"schedule": "growth"},
+    plant={"load": {"spring_stiffness": 0.0}},
+    randomisation={},
+    initial_position_range=(0.7, 0.9),
+)
+NAMES = ServoHydraulicEnv(CONFIG).observation_names
+ERROR, POSITION = NAMES.index("tracking_error"), NAMES.index("position")
+CASES = Cases(np.array([11, 12, 13, 14, 15]), np.array([0.01, 4.0, 0.3, 1.0, 0.1]), np.array(["step", "sine"] * 3)[:5])
+
+
+class Proportional:
+    """Commands in proportion to the error; its memory counts the steps."""
+
+    def __init__(self, gain=3.0):
+        self.gain = gain
+        self.calls = []
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        self.calls.append((state, episode_start.copy(), deterministic, len(observation)))
+        command = (self.gain * observation[:, [ERROR]]).astype(np.float32)
+        return command, 1 if state is None else state + 1
+
+
+class Ram:
+    """Opens the valve fully on the chosen rows of a batch, so that these axes meet the end stop; others hold."""
+
+    def __init__(self, rows, after=np.nan):
+        self.rows, self.after = rows, after
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        step = 0 if state is None else state
+        command = np.zeros((len(observation), 1))
+        command[self.rows] = 1.0
+        return command, step + 1
+
+
+def single_episode(config, seed, leak, family, gain=3.0):
+    """Position, command, spool, reward, observation of one episode of the single environment."""
+    env = ServoHydraulicEnv(config)
+    observation, info = env.reset(seed=seed, options={"leakage_flow_lpm": leak, "reference": family})
+    rows, over = [], False
+    while not over:
+        before = observation
+        action = gain * observation[ERROR]
+        observation, reward, terminated, truncated, info = env.step([action])
+        rows.append((info["position"], info["reference"], np.clip(action, -1, 1), reward, *before))
+        over = terminated or truncated
+    return np.array(rows), info
+
+
+def test_each_case_is_the_episode_of_a_single_environment():
+    run = run_cases(CONFIG, Proportional(), CASES, signal_columns=[POSITION, ERROR])
+    steps = CONFIG.steps
+    assert run.position.shape == run.reference.shape == run.command.shape == run.spool.shape == (5, steps)
+    np.testing.assert_allclose(run.time, 0.005 * np.arange(1, steps + 1))
+    assert run.signals.shape == (5, 2, steps)
+    for array in (run.position, run.reference, run.command, run.spool, run.reward, run.signals):
+        assert array.dtype == np.float32  # half the memory, and finer than any sensor
+    assert run.failed_at.dtype == run.leakage_class.dtype == np.int64
+    for case in range(5):
+        rows, info = single_episode(
+            CONFIG, int(CASES.seeds[case]), CASES.leakage_flow_lpm[case], str(CASES.families[case])
+        )
+        for column, array in enumerate((run.position, run.reference, run.command, run.reward)):
+            np.testing.assert_array_equal(array[case], rows[:, column].astype(np.float32))
+        np.testing.assert_array_equal(run.signals[case], rows[:, [4 + POSITION, 4 + ERROR]].T.astype(np.float32))
+        assert run.leakage_flow_lpm[case] == pytest.approx(CASES.leakage_flow_lpm[case])
+        assert run.leakage_class[case] == info["leakage_class"]
+    assert run.failed_at.tolist() == [-1] * 5
+    assert np.abs(np.diff(run.spool, axis=1)).max() > 0.0
+
+
+def test_what_is_not_fixed_is_drawn_from_the_seed():
+    drawn = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
+    assert len(set(drawn.leakage_flow_lpm)) > 20
+    again = run_cases(CONFIG, Proportional(), Cases(np.arange(40)))
+    np.testing.assert_array_equal(drawn.position, again.position)
+    fixed = run_cases(CONFIG, Proportional(), Cases(np.arange(40), np.full(40, 0.5)))
+    np.testing.assert_allclose(fixed.leakage_flow_lpm, 0.5)
+    np.testing.assert_array_equal(fixed.reference[:, 0] != 0, drawn.reference[:, 0] != 0)
+
+
+def test_chunks_do_not_change_results():
+    whole = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
+    done = []
+    parts = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], chunk=2, progress=done.append)
+    assert done == [2, 4, 5]
+    for name in whole.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    sizes = Proportional()
+    run_cases(CONFIG, sizes, CASES, chunk=2)
+    assert {call[3] for call in sizes.calls} == {1, 2}
+
+
+def test_many_cases_run_in_chunks_by_themselves():
+    short, sizes = TaskConfig(episode_duration=0.01), Proportional()
+    run = run_cases(short, sizes, Cases(np.arange(2049), np.ones(2049)))
+    assert run.position.shape == (2049, 2)
+    assert {call[3] for call in sizes.calls} == {1, 2048}
+
+
+def test_a_part_of_the_cases():
+    part = CASES.part(1, 3)
+    assert len(part) == 2
+    assert part.seeds.tolist() == [12, 13]
+    assert part.leakage_flow_lpm.tolist() == [4.0, 0.3]
+    assert part.families.tolist() == ["sine", "step"]
+    bare = Cases(np.arange(4)).part(2, 9)
+    assert (len(bare), bare.leakage_flow_lpm, bare.families) == (2, None, None)
+
+
+def test_the_controller_gets_its_memory_back_and_hears_where_episodes_begin():
+    controller = Proportional()
+    run_cases(CONFIG, controller, CASES)
+    states, starts, deterministic, _ = zip(*controller.calls, strict=True)
+    assert states == (None, *range(1, CONFIG.steps))
+    assert starts[0].tolist() == [True] * 5
+    assert not np.any(starts[1:])
+    assert set(deterministic) == {True}
+
+
+def test_without_states_only_signals_are_kept():
+    run = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR], states=False)
+    full = run_cases(CONFIG, Proportional(), CASES, signal_columns=[ERROR])
+    for array in (run.position, run.reference, run.command, run.spool, run.reward):
+        assert array.shape == (5, 0)
+    np.testing.assert_array_equal(run.signals, full.signals)
+    assert run_cases(CONFIG, Proportional(), CASES).signals is None
+
+
+def test_commands_beyond_one_are_recorded_as_they_acted():
+    strong, limited = Proportional(1e4), Proportional(1e4)
+    plain = limited.predict
+    limited.predict = lambda *arguments: (np.clip(plain(*arguments)[0], -1.0, 1.0), None)
+    far, near = run_cases(CONFIG, strong, CASES), run_cases(CONFIG, limited, CASES)
+    assert np.abs(far.command).max() == 1.0
+    for name in ("position", "command", "spool", "reward"):
+        np.testing.assert_array_equal(getattr(far, name), getattr(near, name))
+
+
+@pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
+def failing():
+    """Axes 0 and 2 of four are driven into the end stop; their episodes last long enough to see it."""
+    cases = Cases(np.array([21, 22, 23, 24]), families=np.array(["sine"] * 4))
+    return cases, run_cases(LONG, Ram([0, 2]), cases, signal_columns=[POSITION])
+
+
+def test_a_failed_axis_keeps_its_last_values(failing):
+    _, run = failing
+    assert (run.failed_at >= 0).tolist() == [True, False, True, False]
+    for case in (0, 2):
+        last = run.failed_at[case]
+        assert 5 < last < LONG.steps - 5
+        for array in (run.position, run.command, run.spool):
+            assert array[case, last] != 0.0
+            assert np.all(array[case, last:] == array[case, last])
+        assert np.all(run.signals[case, 0, last + 1 :] == run.signals[case, 0, last])
+        assert run.signals[case, 0, last] != run.signals[case, 0, last - 1]
+        assert run.reward[case, last] < -200.0  # the failure itself is paid
+        assert np.all(run.reward[case, last + 1 :] == 0.0)
+        assert np.all(run.command[case] == 1.0)
+        assert np.ptp(run.reference[case, last:]) > 0.0  # its reference goes on
+
+
+def test_axes_beside_a_failed_one_are_not_touched(failing):
+    cases, run = failing
+    calm = run_cases(LONG, Ram([]), cases, signal_columns=[POSITION])
+    for case in (1, 3):
+        np.testing.assert_array_equal(run.position[case], calm.position[case])
+        np.testing.assert_array_equal(run.reward[case], calm.reward[case])
+        np.testing.assert_array_equal(run.signals[case], calm.signals[case])
+
+
+def test_the_leak_of_a_failed_axis_is_that_at_its_failure(failing):
+    cases, run = failing
+    calm = run_cases(LONG, Ram([]), cases)
+    for case in (0, 2):
+        env = ServoHydraulicEnv(LONG)
+        env.reset(seed=int(cases.seeds[case]), options={"reference": "sine"})
+        for step in range(LONG.steps):  # noqa: B007
+            *_, terminated, _, info = env.step([1.0])
+            if terminated:
+                break
+        assert step == run.failed_at[case]
+        assert run.leakage_flow_lpm[case] == info["leakage_flow_lpm"]
+        assert run.leakage_class[case] == info["leakage_class"]
+        assert run.leakage_flow_lpm[case] <= calm.leakage_flow_lpm[case]
+    assert run.leakage_flow_lpm[1] == calm.leakage_flow_lpm[1]
+
+
+class Answers:
+    """Gives a prepared answer in its third call."""
+
+    def __init__(self, answer):
+        self.answer, self.calls = answer, 0
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        self.calls += 1
+        if self.calls < 3:
+            return np.zeros((len(observation), 1)), state
+        return self.answer(observation) if callable(self.answer) else self.answer
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (lambda o: (np.where(np.arange(5) == 3, np.nan, 0.0)[:, None], None), r"seed 14.* at 0.010 s.*returned nan"),
+        (lambda o: (np.where(np.arange(5) == 1, np.inf, 0.0)[:, None], None), r"seed 12, reference sine, leak 4 l/min"),
+        (lambda o: (np.zeros(5), None), r"shape \(5,\) for observations of shape \(5, .*needed is \(5, 1\)"),
+        (lambda o: (np.zeros((5, 2)), None), r"shape \(5, 2\)"),
+        (lambda o: (np.zeros((4, 1)), None), r"shape \(4, 1\)"),
+        (lambda o: (None, None), "predict returned commands"),
+        (lambda o: ("left", None), r"no numbers \(str\)"),
+        (lambda o: (object(), None), r"no numbers \(object\)"),
+        (lambda o: np.zeros((5, 1)), r"returned ndarray, not a pair \(commands, state\)"),
+        (lambda o: (np.zeros((5, 1)),), "not a pair"),
+        (lambda o: {}["gain"], r"from seed 11, reference step, leak 0.01 l/min, at 0.010 s: predict raised KeyError"),
+    ],
+)
+def test_an_answer_that_is_no_command_is_named_with_its_case(answer, message):
+    with pytest.raises(ControllerError, match=message) as raised:
+        run_cases(CONFIG, Answers(answer), CASES)
+    assert "\n" not in str(raised.value)
+
+
+def test_numbers_of_any_kind_are_commands():
+    for command in (np.zeros((5, 1), dtype=np.int64), [[0]] * 5, np.zeros((5, 1), dtype=np.float16)):
+        run = run_cases(CONFIG, Answers((command, None)), CASES)
+        assert np.all(run.command[:, 2:] == 0.0)
+
+
+def test_what_cannot_act_at_all_is_named():
+    for thing, message in (
+        (lambda observation: 0.0, "function has no method predict"),
+        (Proportional, "Proportional is a class"),
+        (3, "int has no method predict"),
+    ):
+        with pytest.raises(ControllerError, match=message):
+            check_predict(thing)
+        with pytest.raises(ControllerError, match=message):
+            run_cases(CONFIG, thing, CASES)
+    check_predict(Proportional())
+
+
+def test_a_failed_axis_may_get_any_command(failing):
+    cases, expected = failing
+    last = expected.failed_at.max()
+
+    class NotANumberAfterFailure(Ram):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            command, state = super().predict(observation, state)
+            if state > last + 1:
+                command[[0, 2]] = np.nan
+            return command, state
+
+    run = run_cases(LONG, NotANumberAfterFailure([0, 2]), cases)
+    np.testing.assert_array_equal(run.position, expected.position)
+    np.testing.assert_array_equal(run.command, expected.command)
+    assert cases.describe(1) == "seed 22, reference sine"

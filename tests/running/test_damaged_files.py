@@ -1,0 +1,230 @@
+"""Weights, checkpoints and logs that were damaged in many ways: one line or a working controller, never a traceback."""
+
+import copy
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from agents.leakage.head import LeakageHead
+from agents.learning.policy import PolicyController
+from agents.learning.progress import STEPS, read_progress
+from agents.running.folders import pretrained_folder
+from agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint
+from hydro_env import ConfigurationError
+
+CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "150"))
+LOADERS = {"policy": PolicyController.load, "leakage_head": LeakageHead.load}
+ODD_VALUES = (
+    *("text", "", "1", None, True, [], {}, [[]], [None], {"a": 1}),
+    *(0, -1, 1.5, 10**30, -(10**30), 1e308, float("inf"), float("-inf"), float("nan")),
+)
+ODD_TEXTS = (
+    *(b"", b"null", b"[]", b"5", b'"text"', b"{", b"\xff\xfe\x00", b"1e999", b"9" * 6000),
+    *(b"[" * 100_000, b'{"a":' * 50_000, b"NaN", b'{"format": "hydro_env policy", "format_version": 1e999}'),
+)
+ODD_DTYPES = ("complex64", "int8", "int64", "bool", "float64", "float16", "uint64")
+
+
+def refusal(load, *arguments):
+    """What a function returns, and the one line by which it refused."""
+    try:
+        return load(*arguments), None
+    except ConfigurationError as error:
+        return None, str(error)
+
+
+def tried(load, path):
+    """Load and use what was loaded; True if it was refused with one line."""
+
+    def use():
+        found = load(path)
+        layout = found.features.layout if isinstance(found, PolicyController) else found.settings.layout
+        found.predict(np.zeros((2, len(layout.names)), dtype=np.float32))
+
+    _, line = refusal(use)
+    assert line is None or ("\n" not in line and len(line) < 1500)
+    return line is not None
+
+
+def copied(name, folder):
+    for suffix in (".json", ".safetensors"):
+        (folder / f"{name}{suffix}").write_bytes((pretrained_folder() / f"{name}{suffix}").read_bytes())
+    return folder / name
+
+
+def places(value, at=()):
+    """The paths of all entries of a JSON."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in entries:
+        yield (*at, key)
+        yield from places(inner, (*at, key))
+
+
+def with_change(settings, place, generator):
+    changed = copy.deepcopy(settings)
+    inner = changed
+    for key in place[:-1]:
+        inner = inner[key]
+    if generator.random() < 0.3:
+        del inner[place[-1]]
+    else:
+        inner[place[-1]] = ODD_VALUES[generator.integers(len(ODD_VALUES))]
+    return changed
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_settings_that_were_changed(name, tmp_path):
+    path = copied(name, tmp_path)
+    file = path.with_name(f"{name}.json")
+    settings, generator = json.loads(file.read_text()), np.random.default_rng(0)
+    everything = [place for place in places(settings) if place[0] != "training"]
+    refused = 0
+    for _ in range(CASES):
+        place = everything[generator.integers(len(everything))]
+        file.write_text(json.dumps(with_change(settings, place, generator)))
+        refused += tried(LOADERS[name], path)
+    assert refused > 0.6 * CASES
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_files_that_are_no_json(name, tmp_path):
+    path = copied(name, tmp_path)
+    for text in ODD_TEXTS:
+        path.with_name(f"{name}.json").write_bytes(text)
+        assert tried(LOADERS[name], path), text[:20]
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_tensors_that_were_changed(name, tmp_path):
+    path = copied(name, tmp_path)
+    file = path.with_name(f"{name}.safetensors")
+    tensors, generator = load_file(file), np.random.default_rng(1)
+    names = sorted(tensors)
+    for case in range(CASES):
+        chosen, changed = names[generator.integers(len(names))], dict(tensors)
+        kind = case % 5
+        if kind == 0:
+            changed[chosen] = tensors[chosen].astype(ODD_DTYPES[generator.integers(len(ODD_DTYPES))])
+        elif kind == 1:
+            changed[chosen] = tensors[chosen].reshape(-1)[: generator.integers(0, tensors[chosen].size)]
+        elif kind == 2:
+            changed[chosen] = np.full_like(tensors[chosen], [np.nan, np.inf][generator.integers(2)])
+        elif kind == 3:
+            del changed[chosen]
+        else:
+            changed[chosen] = tensors[chosen][None]
+        save_file(changed, file)
+        assert tried(LOADERS[name], path), (chosen, kind)
+
+
+@pytest.mark.parametrize("name", LOADERS)
+def test_bytes_that_were_changed(name, tmp_path):
+    path = copied(name, tmp_path)
+    file = path.with_name(f"{name}.safetensors")
+    content, generator = file.read_bytes(), np.random.default_rng(2)
+    header = 8 + int.from_bytes(content[:8], "little")
+    for case in range(CASES):
+        damaged = bytearray(content)
+        if case % 3 == 0:
+            damaged = damaged[: generator.integers(0, len(content))]
+        else:
+            for _ in range(generator.integers(1, 6)):
+                damaged[generator.integers(header)] = generator.integers(256)
+        file.write_bytes(bytes(damaged))
+        tried(LOADERS[name], path)
+    for kind in ("BF16", "F8_E4M3", "F8_E5M2", "F64", "I8"):
+        file.write_bytes(content.replace(b'"F32"', f'"{kind}"'.encode()))
+        assert tried(LOADERS[name], path)
+
+
+@pytest.mark.parametrize("name", LOADERS)
+@pytest.mark.parametrize("path", [".", "..", "/", "", "a\0b", "absent", "absent/absent"])
+def test_paths_that_name_no_weights(name, path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert tried(LOADERS[name], path)
+    assert tried(LOADERS[name], Path(path))
+
+
+def test_folders_in_place_of_files(tmp_path):
+    (tmp_path / "policy.json").mkdir()
+    assert tried(PolicyController.load, tmp_path / "policy")
+
+
+TENSORS = {"weight": np.arange(6, dtype=np.float32).reshape(2, 3), "count": np.array(3)}
+
+
+def test_a_checkpoint_holds_what_was_put_in(tmp_path):
+    save_checkpoint(tmp_path / "c.safetensors", "kind", TENSORS, {"epoch": 3, "list": [1, "two"]})
+    tensors, described = load_checkpoint(tmp_path / "c.safetensors", "kind")
+    assert (described["epoch"], described["list"]) == (3, [1, "two"])
+    for name, array in TENSORS.items():
+        np.testing.assert_array_equal(tensors[name], array)
+        assert tensors[name].dtype == array.dtype
+        assert tensors[name].shape == array.shape
+    with pytest.raises(ConfigurationError, match="holds 'hydro_env kind', not the 'hydro_env other' of format 1"):
+        load_checkpoint(tmp_path / "c.safetensors", "other")
+
+
+def test_a_checkpoint_with_any_byte_changed_is_refused(tmp_path):
+    file = tmp_path / "c.safetensors"
+    save_checkpoint(file, "kind", TENSORS, {"epoch": 3})
+    content, generator = file.read_bytes(), np.random.default_rng(3)
+    for case in range(2 * CASES):
+        damaged = bytearray(content)
+        at = int(generator.integers(len(content)))
+        damaged[at] = (damaged[at] + int(generator.integers(1, 256))) % 256
+        file.write_bytes(bytes(damaged) if case % 2 else content[:at])
+        found, line = refusal(load_checkpoint, file, "kind")
+        assert line is None or "\n" not in line
+        if found is not None:  # blanks of the header may change
+            tensors, described = found
+            assert described["epoch"] == 3
+            assert all(np.array_equal(tensors[name], array) for name, array in TENSORS.items())
+
+
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        ({}, "holds no tensor 'weight'"),
+        (
+            {"weight": np.zeros((3, 2), dtype=np.float32)},
+            r"holds float32 of shape \(3, 2\), needed is",
+        ),
+        ({"weight": np.zeros((2, 3))}, "holds float64 of shape"),
+        ({"weight": np.full((2, 3), np.inf, dtype=np.float32)}, "not finite"),
+    ],
+)
+def test_tensors_must_be_those_that_are_wanted(found, message):
+    wanted = {"weight": TENSORS["weight"]}
+    with pytest.raises(ConfigurationError, match=f"file: .*{message}"):
+        require(found, wanted, "file")
+    require({"weight": np.full((2, 3), np.inf, dtype=np.float32)}, wanted, "file", finite=False)
+
+
+def test_logs_that_were_changed(tmp_path):
+    file = tmp_path / "progress.csv"
+    good = f"{STEPS},a,b\n" + "".join(f"{100 * n},{n}.5,\n" for n in range(1, 9))
+    file.write_text(good)
+    assert [row[STEPS] for row in read_progress(file)] == [100.0 * n for n in range(1, 9)]
+    assert [row["a"] for row in read_progress(file, 300)] == [1.5, 2.5, 3.5]
+    content, generator = good.encode(), np.random.default_rng(4)
+    for _ in range(2 * CASES):
+        damaged = bytearray(content)
+        for _ in range(generator.integers(1, 4)):
+            damaged[generator.integers(len(content))] = generator.integers(256)
+        file.write_bytes(bytes(damaged))
+        rows, line = refusal(read_progress, file)
+        assert line is None or "\n" not in line
+        assert all(isinstance(value, float) for row in rows or () for value in row.values())
+
+
+def test_weights_of_a_future_format_are_refused(tmp_path):
+    path = copied("policy", tmp_path)
+    file = path.with_name("policy.json")
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 2}))
+    with pytest.raises(ConfigurationError, match="of format 1 asked for"):
+        load_weights(path, "policy")

@@ -1,0 +1,133 @@
+"""Output folders: no file of anybody else's is ever replaced, and one process writes at a time."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from agents.running.folders import MANIFEST_FILE, output_folder
+from hydro_env import ConfigurationError
+
+FILES = ("a.csv", "tables/*.csv", "b.csv")
+
+
+def write(folder, *names, job="study", writes=FILES, text="ours", **options):
+    with output_folder(folder, job, writes, **options):
+        for name in names:
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+
+
+def listed(folder):
+    return json.loads((folder / MANIFEST_FILE).read_text())["files"]
+
+
+def test_results_are_listed_and_replaced_only_on_request(tmp_path):
+    folder = tmp_path / "new" / "out"
+    write(folder, "a.csv", "tables/1.csv")
+    assert listed(folder) == {"a.csv": "study", "tables/1.csv": "study"}
+    with pytest.raises(ConfigurationError, match=r"holds results already \(a.csv\); --overwrite replaces"):
+        write(folder)
+    with pytest.raises(ConfigurationError, match="--resume goes on"):
+        write(folder, resume=False)
+    with pytest.raises(ConfigurationError, match="exclude each other"):
+        write(folder, resume=True, overwrite=True)
+    write(folder, "b.csv", resume=True)
+    assert set(listed(folder)) == {"a.csv", "b.csv", "tables/1.csv"}
+    write(folder, "b.csv", overwrite=True, text="new")
+    assert listed(folder) == {"b.csv": "study"}
+    assert not (folder / "a.csv").exists()
+    assert (folder / "b.csv").read_text() == "new"
+
+
+@pytest.mark.parametrize("options", [{}, {"overwrite": True}, {"resume": True}])
+@pytest.mark.parametrize("name", ["a.csv", "tables/mine.csv"])
+def test_a_file_of_the_user_is_never_replaced(tmp_path, name, options):
+    (tmp_path / "tables").mkdir()
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(ConfigurationError, match=f"{name}: was not written by hydro"):
+        write(tmp_path, name, **options)
+    (tmp_path / name).rename(tmp_path / "kept")
+    write(tmp_path, "b.csv")
+    (tmp_path / "kept").rename(tmp_path / name)
+    with pytest.raises(ConfigurationError, match=f"{name}: was not written by hydro"):
+        write(tmp_path, name, **options)
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_other_files_stay_and_one_command_does_not_replace_another(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    write(tmp_path, "a.csv")
+    write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"])
+    assert listed(tmp_path) == {"a.csv": "study", "c.csv": "evaluate"}
+    with pytest.raises(ConfigurationError, match=r"a.csv: was written by hydro study, and hydro evaluate would"):
+        write(tmp_path, "a.csv", job="evaluate", writes=["a.csv"], overwrite=True)
+    write(tmp_path, "c.csv", job="evaluate", writes=["c.csv"], overwrite=True)
+    assert (tmp_path / "a.csv").read_text() == "ours"
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_nothing_is_left_where_nothing_was_written(tmp_path):
+    with pytest.raises(RuntimeError, match="early"), output_folder(tmp_path / "new" / "out", "study", FILES):
+        raise RuntimeError("early")
+    assert list(tmp_path.iterdir()) == []
+    write(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_links_and_folders_in_place_of_a_file(tmp_path):
+    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigurationError, match="was not written by hydro"):
+        write(tmp_path, overwrite=True)
+    (tmp_path / "a.csv").unlink()
+    write(tmp_path, "a.csv")
+    (tmp_path / "a.csv").unlink()
+    (tmp_path / "a.csv").mkdir()
+    with pytest.raises(ConfigurationError, match="cannot be removed"):
+        write(tmp_path, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"],
+)
+def test_a_foreign_list_is_left_alone(tmp_path, content):
+    (tmp_path / MANIFEST_FILE).write_text(content)
+    with pytest.raises(ConfigurationError, match=r"\.hydro\.json: is not the list of results"):
+        write(tmp_path, "a.csv", overwrite=True)
+    assert (tmp_path / MANIFEST_FILE).read_text() == content
+    assert not (tmp_path / "a.csv").exists()
+
+
+def test_a_list_that_was_tampered_with_reaches_no_other_folder(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    (tmp_path / "out").mkdir()
+    files = {"../mine.txt": "study", str(tmp_path / "mine.txt"): "study", "../*": "study"}
+    (tmp_path / "out" / MANIFEST_FILE).write_text(json.dumps({"files": files}))
+    write(tmp_path / "out", "a.csv", overwrite=True)
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+KILLED = """
+import sys, os
+from pathlib import Path
+from agents.running.folders import output_folder
+with output_folder(Path(sys.argv[1]), "study", ["a.csv", "tables/*.csv"]) as folder:
+    (folder / "a.csv").write_text("ours")
+    print("ready", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_path):
+    line = [sys.executable, "-c", KILLED, str(tmp_path)]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "ready\n"
+        with pytest.raises(ConfigurationError, match="another hydro command is writing here"):
+            write(tmp_path, "b.csv", job="evaluate", writes=["b.csv"])
+        process.kill()
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        write(tmp_path, "a.csv")
+    write(tmp_path, "b.csv", resume=True)
+    assert listed(tmp_path) == {"a.csv": "study", "b.csv": "study"}

@@ -1,0 +1,254 @@
+"""A whole study with an algorithm of one's own: what it leaves, how it resumes, and what stops it early."""
+
+import json
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.commands.evaluate import evaluate
+from agents.commands.options import named_agents
+from agents.commands.train import train
+from agents.study import results, training
+from agents.study.run import run_study
+from agents.study.settings import StudySettings
+from hydro_env import ConfigurationError
+
+ALGORITHM = '''
+"""A proportional controller whose gain is "trained"."""
+import json
+import numpy as np
+from hydro_env.files import Group
+
+class Settings(Group):
+    gain: float = 3.0
+    total_steps: int = 2
+
+class Gain:
+    def __init__(self, gain):
+        self.gain = gain
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return self.gain * observation[:, -2:-1], state
+
+    def save(self, path):
+        path.with_suffix(".json").write_text(json.dumps(self.gain))
+        return path
+
+class Trainer:
+    settings = Settings
+    calls = []
+    fate = "finish"
+
+    def train(self, config, settings, *, seed, folder, resume, base, progress):
+        self.calls.append({"seed": seed, "resume": resume, "base": base, "steps": settings.total_steps})
+        if self.fate == "early":
+            raise KeyboardInterrupt
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "checkpoint.json").write_text("{}")
+        if self.fate == "late":
+            raise KeyboardInterrupt
+        return Gain(settings.gain)
+
+    def load(self, path):
+        return Gain(json.loads(path.with_suffix(".json").read_text()))
+
+class Broken:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full((len(observation), 1), np.nan), None
+
+class LateBroken:
+    """Fails in batches of many only: not when it is tried out, but in the evaluation."""
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        if len(observation) > 100:
+            raise RuntimeError("too many axes")
+        return np.zeros((len(observation), 1)), None
+'''
+CONTROLLERS = {
+    "PID": {"kind": "pid"},
+    "mine": {"kind": "my_study_algorithm:Trainer", "settings": {"gain": 2.0}, "corrects": "PID"},
+}
+VALUES = {
+    "task": {"episode_duration": 0.4},
+    "controllers": CONTROLLERS,
+    "leakage_head": {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64},
+    "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 4.0], "families": ["step"]},
+}
+
+
+@pytest.fixture
+def algorithm(tmp_path, monkeypatch):
+    (tmp_path / "my_study_algorithm.py").write_text(ALGORITHM)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "my_study_algorithm", raising=False)
+    import my_study_algorithm
+
+    yield my_study_algorithm.Trainer
+    monkeypatch.delitem(sys.modules, "my_study_algorithm")
+
+
+@pytest.fixture
+def plain_report(monkeypatch):
+    """A report of one line: drawing takes longer than everything else here."""
+    monkeypatch.setattr(results, "write_report", lambda path, _, record: path.write_text(record.title))
+
+
+@pytest.fixture
+def settings(algorithm, plain_report):
+    return StudySettings(**VALUES)
+
+
+def files(folder):
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+
+
+def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, settings, tmp_path):
+    folder = tmp_path / "out"
+    result = run_study(settings, folder, seed=5)
+    assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
+    assert type(algorithm.calls[0]["base"]).__name__ == "PID"
+    assert list(result.cases["controller"].unique()) == ["PID", "mine"]
+    for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json", "tables/cases.csv"):
+        assert name in files(folder)
+    state = json.loads((folder / "state.json").read_text())
+    assert state["done"] == ["train mine", "train leakage head", "evaluate"]
+    assert StudySettings.from_yaml(folder / "study.yaml").seed == 5
+
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        run_study(settings, folder, seed=5)
+    for changed, where in (({"seed": 6}, "seed"), ({"gain": 4.0}, "controllers")):
+        other = settings
+        if "gain" in changed:
+            other = StudySettings(
+                **{**VALUES, "controllers": {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": changed}}}
+            )
+        with pytest.raises(ConfigurationError, match=f"other settings \\('{where}' differs\\)"):
+            run_study(other, folder, seed=changed.get("seed", 5), resume=True)
+    again = run_study(settings.model_copy(update={"title": "Another"}), folder, seed=5, resume=True)
+    assert len(algorithm.calls) == 1
+    pd.testing.assert_frame_equal(again.cases, result.cases)
+    assert "Another" in (folder / "report.html").read_text()
+
+    (folder / "state.json").write_text('{"format": "mine"}')
+    with pytest.raises(ConfigurationError, match=r"state\.json: is not the state of a study"):
+        run_study(settings, folder, seed=5, resume=True)
+    anew = run_study(settings, folder, seed=5, overwrite=True)
+    assert len(algorithm.calls) == 2
+    pd.testing.assert_frame_equal(anew.ratios, result.ratios)
+
+
+def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_one(algorithm, settings, tmp_path):
+    folder = tmp_path / "out"
+    algorithm.fate = "late"
+    with pytest.raises(KeyboardInterrupt):
+        run_study(settings, folder, seed=1)
+    assert not (folder / "report.html").exists()
+    algorithm.fate = "finish"
+    run_study(settings, folder, seed=1, resume=True)
+    assert [call["resume"] for call in algorithm.calls] == [False, True]
+    algorithm.fate = "early"
+    with pytest.raises(KeyboardInterrupt):
+        run_study(settings, folder, seed=1, overwrite=True)
+    assert not any(folder.rglob("checkpoint*"))
+    assert not any(folder.rglob("policy*"))
+    algorithm.fate = "finish"
+    run_study(settings, folder, seed=1, resume=True)
+    assert [call["resume"] for call in algorithm.calls] == [False, True, False, False]
+
+
+def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatch):
+    resumed = []
+    whole = training.train_head
+
+    def stopped(*arguments, folder, resume):
+        resumed.append(resume)
+        if not resume:
+            (folder / "head_checkpoint.safetensors").write_bytes(b"")
+            raise KeyboardInterrupt
+        (folder / "head_checkpoint.safetensors").unlink()
+        return whole(*arguments, folder=folder, resume=False)
+
+    monkeypatch.setattr(training, "train_head", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(settings, tmp_path / "out", seed=0)
+    run_study(settings, tmp_path / "out", seed=0, resume=True)
+    assert resumed == [False, True]
+
+
+def test_a_controller_that_cannot_act_stops_the_study_before_it_trains(algorithm, tmp_path):
+    broken = {"kind": "my_study_algorithm:Broken"}
+    study = StudySettings(**{**VALUES, "controllers": {**CONTROLLERS, "broken": broken}})
+    with pytest.raises(
+        ConfigurationError, match=r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan"
+    ):
+        run_study(study, tmp_path / "out", seed=0)
+    assert algorithm.calls == []
+    wrong = StudySettings(**{**VALUES, "leakage_head": {"lowest_healthy_flow": 5.0}})
+    with pytest.raises(ConfigurationError, match="lowest_healthy_flow"):
+        run_study(wrong, tmp_path / "other", seed=0)
+    assert algorithm.calls == []
+    assert not (tmp_path / "other").exists()
+
+
+def config_file(tmp_path):
+    import yaml
+
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump({**VALUES, "task": {}, "controllers": {"PID": {"kind": "pid"}}}))
+    return file
+
+
+def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
+    agents = ["broken=my_study_algorithm:Broken", "PPO=ppo"]
+    with pytest.raises(ConfigurationError, match=r"broken failed; .*out holds the results of the others"):
+        evaluate(tmp_path / "out", config_file(tmp_path), agents, plants=3)
+    errors = capsys.readouterr().err
+    assert "broken: seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned nan" in errors
+    cases = pd.read_csv(tmp_path / "out" / "tables" / "cases.csv")
+    assert list(cases["controller"].unique()) == ["PID", "PPO"]
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        evaluate(tmp_path / "out", config_file(tmp_path), agents)
+
+
+def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
+    import yaml
+
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump(VALUES))
+    train("MINE", tmp_path / "out", file, steps=7, seed=3)
+    assert algorithm.calls[-1]["steps"] == 7
+    assert algorithm.calls[-1]["seed"] == 3
+    assert (tmp_path / "out" / "policy.json").exists()
+    for what, options, message in (
+        ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid"),
+        ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
+        ("pid", {"steps": 3}, "--steps: does not apply to hydro train pid"),
+        ("pid", {"resume": True}, "--resume: does not apply to hydro train pid"),
+        ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
+        ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
+        ("mine", {"resume": True}, "nothing to resume"),
+        ("head", {"resume": True}, "no weights of this kind|nothing to resume"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            train(what, tmp_path / "new", file, **options)
+    assert not (tmp_path / "new").exists()
+
+
+def test_agents_of_the_command_line():
+    assert named_agents(None) == {}
+    assert named_agents(["a=m:b", "c d=path/with=sign"]) == {"a": "m:b", "c d": "path/with=sign"}
+    for texts, message in ((["a"], "must be NAME="), (["=m:b"], "must be NAME="), (["a=x:y", "a=z:y"], "given twice")):
+        with pytest.raises(ConfigurationError, match=message):
+            named_agents(texts)
+
+
+def test_head_data_comes_from_every_controller(algorithm, settings, tmp_path):
+    """The head trained beside a controller differs from the one trained under the PID alone."""
+    run_study(settings, tmp_path / "both", seed=0)
+    alone = StudySettings(**{**VALUES, "controllers": {"PID": {"kind": "pid"}}})
+    run_study(alone, tmp_path / "alone", seed=0)
+    both, one = ((tmp_path / name / "leakage_head.safetensors").read_bytes() for name in ("both", "alone"))
+    assert both != one
+    assert np.isfinite(pd.read_csv(tmp_path / "alone" / "tables" / "levels.csv")["mean"].dropna()).all()

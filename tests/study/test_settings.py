@@ -1,0 +1,136 @@
+"""A study says who takes part; what does not fit is refused before any work."""
+
+import pytest
+
+from agents.controllers.pid import PID
+from agents.learning.policy import PolicyController
+from agents.running.folders import config_folder
+from agents.study.settings import StudySettings, default_study
+from hydro_env import ConfigurationError
+
+PLAIN = "controllers:\n  PID: {kind: pid}\n"
+TRAINER = """
+from hydro_env.files import Group
+
+class Settings(Group):
+    steps: int = 3
+
+class MyTrainer:
+    settings = Settings
+
+    def train(self, config, settings, *, seed, folder, resume, base, progress):
+        raise NotImplementedError
+
+    def load(self, path):
+        return Mine()
+
+class Mine:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return 0.0 * observation[:, :1], state
+"""
+
+
+def study(tmp_path, text):
+    file = tmp_path / "study.yaml"
+    file.write_text(text)
+    return StudySettings.from_yaml(file)
+
+
+@pytest.fixture(autouse=True)
+def my_module(tmp_path, monkeypatch):
+    (tmp_path / "my_algorithm.py").write_text(TRAINER)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["default", "direct", "quick"])
+def test_the_studies_that_ship_are_right(name):
+    found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
+    assert list(found.controllers) == ["PID", "PPO"]
+    assert found.trained == ["PPO"]
+    assert found.controllers["PPO"].corrects == (None if name == "direct" else "PID")
+    assert found.make("PID").gains.proportional == pytest.approx(397.3, abs=0.01)
+    assert StudySettings(**found.model_dump(mode="json")) == found  # what is written can be read again
+
+
+def test_a_controller_is_one_line_and_so_is_an_algorithm(tmp_path):
+    found = study(
+        tmp_path,
+        PLAIN + '  mine: {kind: "my_algorithm:Mine"}\n'
+        '  learned: {kind: "my_algorithm:MyTrainer", settings: {steps: 5}, corrects: mine}\n',
+    )
+    assert found.trained == ["learned"]
+    assert type(found.make("mine")).__name__ == "Mine"
+    assert found.training_settings("learned").steps == 5
+    assert found.controllers["learned"].trainer.load(None) is not None
+
+
+def test_settings_may_be_files_relative_to_the_study(tmp_path):
+    (tmp_path / "gains.yaml").write_text("proportional: 12.5\n")
+    (tmp_path / "short.yaml").write_text("episode_duration: 0.5\n")
+    found = study(tmp_path, "task: short.yaml\ncontrollers:\n  PID: {kind: pid, settings: gains.yaml}\n")
+    assert found.make("PID").gains.proportional == 12.5
+    assert found.task.steps == 100
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("title: nobody\n", r"study.yaml: .*controllers"),
+        ("controllers: {}\n", r"study.yaml: controllers"),
+        ("controllers: {PID: {kind: pdi}}\n", r"controllers.PID: kind = 'pdi': unknown; known: pid, ppo, or"),
+        ("controllers: {PID: {kind: pid, gain: 3}}\n", r"controllers.PID.*gain"),
+        ("controllers: {PID: {kind: pid, settings: {gain: 3}}}\n", r"controllers.PID: .*gain"),
+        ("controllers: {PID: {kind: pid, settings: absent.yaml}}\n", r"absent.yaml: cannot be read"),
+        ("controllers: {PID: {kind: pid, settings: wrong.yaml}}\n", r"wrong.yaml: .*proportional = -3"),
+        (
+            "controllers: {PPO: {kind: ppo, settings: {total_steps: -1}, corrects: PID}}\n",
+            r"corrects = 'PID'.*\(none\)",
+        ),
+        (PLAIN + "  PPO: {kind: ppo, corrects: PPO}\n", r"corrects = 'PPO': must be a controller before it \(PID\)"),
+        (
+            PLAIN + "  PPO: {kind: ppo, settings: {total_steps: -1}, corrects: PID}\n",
+            r"controllers.PPO: .*total_steps = -1",
+        ),
+        (
+            PLAIN + "  PPO: {kind: ppo}\n",
+            r"controllers.PPO: is trained as a correction .residual: true.: give 'corrects",
+        ),
+        (PLAIN + "  twin: {kind: pid, corrects: PID}\n", r"controllers.twin: corrects: only a trained one"),
+        (PLAIN + '  mine: {kind: "absent_module:Thing"}\n', r"controllers.mine: .*absent_module"),
+        (
+            PLAIN + '  mine: {kind: "my_algorithm:Settings"}\n',
+            r"controllers.mine: .*Settings.: cannot be made from task and settings: TypeError",
+        ),
+        (PLAIN + '  mine: {kind: "my_algorithm:MyTrainer", settings: {stops: 1}}\n', r"controllers.mine: .*stops"),
+        ('controllers: {"a/b": {kind: pid}}\n', r"a/b"),
+        (PLAIN + "seed: true\n", r"seed = true"),
+        (PLAIN + "seed: -1\n", r"seed = -1"),
+        (PLAIN + "leakage_head: {lowest_healthy_flow: 5}\n", r"lowest_healthy_flow"),
+        (PLAIN + "leakage_head: {highest_flow: 0.05}\n", r"highest_flow"),
+        (
+            PLAIN + "task: {episode_duration: 0.2}\n",
+            r"an episode of 40 control periods .* at least 56",
+        ),
+        (PLAIN + "evaluation: {plants: 2}\n", r"evaluation.plants = 2"),
+        (PLAIN + "evaluation: {leak_levels: [-1]}\n", r"leak_levels: -1 l/min"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_line(tmp_path, text, message):
+    (tmp_path / "wrong.yaml").write_text("proportional: -3\n")
+    with pytest.raises(ConfigurationError, match=message) as raised:
+        study(tmp_path, text)
+    assert "\n" not in str(raised.value)
+
+
+def test_controllers_ready_to_act_without_training(tmp_path):
+    found = default_study()
+    controllers = found.with_weights({"mine": "my_algorithm:Mine"})
+    assert list(controllers) == ["PID", "PPO", "mine"]
+    assert isinstance(controllers["PID"], PID)
+    assert isinstance(controllers["PPO"], PolicyController)
+    replaced = found.with_weights({"PPO": "pid"})
+    assert isinstance(replaced["PPO"], PID)
+    own = study(tmp_path, PLAIN + '  learned: {kind: "my_algorithm:MyTrainer"}\n')
+    assert type(own.with_weights({"learned": "anywhere"})["learned"]).__name__ == "Mine"
+    with pytest.raises(ConfigurationError, match="learned: no weights of this kind are shipped; give --agent learned"):
+        own.with_weights({})
