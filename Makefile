@@ -3,20 +3,23 @@
 #   make test    the same set-up, then the tests
 PYTHON ?= python3
 VENV ?= .venv
+# One process per core; a file of tests stays in one process, so that its fixtures are made once.
+WORKERS ?= -n auto --dist loadfile
 OUTPUT ?= results/study
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: study test slow-test mutants lint types check clean
+.PHONY: study test slow-test mutants lint types check versions clean
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(WORKERS)
 
 slow-test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(WORKERS)
 
 # Which one-line mutations of the code that carries the results do the tests notice? An hour on two cores.
 mutants: $(VENV)/.installed-dev
@@ -34,11 +37,20 @@ types: $(VENV)/.installed-dev
 
 check: lint types test
 
-# torch comes first and by its exact version, so that no other package draws a larger build of it.
+versions:
+	$(PYTHON) benchmarks/versions.py
+
+# torch comes first and by its exact version, so that no other package draws a larger build of it. The plain index has
+# a build with several gigabytes of GPU libraries for some machines; PyTorch's own index has the one for processors.
 $(VENV)/.torch: constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	@echo "Installing (a few minutes on first use) ..."
-	$(PIP_INSTALL) $$(grep '^torch==' constraints.txt)
+	@torch=$$(grep '^torch==' constraints.txt); \
+	if $(PIP_INSTALL) --no-deps --timeout 10 --retries 1 --index-url $(TORCH_INDEX) $$torch 2>$(VENV)/torch.log; \
+	then echo "$$torch: installed the CPU build ($(TORCH_INDEX) was asked first)"; \
+	else echo "$$torch: not available from $(TORCH_INDEX) (see $(VENV)/torch.log); taking the plain package index," \
+	    "which may add 5 GB of GPU libraries (set TORCH_INDEX to another index with the CPU build)"; \
+	    $(PIP_INSTALL) --constraint constraints.txt $$torch; fi
 	@touch $@
 
 $(VENV)/.installed-agents: $(VENV)/.torch pyproject.toml
@@ -50,5 +62,5 @@ $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml
 	@touch $@
 
 clean:
-	rm -rf $(VENV) mutants build dist .mypy_cache .ruff_cache .pytest_cache
+	rm -rf $(VENV) .versions mutants build dist .mypy_cache .ruff_cache .pytest_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

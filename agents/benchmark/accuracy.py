@@ -1,6 +1,6 @@
-"""How exact the integrator is: its error against the reference solver, its order, and its error against its speed.
+"""Rows of accuracy: error of the integrator against the reference solver, its order, and its time.
 
-A case is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, a start in motion and under
+A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, a start in motion and under
 pressure at a place that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new voltage in
 every control period, or a sinusoid with noise. The reference is Radau IIA at a relative tolerance of 1e-10, which meets
 limits by root finding (:mod:`hydro_env.plant.reference`).
@@ -9,15 +9,19 @@ limits by root finding (:mod:`hydro_env.plant.reference`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
+from agents.benchmark.table import Case, Row
+from agents.benchmark.timing import Extent
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.probe import state_ranges
@@ -32,27 +36,26 @@ INPUTS = ("held", "noise", "sine")
 SEED = 990_001
 """Not among the seeds with which the integrator was adjusted."""
 
-BATCH = 20
-"""Rigs that one run of the benchmark takes."""
-
-SETTINGS: dict[str, dict[str, float]] = {
-    **{
-        f"tolerance {tolerance:g}" + (" (default)" if tolerance == TOLERANCE else ""): {"tolerance": tolerance}
-        for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-    },
-    **{
-        f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step}
-        for step in (0.4e-3, 0.2e-3, 0.1e-3)
-    },
-}
-"""Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
-
 LIMIT = 1e-4
 """Error of any state, in parts of its range, that the default must stay within."""
 
+BATCH = 20
+"""Rigs per round of the benchmark."""
+
+FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
+"""s; steps of fixed length, between which the order is computed."""
+
+SETTINGS: dict[str, dict[str, float]] = {
+    f"tolerance {tolerance:g}{' (default)' * (tolerance == TOLERANCE)}": {"tolerance": tolerance}
+    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+} | {f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step} for step in FIXED_STEPS}
+"""Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
+
+REFERENCE_ROW = "Radau, relative tolerance 1e-10"
+
 
 @dataclass(frozen=True)
-class Case:
+class Run:
     """One run: plant, voltages (V), initial state by name (SI), name of the input."""
 
     parameters: PlantParameters
@@ -60,20 +63,16 @@ class Case:
     start: dict[str, float]
     signal: str
 
-    def run(self, **options: Any) -> Array:
+    def states(self, **options: Any) -> Array:
         """States, shape (SAMPLES + 1, N_STATES); options as in :func:`hydro_env.simulate`."""
         return simulate(self.parameters, self.voltage, SAMPLE_TIME, self.start, **options).states
 
-    def ranges(self, exact: Array) -> Array:
-        """Range of each state along a run, at least 1 % of its size."""
-        return state_ranges(self.parameters, exact)
 
-
-def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:
-    """Cases drawn with a seed; ``task`` as in :class:`~hydro_env.ServoHydraulicVectorEnv`."""
-    env = ServoHydraulicVectorEnv(count, **task)
+def random_runs(count: int, seed: int = SEED) -> list[Run]:
+    """Runs drawn with a seed."""
+    env = ServoHydraulicVectorEnv(count)
     env.reset(seed=seed)
-    cases = []
+    runs = []
     for number in range(count):
         generator = np.random.default_rng([seed, number])
         signal = INPUTS[number % len(INPUTS)]
@@ -84,9 +83,9 @@ def random_cases(count: int, seed: int = SEED, **task: Any) -> list[Case]:
             "pressure_b": float(generator.uniform(2e5, 60e5)),
             "spool_position": float(generator.uniform(-0.5, 0.5)),
         }
-        cases.append(Case(env.axes.parameters(number), _voltage(signal, generator), start, signal))
+        runs.append(Run(env.axes.parameters(number), _voltage(signal, generator), start, signal))
     env.close()
-    return cases
+    return runs
 
 
 def _voltage(signal: str, generator: np.random.Generator) -> Array:
@@ -94,51 +93,77 @@ def _voltage(signal: str, generator: np.random.Generator) -> Array:
         return np.array(np.repeat(generator.uniform(-10.0, 10.0, SAMPLES // 8), 8))
     if signal == "noise":
         return generator.uniform(-10.0, 10.0, SAMPLES)
-    turns = np.arange(SAMPLES) * generator.uniform(0.05, 0.6) + generator.uniform(0.0, 6.0)
-    sine = generator.uniform(1.0, 5.0) * np.sin(turns) + generator.normal(0.0, 0.1, SAMPLES)
+    phase = np.arange(SAMPLES) * generator.uniform(0.05, 0.6) + generator.uniform(0.0, 6.0)
+    sine = generator.uniform(1.0, 5.0) * np.sin(phase) + generator.normal(0.0, 0.1, SAMPLES)
     return np.array(np.clip(sine, -10.0, 10.0))
 
 
-def reference(case: Case) -> Array:
-    """States of a case by the reference solver."""
-    return case.run(method="radau")
+def reference(run: Run) -> Array:
+    """States of a run by the reference solver; takes a second or two."""
+    return run.states(method="radau")
 
 
-def references(cases: list[Case], workers: int) -> Iterator[Array]:
-    """The reference of each case, in order; a second or two each."""
-    if workers == 1:
-        yield from map(reference, cases)
-        return
-    with ProcessPoolExecutor(workers) as pool:
-        yield from pool.map(reference, cases)
-
-
-def errors(cases: list[Case], exact: Sequence[Any], **options: Any) -> Array:
-    """Largest error of each state along each case in parts of its range, shape (cases, N_STATES)."""
+def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array:
+    """Largest error of each state along each run, in parts of its range, shape (runs, N_STATES)."""
     return np.array(
         [
-            np.abs(case.run(**options) - states).max(axis=0) / case.ranges(states)
-            for case, states in zip(cases, exact, strict=True)
+            np.abs(run.states(**options) - states).max(axis=0) / state_ranges(run.parameters, states)
+            for run, states in zip(runs, exact, strict=True)
         ]
     )
 
 
-ORDER_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
-"""s; steps of fixed length between which the order is told."""
+def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
+    """Order of the integrator from each fixed step (s) to the next, on a smooth run of the paper's rig.
 
-
-def convergence_order(steps: tuple[float, ...] = ORDER_STEPS) -> pd.DataFrame:
-    """Error of fixed steps on a smooth run of the paper's rig, and the order from one step to the next.
-
-    Smooth: no dry friction, small voltages, so that no limit is met and nothing turns sharply. Columns: ``step_ms``,
-    ``error`` (largest of any state, in parts of its range), ``order``.
+    Smooth: no dry friction, small voltages, so that no limit is met and nothing turns sharply.
     """
     plant = PlantParameters().replace(friction={"model": "none"}, valve={"underlap": 0.3})
-    voltage = np.sin(np.arange(SAMPLES) * 0.2)
-    case = Case(plant, voltage, {"position": 0.01}, "sine")
-    exact = case.run(tolerance=1e-12, maximum_step=0.02e-3)
-    found = [float(errors([case], [exact], tolerance=math.inf, maximum_step=step).max()) for step in steps]
-    order = [math.nan]
-    for index in range(1, len(steps)):
-        order.append(math.log(found[index - 1] / found[index]) / math.log(steps[index - 1] / steps[index]))
-    return pd.DataFrame({"step_ms": [1e3 * step for step in steps], "error": found, "order": order})
+    run = Run(plant, np.sin(np.arange(SAMPLES) * 0.2), {"position": 0.01}, "sine")
+    exact = run.states(tolerance=1e-12, maximum_step=0.02e-3)
+    largest = [errors([run], [exact], tolerance=math.inf, maximum_step=step).max() for step in steps]
+    return [
+        math.log(coarse / fine) / math.log(long / short)
+        for (coarse, fine), (long, short) in zip(pairwise(largest), pairwise(steps), strict=True)
+    ]
+
+
+def accuracy_cases(extent: Extent) -> list[Case]:
+    """Each round takes a batch of rigs: the reference first, then every setting of the integrator."""
+    runs = random_runs(extent.accuracy_rigs)
+    batches = [runs[first : first + BATCH] for first in range(0, len(runs), BATCH)]
+    exact: dict[int, list[Array]] = {}
+    simulated = BATCH * SAMPLES * SAMPLE_TIME
+
+    def solve(batch: int) -> Sequence[float]:
+        workers = os.cpu_count() or 1
+        began = time.perf_counter()
+        with ProcessPoolExecutor(workers) as pool:
+            exact[batch] = list(pool.map(reference, batches[batch]))
+        return (1e3 * (time.perf_counter() - began) * workers / simulated,)
+
+    def setting(options: dict[str, float]) -> Callable[[int], Sequence[float]]:
+        def measure(batch: int) -> Sequence[float]:
+            worst = errors(batches[batch], exact[batch], **options).max(axis=1)
+            began = time.perf_counter()
+            for run in batches[batch]:
+                run.states(**options)
+            seconds = time.perf_counter() - began
+            return worst.max(), 100.0 * (worst <= LIMIT).mean(), 1e3 * seconds / simulated
+
+        return measure
+
+    note = f"{BATCH} drawn rigs per run, {SAMPLES * SAMPLE_TIME:g} s each; all processes together"
+    cases = [Case((Row(REFERENCE_ROW, "ms per simulated s", note=note),), solve, len(batches))]
+    for name, options in SETTINGS.items():
+        rows = (
+            Row(f"{name}: worst error", "of a state's range", note="largest of any state of the rigs of a run"),
+            Row(f"{name}: rigs within {LIMIT:g}", "%", note="every state, along the whole run"),
+            Row(f"{name}: time", "ms per simulated s", REFERENCE_ROW),
+        )
+        cases.append(Case(rows, setting(options), len(batches)))
+    orders = tuple(
+        Row(f"order, steps of {1e3 * coarse:g} to {1e3 * fine:g} ms", "1", note="fixed steps on a smooth run")
+        for coarse, fine in pairwise(FIXED_STEPS)
+    )
+    return [*cases, Case(orders, lambda run: convergence_orders(), 1)]

@@ -1,22 +1,22 @@
-"""Rows of the environments through ``gym.make`` and ``gym.make_vec``, with Gymnasium's own in turn."""
+"""Rows of the environments through ``gym.make`` and ``gym.make_vec``, beside Gymnasium's own."""
 
 from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import repeat
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from agents.benchmark.table import Case, Row, UnavailableError
+from agents.benchmark.table import Case, UnavailableError, one_row
 from agents.benchmark.timing import Extent, rate
 from hydro_env import ENVIRONMENT_ID
 
 MODES = ("NextStep", "SameStep", "Disabled")
-NATIVE_PEER = "CartPole-v1"
 
 
 def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> float:
@@ -39,7 +39,7 @@ def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> flo
 def vector_rate(env: Any, seconds: float, commands: Iterator[Any] | None = None) -> float:
     """Environment steps per second of a vector environment, restarts included.
 
-    Under the actions that ``commands`` gives step by step; without it under fixed small random ones.
+    Each step takes the next of the ``commands``; without them all take the same small random actions.
     """
     count: int = env.num_envs
     env.reset(seed=0)
@@ -68,92 +68,68 @@ def motor_environment() -> gym.Env[Any, Any]:
     """gym-electric-motor's current control of a permanent magnet synchronous motor.
 
     Raises:
-        UnavailableError: it is not installed, or does not work with the packages beside it.
+        UnavailableError: it is not installed, or does not work with the installed versions of other packages.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            gym_electric_motor = importlib.import_module("gym_electric_motor")
-
-            env: gym.Env[Any, Any] = gym_electric_motor.make("Cont-CC-PMSM-v0")
+            env: gym.Env[Any, Any] = importlib.import_module("gym_electric_motor").make("Cont-CC-PMSM-v0")
             return env
-    except ImportError as error:
-        raise UnavailableError(f"not installed: {error}") from None
     except Exception as error:  # whatever an unfitting version raises
-        raise UnavailableError(f"does not run here: {type(error).__name__}: {' '.join(str(error).split())}") from None
+        reason = "not installed" if isinstance(error, ImportError) else f"does not run here: {type(error).__name__}"
+        raise UnavailableError(f"{reason}: {error}") from None
 
 
 def single_cases(extent: Extent) -> list[Case]:
     """One axis beside Gymnasium's classic control and an electric drive."""
 
     def case(name: str, make: Callable[[], gym.Env[Any, Any]], against: str = "", note: str = "") -> Case:
-        return Case(
-            (Row(name, "steps/s", against, note),), lambda run: (single_rate(make(), extent.seconds),), extent.runs
-        )
+        return one_row(name, "steps/s", lambda: single_rate(make(), extent.seconds), extent.runs, against, note)
 
     own = "one axis, gym.make"
     return [
         case("Pendulum-v1", lambda: gym.make("Pendulum-v1")),
-        case(own, lambda: gym.make(ENVIRONMENT_ID), "Pendulum-v1", "ServoHydraulic-v0, 5 ms per step"),
+        case(own, single_axis, "Pendulum-v1", "ServoHydraulic-v0, 5 ms per step"),
         case("CartPole-v1", lambda: gym.make("CartPole-v1")),
-        case("one axis, no wrappers", lambda: gym.make(ENVIRONMENT_ID).unwrapped, "CartPole-v1"),
+        case("one axis, no wrappers", lambda: single_axis().unwrapped, "CartPole-v1"),
         case("Cont-CC-PMSM-v0", motor_environment, own, "gym-electric-motor, 0.1 ms per step"),
     ]
 
 
 def vector_cases(extent: Extent) -> list[Case]:
-    """N axes, every autoreset mode, beside the native vector CartPole and beside loops over single axes."""
+    """N axes in every autoreset mode, beside Gymnasium's vector CartPole and its vectors of single axes."""
+
+    def case(name: str, make: Callable[[], Any], against: str = "") -> Case:
+        return one_row(name, "axis steps/s", lambda: vector_rate(make(), extent.seconds), extent.runs, against)
+
     cases = []
     for count in extent.vector_sizes:
         peer = f"CartPole-v1, N = {count:,}"
-        cases.append(_vector_case(peer, "", NATIVE_PEER, count, extent))
+        cases.append(case(peer, partial(gym.make_vec, "CartPole-v1", num_envs=count)))
         for mode in MODES:
-            cases.append(
-                _vector_case(f"{mode}, N = {count:,}", peer, ENVIRONMENT_ID, count, extent, autoreset_mode=mode)
-            )
+            make = partial(gym.make_vec, ENVIRONMENT_ID, num_envs=count, autoreset_mode=mode)
+            cases.append(case(f"{mode}, N = {count:,}", make, peer))
     count = extent.vector_sizes[0]
-    native = f"NextStep, N = {count:,}"
-    for name, make in (("SyncVectorEnv", _sync), ("AsyncVectorEnv", _async)):
-        cases.append(
-            Case(
-                (Row(f"{name} of single axes, N = {count:,}", "axis steps/s", native),),
-                lambda run, make=make: (vector_rate(make(count), extent.seconds),),  # type: ignore[misc]
-                extent.runs,
-            )
-        )
+    axes, native = [single_axis] * count, f"NextStep, N = {count:,}"
+    in_processes = partial(gym.vector.AsyncVectorEnv, axes, context="spawn")
+    cases.append(case(f"SyncVectorEnv of single axes, N = {count:,}", lambda: gym.vector.SyncVectorEnv(axes), native))
+    cases.append(case(f"AsyncVectorEnv of single axes, N = {count:,}", in_processes, native))
     return cases
 
 
-def _sync(count: int) -> Any:
-    return gym.vector.SyncVectorEnv([_axis] * count)
-
-
-def _async(count: int) -> Any:
-    return gym.vector.AsyncVectorEnv([_axis] * count, context="spawn")
-
-
-def _axis() -> gym.Env[Any, Any]:
-    import hydro_env  # noqa: F401  (registers, in a process of its own)
-
-    return gym.make(ENVIRONMENT_ID)
-
-
-def _vector_case(name: str, against: str, env_id: str, count: int, extent: Extent, **options: Any) -> Case:
-    def measure(run: int) -> Sequence[float]:
-        return (vector_rate(gym.make_vec(env_id, num_envs=count, **options), extent.seconds),)
-
-    return Case((Row(name, "axis steps/s", against),), measure, extent.runs)
+def single_axis() -> gym.Env[Any, Any]:
+    """One axis through ``gym.make``, in a worker process too."""
+    return gym.make(f"hydro_env:{ENVIRONMENT_ID}")
 
 
 def cost_cases(extent: Extent) -> list[Case]:
     """Cost of a step of one axis against N."""
-    cases = []
-    first = f"N = {extent.cost_sizes[0]:,}"
-    for count in extent.cost_sizes:
-        name = f"N = {count:,}"
 
-        def measure(run: int, count: int = count) -> Sequence[float]:
-            return (1e9 / vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=count), extent.seconds),)
+    def cost(count: int) -> float:
+        return 1e9 / vector_rate(gym.make_vec(ENVIRONMENT_ID, num_envs=count), extent.seconds)
 
-        cases.append(Case((Row(name, "ns per axis step", first if name != first else ""),), measure, extent.runs))
-    return cases
+    names = [f"N = {count:,}" for count in extent.cost_sizes]
+    return [
+        one_row(name, "ns per axis step", partial(cost, count), extent.runs, "" if name == names[0] else names[0])
+        for name, count in zip(names, extent.cost_sizes, strict=True)
+    ]

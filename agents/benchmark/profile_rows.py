@@ -1,12 +1,13 @@
-"""Rows that say where the time of one step and of one PPO iteration goes.
+"""Rows of the profile: where the time of one step and of one PPO iteration goes.
 
-Parts nest: each is measured alone, on the same environment, and set beside the whole.
+Parts nest: each is measured alone, on the same environment, and compared with the whole.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -14,13 +15,14 @@ import numpy as np
 import torch
 
 from agents.benchmark.kernel_access import BareKernel
-from agents.benchmark.table import Case, Row
-from agents.benchmark.timing import Extent, rate
-from agents.benchmark.training_rows import Stopwatch, default_study, native_model
+from agents.benchmark.table import Case, Row, one_row
+from agents.benchmark.timing import Extent, rate, time_in
+from agents.benchmark.training_rows import TRAININGS, default_study, native_model
 from agents.learning.features import PolicyFeatures
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 VECTOR_SIZE = 1024
+ENDLESS: dict[str, Any] = {"episode_duration": 3600.0, "references": {"weights": {"sine": 1.0}}}
 
 
 def profile_cases(extent: Extent) -> list[Case]:
@@ -28,8 +30,10 @@ def profile_cases(extent: Extent) -> list[Case]:
     return [*_single_cases(extent), *_vector_cases(extent), _iteration_case(extent)]
 
 
-def _timed(name: str, make: Callable[[], Callable[[], Any]], extent: Extent, against: str, note: str = "") -> Case:
-    def measure(run: int) -> Sequence[float]:
+def _timed(extent: Extent, whole: str, *parts: tuple[str, Callable[[], Callable[[], Any]], str]) -> list[Case]:
+    """Time in µs of calls, given as (name, what prepares the call, note); those after the first belong to the first."""
+
+    def measure(make: Callable[[], Callable[[], Any]]) -> float:
         call = make()
 
         def work() -> int:
@@ -37,76 +41,71 @@ def _timed(name: str, make: Callable[[], Callable[[], Any]], extent: Extent, aga
                 call()
             return 100
 
-        return (1e6 / rate(work, extent.seconds),)
+        return 1e6 / rate(work, extent.seconds)
 
-    return Case((Row(name, "µs", against, note),), measure, extent.runs)
+    names = [f"{whole.partition(',')[0]}: {part}" if part else whole for part, _, _ in parts]
+    return [
+        one_row(name, "µs", partial(measure, make), extent.runs, whole if part else "", note)
+        for name, (part, make, note) in zip(names, parts, strict=True)
+    ]
+
+
+def _step(env: Any) -> Callable[[], Any]:
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    return lambda: env.step(action)
+
+
+def _compiled_step(axes: Any, count: int) -> Callable[[], Any]:
+    """The compiled step of begun axes; their clock stands still, so that no episode ends."""
+    command, clock = np.zeros(count), axes.column("step")
+
+    def call() -> None:
+        clock[:] = 0.0
+        axes.step(command)
+
+    return call
 
 
 def _single_cases(extent: Extent) -> list[Case]:
-    whole = "single step, gym.make"
-
-    def wrapped() -> Callable[[], Any]:
-        env = gym.make(ENVIRONMENT_ID, episode_duration=3600.0, references={"weights": {"sine": 1.0}})
-        env.reset(seed=0)
-        action = np.zeros(1, dtype=np.float32)
-        return lambda: env.step(action)
-
-    def bare() -> ServoHydraulicEnv:
-        env = ServoHydraulicEnv(episode_duration=3600.0, references={"weights": {"sine": 1.0}})
+    def begun() -> ServoHydraulicEnv:
+        env = ServoHydraulicEnv(**ENDLESS)
         env.reset(seed=0)
         return env
 
-    def unwrapped() -> Callable[[], Any]:
-        env, action = bare(), np.zeros(1, dtype=np.float32)
-        return lambda: env.step(action)
-
-    def compiled() -> Callable[[], Any]:
-        axes, command = bare().axes, np.zeros(1)
-        return lambda: axes.step(command)
-
     def info() -> Callable[[], Any]:
-        env = bare()
-        row = env.axes.numbers[0].tolist()
-        return lambda: env._info(row)
+        env = begun()
+        return partial(env._info, env.axes.numbers[0].tolist())
 
-    return [
-        _timed(whole, wrapped, extent, ""),
-        _timed("single step: without Gymnasium's wrappers", unwrapped, extent, whole),
-        _timed("single step: compiled step and its call", compiled, extent, whole, "physics, sensors, reward"),
-        _timed("single step: integrator and its call", lambda: BareKernel(1, 1).advance, extent, whole),
-        _timed("single step: info", info, extent, whole),
-    ]
+    return _timed(
+        extent,
+        "single step, gym.make",
+        ("", lambda: _step(gym.make(ENVIRONMENT_ID, **ENDLESS)), ""),
+        ("without Gymnasium's wrappers", lambda: _step(begun()), ""),
+        ("compiled step and its call", lambda: _compiled_step(begun().axes, 1), "physics, sensors, reward"),
+        ("integrator and its call", lambda: BareKernel(1, 1).advance, ""),
+        ("info", info, ""),
+    )
 
 
 def _vector_cases(extent: Extent) -> list[Case]:
-    whole = f"vector step, N = {VECTOR_SIZE:,}, 1 thread"
-
     def env(info: bool, threads: int | None = 1) -> ServoHydraulicVectorEnv:
-        made = ServoHydraulicVectorEnv(VECTOR_SIZE, info=info, threads=threads)
-        made.reset(seed=0)
-        return made
-
-    def step(info: bool, threads: int | None = 1) -> Callable[[], Any]:
-        made, actions = env(info, threads), np.zeros((VECTOR_SIZE, 1), dtype=np.float32)
-        return lambda: made.step(actions)
+        return ServoHydraulicVectorEnv(VECTOR_SIZE, info=info, threads=threads)
 
     def compiled() -> Callable[[], Any]:
-        axes = env(False).axes
-        command, steps = np.zeros(VECTOR_SIZE), axes.column("step")
+        bare = env(False)
+        bare.reset(seed=0)
+        return _compiled_step(bare.axes, VECTOR_SIZE)
 
-        def call() -> None:
-            steps[:] = 0.0
-            axes.step(command)
-
-        return call
-
-    return [
-        _timed(whole, lambda: step(True), extent, "", "restarts of ended axes included"),
-        _timed("vector step: with as many threads as cores", lambda: step(True, None), extent, whole),
-        _timed("vector step: without info", lambda: step(False), extent, whole),
-        _timed("vector step: compiled step", compiled, extent, whole, "physics, sensors, reward, observation"),
-        _timed("vector step: integrator", lambda: BareKernel(VECTOR_SIZE, 1).advance, extent, whole),
-    ]
+    return _timed(
+        extent,
+        f"vector step, N = {VECTOR_SIZE:,}, 1 thread",
+        ("", lambda: _step(env(True)), "restarts of ended axes included"),
+        ("with as many threads as cores", lambda: _step(env(True, None)), ""),
+        ("without info", lambda: _step(env(False)), ""),
+        ("compiled step", compiled, "physics, sensors, reward, observation"),
+        ("integrator", lambda: BareKernel(VECTOR_SIZE, 1).advance, ""),
+    )
 
 
 PARTS = {
@@ -124,48 +123,41 @@ PARTS = {
 
 
 def _iteration_case(extent: Extent) -> Case:
-    whole = "PPO iteration"
+    settings = default_study()
+    ppo = settings.ppo
+    size = ppo.axes * ppo.steps_per_rollout
 
     def measure(run: int) -> Sequence[float]:
-        settings = default_study()
-        ppo = settings.ppo
         model, env = native_model(settings, ppo)
-        size = ppo.axes * ppo.steps_per_rollout
         model.learn(size)
         iterations = max(2, extent.training_steps // (4 * size))
-        with Stopwatch() as watch:
-            watch.wrap(env, "step", "environment")
-            watch.wrap(env.env.axes, "step", "compiled step")
-            watch.wrap(PolicyFeatures, "__call__", "features")
-            watch.wrap(env, "_drive_twins", "features")
-            watch.wrap(model.policy, "forward", "inference")
-            watch.wrap(model, "train", "update")
-            watch.wrap(model.rollout_buffer, "_get_samples", "minibatches")
-            watch.wrap(model.policy, "evaluate_actions", "forward")
-            watch.wrap(torch.Tensor, "backward", "backward")
-            watch.wrap(torch.nn.utils, "clip_grad_norm_", "optimiser")
-            watch.wrap(model.policy.optimizer, "step", "optimiser")
+        functions = (
+            (env, "step", "environment"),
+            (env.env.axes, "step", "compiled step"),
+            (PolicyFeatures, "__call__", "features"),
+            (env, "_drive_twins", "features"),
+            (model.policy, "forward", "inference"),
+            (model, "train", "update"),
+            (model.rollout_buffer, "_get_samples", "minibatches"),
+            (model.policy, "evaluate_actions", "forward"),
+            (torch.Tensor, "backward", "backward"),
+            (torch.nn.utils, "clip_grad_norm_", "optimiser"),
+            (model.policy.optimizer, "step", "optimiser"),
+        )
+        with time_in(*functions) as seconds:
             began = time.perf_counter()
             model.learn(iterations * size)
-            seconds = time.perf_counter() - began
+            total = time.perf_counter() - began
         env.close()
-        parts = watch.seconds
-        update = [parts[name] for name in ("minibatches", "forward", "backward", "optimiser")]
-        collection = seconds - parts["environment"] - parts["inference"] - parts["update"]
-        values = [
-            seconds,
-            parts["compiled step"],
-            parts["features"],
-            parts["environment"] - parts["compiled step"] - parts["features"],
-            parts["inference"],
-            collection,
-            *update,
-            parts["update"] - sum(update),
-        ]
+        inside = [seconds["compiled step"], seconds["features"]]
+        update = [seconds[name] for name in ("minibatches", "forward", "backward", "optimiser")]
+        collecting, updating = seconds["environment"], seconds["update"]
+        values = [total, *inside, collecting - sum(inside), seconds["inference"]]
+        values += [total - collecting - seconds["inference"] - updating, *update, updating - sum(update)]
         return [1e3 * value / iterations for value in values]
 
-    ppo = default_study().ppo
+    whole = "PPO iteration"
     note = f"{ppo.axes} axes × {ppo.steps_per_rollout} steps, {ppo.minibatches} minibatches, {ppo.epochs} epochs"
     rows = [Row(whole, "ms", note=note)]
     rows += [Row(f"{whole}: {part}", "ms", whole, remark) for part, remark in PARTS.items()]
-    return Case(tuple(rows), measure, extent.training_runs)
+    return Case(tuple(rows), measure, TRAININGS)

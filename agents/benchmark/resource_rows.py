@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from agents.benchmark.table import Case, Row, UnavailableError
+from agents.benchmark.table import Case, Row, UnavailableError, one_row
 from agents.benchmark.timing import Extent, fresh_process
 from agents.leakage.head import LeakageHead, MonitoredController
 from agents.learning.policy import PolicyController
 from agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
 
+MEMORY_AXES = 65_536
 _RESIDENT_CODE = """
 import gymnasium, numpy as np, hydro_env
 def resident():
@@ -38,104 +37,85 @@ before = resident()
 large = run({count})
 print((resident() - before) / {count})
 """
-_FIRST_STEP_CODE = """
+_FIRST_STEP_CODE = f"""
 import gymnasium, hydro_env
-env = gymnasium.make("{env_id}")
+env = gymnasium.make("{ENVIRONMENT_ID}")
 env.reset(seed=0)
 env.step(env.action_space.sample())
 """
 
 
 def array_bytes(env: ServoHydraulicVectorEnv) -> int:
-    """Bytes of all NumPy arrays that a vector environment holds."""
-    seen: dict[int, int] = {}
-
-    def note(values: Iterable[Any]) -> None:
-        for value in values:
-            if isinstance(value, np.ndarray):
-                seen[id(value)] = value.nbytes if value.base is None else 0
-            elif isinstance(value, tuple):
-                note(value)
-
-    for owner in (env, env.axes, env.axes.options):
-        note(vars(owner).values())
-    return sum(seen.values())
+    """Bytes of all NumPy arrays that a vector environment holds, views not counted."""
+    values = [value for owner in (env, env.axes, env.axes.options) for value in vars(owner).values()]
+    values += [part for value in values if isinstance(value, tuple) for part in value]
+    sizes = {id(array): array.nbytes for array in values if isinstance(array, np.ndarray) and array.base is None}
+    return sum(sizes.values())
 
 
-def memory_cases(extent: Extent) -> list[Case]:
-    """Memory of one axis."""
-    count = extent.memory_axes
+def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
+    """Memory of one axis, of so many."""
 
-    def arrays(run: int) -> Sequence[float]:
+    def arrays() -> float:
         env = ServoHydraulicVectorEnv(count)
         env.reset(seed=0)
         size = array_bytes(env) / count
         env.close()
-        return (size,)
+        return size
 
-    def resident(run: int) -> Sequence[float]:
+    def resident() -> float:
         if not Path("/proc/self/statm").exists():
             raise UnavailableError("not measured: this system has no /proc")
-        return (float(fresh_process(_RESIDENT_CODE.format(env_id=ENVIRONMENT_ID, count=count))[1]),)
+        return float(fresh_process(_RESIDENT_CODE.format(env_id=ENVIRONMENT_ID, count=count))[1])
 
-    size = f"N = {count:,}"
+    name, size = "arrays of one axis", f"N = {count:,}"
+    growth = "growth of resident memory per axis"
     return [
-        Case((Row("arrays of one axis", "bytes", note=size),), arrays, 1),
-        Case(
-            (Row("growth of resident memory per axis", "bytes", "arrays of one axis", f"{size}, fresh process"),),
-            resident,
-            extent.runs,
-        ),
+        one_row(name, "bytes", arrays, 1, note=size),
+        one_row(growth, "bytes", resident, extent.runs, name, f"{size}, fresh process"),
     ]
 
 
 def start_cases(extent: Extent) -> list[Case]:
     """Import, and time to the first step with an empty and with a filled cache of machine code; fresh processes."""
-    code = _FIRST_STEP_CODE.format(env_id=ENVIRONMENT_ID)
-
-    def process(text: str) -> Callable[[int], Sequence[float]]:
-        return lambda run: (fresh_process(text)[0],)
-
     folder = tempfile.TemporaryDirectory(prefix="hydro-benchmark-")
 
-    def cold(run: int) -> Sequence[float]:
+    def process(name: str, code: str, against: str = "") -> Case:
+        return one_row(name, "s", lambda: fresh_process(code)[0], extent.runs, against)
+
+    def first_step(cache: str) -> float:
+        return fresh_process(_FIRST_STEP_CODE, {"NUMBA_CACHE_DIR": cache})[0]
+
+    def cold() -> float:
         with tempfile.TemporaryDirectory(prefix="hydro-benchmark-") as empty:
-            return (fresh_process(code, {"NUMBA_CACHE_DIR": empty})[0],)
+            return first_step(empty)
 
-    def warm(run: int) -> Sequence[float]:
+    def warm() -> float:
         if not os.listdir(folder.name):
-            fresh_process(code, {"NUMBA_CACHE_DIR": folder.name})
-        return (fresh_process(code, {"NUMBA_CACHE_DIR": folder.name})[0],)
+            first_step(folder.name)
+        return first_step(folder.name)
 
-    bare, gymnasium = "python, nothing imported", "import gymnasium"
+    own, note = "import hydro_env", "what it imports included, interpreter start not"
     return [
-        Case((Row(bare, "s"),), process("pass"), extent.runs),
-        Case((Row(gymnasium, "s", bare),), process("import gymnasium"), extent.runs),
-        Case((Row("import hydro_env", "s", gymnasium),), process("import hydro_env"), extent.runs),
-        Case((_import_row(),), lambda run: (import_time("hydro_env"),), extent.runs),
-        Case(
-            (Row("first step, warm cache", "s", "import hydro_env", "import, gym.make, reset, step"),),
-            warm,
-            extent.runs,
-        ),
-        Case(
-            (Row("first step, cold cache", "s", "first step, warm cache", "everything compiled anew"),),
+        process("python, nothing imported", "pass"),
+        process("import gymnasium", "import gymnasium", "python, nothing imported"),
+        process(own, own, "import gymnasium"),
+        one_row(f"{own}, by -X importtime", "s", lambda: import_time("hydro_env"), extent.runs, note=note),
+        one_row("first step, warm cache", "s", warm, extent.runs, own, "import, gym.make, reset, step"),
+        one_row(
+            "first step, cold cache",
+            "s",
             cold,
             min(3, extent.runs),
+            "first step, warm cache",
+            "everything compiled anew",
         ),
     ]
 
 
-def _import_row() -> Row:
-    return Row("import hydro_env, by -X importtime", "s", note="what it imports included, interpreter start not")
-
-
 def import_time(module: str) -> float:
     """Seconds that the import of a module takes, what it imports included, by ``python -X importtime``."""
-    code = [sys.executable, "-X", "importtime", "-c", f"import {module}"]
-    root = str(Path(__file__).resolve().parents[2])
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([root, os.environ.get("PYTHONPATH", "")])}
-    text = subprocess.run(code, capture_output=True, text=True, check=True, env=environment).stderr
+    text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
     line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
     return 1e-6 * int(line.split("|")[1])
 
@@ -151,50 +131,24 @@ def inference_cases(extent: Extent) -> list[Case]:
     period = 1e3 * policy.features.layout.control_period
     env.close()
 
-    def act() -> Callable[[int], Any]:
-        memory: list[Any] = [None]
+    def case(name: str, controller: Any, after: Callable[[Any], Any], calls: int) -> Case:
+        def measure(run: int) -> Sequence[float]:
+            memory, times = None, []
+            for number in range(head.settings.window + calls):  # the head's window fills first
+                began = time.perf_counter()
+                _, memory = controller.predict(observations[number % 256], memory)
+                if number >= head.settings.window:
+                    after(memory)
+                    times.append(1e3 * (time.perf_counter() - began))
+            late = float(np.quantile(times, 0.999))
+            return statistics.median(times), late, 100.0 * late / period
 
-        def call(number: int) -> None:
-            _, memory[0] = policy.predict(observations[number % 256], memory[0])
-
-        return call
-
-    def watch() -> Callable[[int], Any]:
-        memory: list[Any] = [None]
-        for number in range(head.settings.window):
-            _, memory[0] = monitored.predict(observations[number % 256], memory[0])
-
-        def call(number: int) -> None:
-            _, memory[0] = monitored.predict(observations[number % 256], memory[0])
-            monitored.estimate(memory[0])
-
-        return call
+        note = f"{calls:,} calls, one axis, at every control period"
+        late = f"{name}: 99.9th percentile"
+        rows = Row(f"{name}: median", "ms", note=note), Row(late, "ms"), Row(late, f"% of {period:g} ms")
+        return Case(rows, measure, extent.runs)
 
     return [
-        _inference_case("policy", act, extent.calls, period, extent.runs),
-        _inference_case("policy and leakage head", watch, extent.calls // 10, period, extent.runs),
+        case("policy", policy, lambda memory: None, extent.calls),
+        case("policy and leakage head", monitored, monitored.estimate, extent.calls // 10),
     ]
-
-
-def _inference_case(
-    name: str, prepare: Callable[[], Callable[[int], Any]], calls: int, period: float, runs: int
-) -> Case:
-    def measure(run: int) -> Sequence[float]:
-        call = prepare()
-        for number in range(50):
-            call(number)
-        times = []
-        for number in range(calls):
-            began = time.perf_counter()
-            call(number)
-            times.append(1e3 * (time.perf_counter() - began))
-        median, late = statistics.median(times), float(np.quantile(times, 0.999))
-        return median, late, 100.0 * late / period
-
-    note = f"{calls:,} calls, one axis, at every control period"
-    rows = (
-        Row(f"{name}: median", "ms", note=note),
-        Row(f"{name}: 99.9th percentile", "ms"),
-        Row(f"{name}: 99.9th percentile", f"% of {period:g} ms"),
-    )
-    return Case(rows, measure, runs)

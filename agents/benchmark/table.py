@@ -4,141 +4,122 @@ from __future__ import annotations
 
 import csv
 import io
-import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
-from hydro_env import ConfigurationError
+from agents.report.text import number
+from hydro_env.errors import ConfigurationError
 from hydro_env.files import write_whole
 
-COLUMNS = (
-    *("group", "row", "unit", "runs", "median", "lowest", "highest"),
-    *("against", "ratio", "ratio_lowest", "ratio_highest", "note", "values"),
-)
+HEADINGS = ("what", "unit", "median", "lowest–highest", "runs", "beside", "note")
+STATISTICS = ("median", "lowest", "highest", "ratio", "ratio_lowest", "ratio_highest")
+CSV_COLUMNS = ("group", "row", "unit", "against", "note", "runs", *STATISTICS, "values")
 
 
 class UnavailableError(Exception):
-    """What a row measures is not there on this machine; the message says why."""
+    """This machine lacks what a row measures; the message says why."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Row:
-    """One line of the table: what it is, its unit, and the row of the same group that it is set beside."""
+    """One line of the table: its name, its unit, the row of its group to compare it with, one value per run."""
 
     name: str
     unit: str
     against: str = ""
     note: str = ""
+    group: str = ""
+    values: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Case:
     """One measurement, which fills one or more rows.
 
-    ``measure(run)`` gives a value per row; it may raise :class:`UnavailableError`. Whatever is built or compiled
-    beforehand is not in its values.
+    ``measure(run)`` gives a value per row; it may raise :class:`UnavailableError`. Its values leave out what it builds
+    or compiles first.
     """
 
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     measure: Callable[[int], Sequence[float]]
     runs: int
 
 
-@dataclass
-class Result:
-    """A row with what was measured, one value per run."""
-
-    group: str
-    row: Row
-    values: list[float] = field(default_factory=list)
-    note: str = ""
-
-    @property
-    def median(self) -> float:
-        """Of the runs."""
-        return statistics.median(self.values)
+def one_row(name: str, unit: str, measure: Callable[[], float], runs: int, against: str = "", note: str = "") -> Case:
+    """A measurement of one value."""
+    return Case([Row(name, unit, against, note)], lambda run: [measure()], runs)
 
 
-def ratios(result: Result, results: Iterable[Result]) -> list[float]:
-    """Value over that of the row it is set beside, run by run (both were measured in the same round)."""
-    others = [r for r in results if r.group == result.group and r.row.name == result.row.against]
-    if not result.row.against or not others:
-        return []
-    return [own / other for own, other in zip(result.values, others[0].values, strict=False) if other]
+def ratios(row: Row, rows: Sequence[Row]) -> list[float]:
+    """Value over that of the row it is compared with, run by run (both were measured in the same round)."""
+    others = [other.values for other in rows if (other.group, other.name) == (row.group, row.against)]
+    return [own / other for own, other in zip(row.values, others[0], strict=False) if other] if others else []
 
 
-def shown(value: float) -> str:
-    """A figure as a person reads it: three to four digits that count."""
-    if value == 0.0 or 1000.0 <= abs(value) < 1e9:
-        return f"{value:,.0f}"
-    if abs(value) >= 1e9 or abs(value) < 1e-3:
+def figure(value: float) -> str:
+    """A figure with three significant digits; large ones whole with thousands separated, small ones with exponent."""
+    if 0.0 < abs(value) < 1e-3:
         return f"{value:.2e}"
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return f"{value:,.0f}" if abs(value) >= 1000.0 else number(value)
 
 
-def _span(values: Sequence[float]) -> str:
-    return f"{shown(min(values))}–{shown(max(values))}"
+def cells(row: Row, rows: Sequence[Row]) -> list[str]:
+    """A line of the table as text, in the order of :data:`HEADINGS`."""
+
+    def spread(values: Sequence[float]) -> str:
+        return f"{figure(min(values))}–{figure(max(values))}"
+
+    compared = ratios(row, rows)
+    beside = f"{figure(median(compared))} × {row.against} ({spread(compared)})" if compared else ""
+    middle = [figure(median(row.values)), spread(row.values)] if row.values else ["–", "–"]
+    return [row.name, row.unit, *middle, str(len(row.values)), beside, row.note]
 
 
-def markdown_table(results: Sequence[Result], group: str) -> str:
-    """The rows of a group: median, lowest–highest, and how often the row beside it."""
-    lines = ["| what | unit | median | lowest–highest | runs | beside | note |", "|---|---|---:|---|---:|---|---|"]
-    for result in (r for r in results if r.group == group):
-        note = "; ".join(part for part in (result.row.note, result.note) if part)
-        if not result.values:
-            lines.append(f"| {result.row.name} | {result.row.unit} | – | – | 0 | | {note} |")
-            continue
-        beside = ratios(result, results)
-        against = f"{shown(statistics.median(beside))} × {result.row.against} ({_span(beside)})" if beside else ""
-        lines.append(
-            f"| {result.row.name} | {result.row.unit} | {shown(result.median)} | {_span(result.values)} "
-            f"| {len(result.values)} | {against} | {note} |"
-        )
-    return "\n".join(lines)
+def markdown_table(rows: Sequence[Row], group: str) -> str:
+    """The rows of a group: median, lowest–highest, and the ratio to the row that each is compared with."""
+    lines = [HEADINGS, ("---", "---", "---:", "---", "---:", "---", "---")]
+    return "\n".join(
+        f"| {' | '.join(line)} |" for line in [*lines, *(cells(row, rows) for row in rows if row.group == group)]
+    )
 
 
-def write_markdown(path: Path, results: Sequence[Result], titles: Mapping[str, str], heading: str) -> None:
+def write_markdown(path: Path, rows: Sequence[Row], titles: Mapping[str, str], heading: str) -> None:
     """Write all groups, each under ``## group``; ``heading`` names machine, versions and threads."""
+    measured = {row.group for row in rows}
     parts = ["# Benchmark", heading]
-    for group, title in titles.items():
-        if any(r.group == group for r in results):
-            parts += [f"## {group}", title, markdown_table(results, group)]
+    for group in (name for name in titles if name in measured):
+        parts += [f"## {group}", titles[group], markdown_table(rows, group)]
     write_whole(path, ("\n\n".join(parts) + "\n").encode())
 
 
-def write_csv(path: Path, results: Sequence[Result]) -> None:
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Write every row with all its values, unrounded."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for r in results:
-        beside = ratios(r, results)
-        figures = [r.median, min(r.values), max(r.values)] if r.values else [""] * 3
-        compared = [statistics.median(beside), min(beside), max(beside)] if beside else [""] * 3
-        note = "; ".join(part for part in (r.row.note, r.note) if part)
-        values = " ".join(repr(float(value)) for value in r.values)
-        writer.writerow(
-            [r.group, r.row.name, r.row.unit, len(r.values), *figures, r.row.against, *compared, note, values]
-        )
+    writer.writerow(CSV_COLUMNS)
+    for row in rows:
+        statistics: list[object] = []
+        for values in (row.values, ratios(row, rows)):
+            statistics += [median(values), min(values), max(values)] if values else [""] * 3
+        own = [row.group, row.name, row.unit, row.against, row.note, len(row.values)]
+        writer.writerow([*own, *statistics, " ".join(map(repr, row.values))])
     write_whole(path, text.getvalue().encode())
 
 
-def read_csv(path: Path) -> list[Result]:
+def read_csv(path: Path) -> list[Row]:
     """Read what :func:`write_csv` wrote.
 
     Raises:
         ConfigurationError: another file, or a damaged one.
     """
     try:
-        rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+        texts = {name: name for name in ("unit", "against", "note", "group")} | {"name": "row"}
         return [
-            Result(
-                line["group"],
-                Row(line["row"], line["unit"], line["against"], line["note"]),
-                [float(value) for value in line["values"].split()],
-            )
-            for line in rows
+            Row(**{name: line[column] for name, column in texts.items()}, values=[*map(float, line["values"].split())])
+            for line in lines
         ]
-    except (OSError, KeyError, ValueError, AttributeError) as error:
+    except (OSError, KeyError, ValueError, AttributeError, TypeError) as error:
         raise ConfigurationError(f"{path}: is not a table of hydro benchmark ({type(error).__name__})") from None

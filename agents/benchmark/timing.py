@@ -1,4 +1,4 @@
-"""How things are timed: a rate over a given time, a fresh process, and how much is measured in all."""
+"""How times are measured: a rate, a fresh process, calls of functions; and how much is measured in all."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[2]
 """The folder from which ``hydro_env`` and ``agents`` are imported, for fresh processes."""
@@ -18,43 +22,33 @@ ROOT = Path(__file__).resolve().parents[2]
 class Extent:
     """How much is measured."""
 
-    runs: int = 5
-    seconds: float = 0.5  # that one rate is measured for
-    kernel_sizes: tuple[int, ...] = (1, 8, 64, 512, 4096, 65_536)
-    vector_sizes: tuple[int, ...] = (16, 64, 256, 1024, 4096, 16_384)
-    cost_sizes: tuple[int, ...] = (256, 1024, 4096, 16_384, 65_536)
-    solver_periods: int = 40
-    accuracy_rigs: int = 240
-    training_steps: int = 1_000_000
-    single_training_steps: int = 65_536
-    training_runs: int = 3
-    seeds: int = 5
-    plants: int = 4  # per leak level and kind of reference, for the comparison with the PID
-    memory_axes: int = 65_536
-    calls: int = 20_000
+    runs: int
+    seconds: float  # duration of one measurement of a rate
+    kernel_sizes: Sequence[int]
+    vector_sizes: Sequence[int]
+    cost_sizes: Sequence[int]
+    solver_periods: int
+    accuracy_rigs: int
+    training_steps: int
+    calls: int
 
 
-FULL = Extent()
-QUICK = Extent(
-    runs=3,
-    seconds=0.1,
-    kernel_sizes=(1, 64, 4096),
-    vector_sizes=(16, 1024),
-    cost_sizes=(256, 4096),
-    solver_periods=8,
-    accuracy_rigs=40,
-    training_steps=131_072,
-    single_training_steps=4096,
-    training_runs=2,
-    seeds=2,
-    plants=2,
-    memory_axes=8192,
-    calls=2000,
+FULL = Extent(
+    runs=5,
+    seconds=0.5,
+    kernel_sizes=(1, 8, 64, 512, 4096, 65_536),
+    vector_sizes=(16, 64, 256, 1024, 4096, 16_384),
+    cost_sizes=(256, 1024, 4096, 16_384, 65_536),
+    solver_periods=40,
+    accuracy_rigs=240,
+    training_steps=1_000_000,
+    calls=20_000,
 )
+QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 8, 40, 131_072, 2000)
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
-    """Units of work per second: ``work`` does some and says how many; called once before, untimed."""
+    """Units of work per second. ``work`` does some and returns how many; a first call is not timed."""
     work()
     done, began = 0, time.perf_counter()
     while True:
@@ -64,22 +58,38 @@ def rate(work: Callable[[], int], seconds: float) -> float:
             return done / passed
 
 
-def fresh_process(code: str, environment: Mapping[str, str] | None = None) -> tuple[float, str]:
-    """Run Python code in a process of its own; returns wall time (s) and what it printed.
+def fresh_process(code: str, environment: Mapping[str, str] | None = None, *options: str) -> tuple[float, str, str]:
+    """Run Python code in a process of its own; returns wall time (s), output, and what it wrote to stderr.
 
     Raises:
         RuntimeError: it failed; the message is its last line.
     """
-    path = os.pathsep.join(part for part in (str(ROOT), os.environ.get("PYTHONPATH", "")) if part)
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    variables = {**os.environ, "PYTHONPATH": path, **(environment or {})}
     began = time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONPATH": path, **(environment or {})},
-    )
+    done = subprocess.run([sys.executable, *options, "-c", code], capture_output=True, text=True, env=variables)
     seconds = time.perf_counter() - began
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["the process failed"])[-1])
-    return seconds, done.stdout
+    return seconds, done.stdout, done.stderr
+
+
+@contextmanager
+def time_in(*functions: tuple[Any, str, str]) -> Iterator[Mapping[str, float]]:
+    """Seconds spent in functions, given as (owner, attribute, name), by name; calls inside calls count in both."""
+    seconds: defaultdict[str, float] = defaultdict(float)
+
+    def timed(plain: Callable[..., Any], name: str) -> Callable[..., Any]:
+        def call(*args: Any, **kwargs: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return plain(*args, **kwargs)
+            finally:
+                seconds[name] += time.perf_counter() - began
+
+        return call
+
+    with ExitStack() as stack:
+        for owner, attribute, name in functions:
+            stack.enter_context(mock.patch.object(owner, attribute, timed(getattr(owner, attribute), name)))
+        yield seconds

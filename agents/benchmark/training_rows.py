@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from functools import partial
 from typing import Any, NamedTuple
-from unittest import mock
 
-import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
+from agents.benchmark.environment_rows import single_axis
 from agents.benchmark.table import Case, Row
-from agents.benchmark.timing import Extent
+from agents.benchmark.timing import Extent, time_in
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.metrics import rollout_metrics
@@ -26,10 +25,15 @@ from agents.learning.vec_env import AxisVecEnv
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import VALIDATION_SEEDS
 from agents.study.settings import default_study as read_default_study
-from hydro_env import ENVIRONMENT_ID, TaskConfig
+from hydro_env import TaskConfig
 
+TRAININGS = 3  # runs of each row of the training
+PLANTS = 4  # per leak level and kind of reference, for the comparison with the PID
 SINGLE_AXES = 16  # that stable-baselines3's own vector environments run
 NATIVE_ROW = "PPO, native vector environment"
+PARTS = ("environment", "policy inputs and PIDs", "inference", "update", "rest")
+"""Parts of a training: the axes' steps and restarts; what the adaptor makes of them; networks; stable-baselines3."""
+
 CHECK_EVERY = 50_000  # steps
 MARGIN = 0.01
 """How far below the PID's error the policy's must be: an untrained correction differs from the PID by less."""
@@ -57,37 +61,6 @@ def default_study() -> DefaultStudy:
     return DefaultStudy(study.task, base.gains, ppo, study.evaluation)
 
 
-PARTS = ("environment", "policy inputs and PIDs", "inference", "update", "rest")
-"""Parts of a training: the axes' steps and restarts; what the adaptor makes of them; networks; stable-baselines3."""
-
-
-class Stopwatch:
-    """Seconds that calls of some functions took, by name; puts the functions back at the end of its context."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self._stack = ExitStack()
-
-    def __enter__(self) -> Stopwatch:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
-
-    def wrap(self, owner: Any, function: str, name: str) -> None:
-        """Note the time of a function or method of ``owner`` under a name."""
-        plain = getattr(owner, function)
-
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            began = time.perf_counter()
-            try:
-                return plain(*args, **kwargs)
-            finally:
-                self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-
-        self._stack.enter_context(mock.patch.object(owner, function, timed))
-
-
 def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
@@ -96,88 +69,66 @@ def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVec
     return make_model(env, ppo, 0), env
 
 
-def watched_training(model: PPO, env: VecEnv, steps: int) -> tuple[float, dict[str, float]]:
-    """Train for some steps; returns wall time (s), and of it the time in each of :data:`PARTS` but the rest."""
-    with Stopwatch() as watch:
-        watch.wrap(env, "step", "collecting")
-        if isinstance(env, AxisVecEnv):
-            for function in ("step", "reset"):
-                watch.wrap(env.env, function, "environment")
-        watch.wrap(model.policy, "forward", "inference")
-        watch.wrap(model, "train", "update")
-        began = time.perf_counter()
-        model.learn(steps)
-        seconds = time.perf_counter() - began
-    parts = watch.seconds
-    collecting = parts.pop("collecting")
-    parts.setdefault("environment", collecting)
-    parts["policy inputs and PIDs"] = collecting - parts["environment"]
-    return seconds, parts
-
-
 def training_cases(extent: Extent) -> list[Case]:
     """Speed of PPO on the native vector environment, and on stable-baselines3's own over single axes."""
     settings = default_study()
-    ppo = settings.ppo
+    ppo, steps = settings.ppo, extent.training_steps
 
-    def native(run: int, threads: int = ppo.torch_threads, share: int = 1) -> Sequence[float]:
+    def native(threads: int, steps: int, run: int) -> Sequence[float]:
         model, env = native_model(settings, ppo.model_copy(update={"torch_threads": threads}))
         model.learn(ppo.axes * ppo.steps_per_rollout)  # warm
-        return _speed_and_shares(model, env, extent.training_steps // share)
+        return _speed_and_shares(model, env, steps)
+
+    def single(kind: type[VecEnv], run: int) -> Sequence[float]:
+        model, env = _single_model(kind, ppo, steps // 16)
+        return _speed_and_shares(model, env, steps // 16)
+
+    def case(name: str, measure: Any, note: str) -> Case:
+        rows = [Row(name, "steps/s", NATIVE_ROW if name != NATIVE_ROW else "", note)]
+        rows += [Row(f"{name}: {part}", "% of time") for part in PARTS]
+        return Case(tuple(rows), measure, TRAININGS)
 
     paired = ", each with its twin under the PID" if ppo.residual and ppo.paired else ""
     size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
-    cases = [Case((Row(NATIVE_ROW, "steps/s", note=size), *_share_rows(NATIVE_ROW)), native, extent.training_runs)]
     other = 2 if ppo.torch_threads == 1 else 1
     waiting = "fewer steps: where another process holds a core, torch's threads wait for each other"
-    row = Row(f"{NATIVE_ROW}, torch threads: {other}", "steps/s", NATIVE_ROW, waiting)
-    cases.append(Case((row, *_share_rows(row.name)), lambda run: native(run, other, 8), extent.training_runs))
-    for kind in (DummyVecEnv, SubprocVecEnv):
-        name = f"PPO, {kind.__name__}"
-
-        def single(run: int, kind: type[VecEnv] = kind) -> Sequence[float]:
-            model, env = _single_model(kind, ppo, extent)
-            return _speed_and_shares(model, env, extent.single_training_steps)
-
-        row = Row(name, "steps/s", NATIVE_ROW, f"{SINGLE_AXES} single axes, plain observation, same updates per step")
-        cases.append(Case((row, *_share_rows(name)), single, extent.training_runs))
-    return cases
-
-
-def _share_rows(name: str) -> list[Row]:
-    return [Row(f"{name}: {part}", "% of time") for part in PARTS]
+    alone = f"{SINGLE_AXES} single axes, plain observation, same updates per step"
+    return [
+        case(NATIVE_ROW, partial(native, ppo.torch_threads, steps), size),
+        case(f"{NATIVE_ROW}, torch threads: {other}", partial(native, other, steps // 8), waiting),
+        case("PPO, DummyVecEnv", partial(single, DummyVecEnv), alone),
+        case("PPO, SubprocVecEnv", partial(single, SubprocVecEnv), alone),
+    ]
 
 
 def _speed_and_shares(model: PPO, env: VecEnv, steps: int) -> Sequence[float]:
-    seconds, parts = watched_training(model, env, steps)
-    done = model.num_timesteps  # of this call: ``learn`` counts anew
+    """Steps per second of a training, and the share of each of :data:`PARTS` in %."""
+    adapted = isinstance(env, AxisVecEnv)
+    axes = [(env.env, name, "environment") for name in ("step", "reset")] if adapted else []  # type: ignore[attr-defined]
+    networks = [(model.policy, "forward", "inference"), (model, "train", "update")]
+    with time_in((env, "step", "collecting"), *axes, *networks) as seconds:
+        began = time.perf_counter()
+        model.learn(steps)
+        total = time.perf_counter() - began
     env.close()
-    shares = [100.0 * parts[name] / seconds for name in PARTS[:-1]]
-    return done / seconds, *shares, 100.0 - sum(shares)
+    environment = seconds["environment" if adapted else "collecting"]
+    parts = [environment, seconds["collecting"] - environment, seconds["inference"], seconds["update"]]
+    parts.append(total - sum(parts))
+    return model.num_timesteps / total, *(100.0 * part / total for part in parts)  # ``learn`` counts anew
 
 
-def _single_model(kind: type[VecEnv], ppo: PPOSettings, extent: Extent) -> tuple[PPO, VecEnv]:
+def _single_model(kind: type[VecEnv], ppo: PPOSettings, steps: int) -> tuple[PPO, VecEnv]:
     torch.set_num_threads(ppo.torch_threads)
-    makers = [_single_axis] * SINGLE_AXES
-    env = SubprocVecEnv(makers, start_method="spawn") if kind is SubprocVecEnv else DummyVecEnv(makers)
-    rollout = min(ppo.axes * ppo.steps_per_rollout, extent.single_training_steps)
-    model = PPO(
-        "MlpPolicy",
-        env,
-        n_steps=rollout // SINGLE_AXES,
-        batch_size=rollout // ppo.minibatches,
-        n_epochs=ppo.epochs,
-        policy_kwargs={"net_arch": {"pi": list(ppo.hidden_sizes), "vf": list(ppo.hidden_sizes)}},
-        seed=0,
-        device="cpu",
-    )
-    return model, env
-
-
-def _single_axis() -> gym.Env[Any, Any]:
-    import hydro_env  # noqa: F401  (registers, in a process of its own)
-
-    return gym.make(ENVIRONMENT_ID)
+    options = {"start_method": "spawn"} if kind is SubprocVecEnv else {}
+    env = kind([single_axis] * SINGLE_AXES, **options)  # type: ignore[arg-type]
+    rollout = min(ppo.axes * ppo.steps_per_rollout, steps)
+    sizes: dict[str, Any] = {
+        "n_steps": rollout // SINGLE_AXES,
+        "batch_size": rollout // ppo.minibatches,
+        "n_epochs": ppo.epochs,
+    }
+    networks = {"net_arch": {"pi": list(ppo.hidden_sizes), "vf": list(ppo.hidden_sizes)}}
+    return PPO("MlpPolicy", env, policy_kwargs=networks, seed=0, device="cpu", **sizes), env
 
 
 # Time until PPO beats the PID ---------------------------------------------------------------------------------------
@@ -203,8 +154,8 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
     Raises:
         RuntimeError: it never happened in a whole training.
     """
-    layout = ObservationLayout.of(settings.task)
-    bar = (1.0 - MARGIN) * validation_error(settings, PID(settings.pid, layout), plants)
+    pid = PID(settings.pid, ObservationLayout.of(settings.task))
+    bar = (1.0 - MARGIN) * validation_error(settings, pid, plants)
     below: list[tuple[float, int]] = []
     checking, next_check = 0.0, 0
 
@@ -230,15 +181,11 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
 def beating_cases(extent: Extent) -> list[Case]:
     """How soon PPO's mean error is below the tuned PID's."""
     settings = default_study()
-    cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * extent.plants
+    cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * PLANTS
     note = f"mean error 1 % lower on {cases} validation cases; checked every {CHECK_EVERY:,} steps, checks not counted"
-
-    def measure(run: int) -> Sequence[float]:
-        return time_to_beat_pid(settings, run, extent.plants)
-
     rows = (
         Row("time until PPO beats the tuned PID", "s", note=f"a run is a seed; {note}"),
         Row("steps until then", "steps"),
         Row("time of the checks, not counted", "s"),
     )
-    return [Case(rows, measure, extent.seeds)]
+    return [Case(rows, lambda seed: time_to_beat_pid(settings, seed, PLANTS), extent.runs)]

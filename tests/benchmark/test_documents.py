@@ -4,7 +4,7 @@ import importlib.util
 import re
 from pathlib import Path
 
-from agents.benchmark.table import Result, Row, write_markdown
+from agents.benchmark.table import Row, write_markdown
 from agents.commands.benchmark import GROUPS
 
 ROOT = Path(__file__).parents[2]
@@ -20,7 +20,7 @@ def test_page_has_a_place_for_every_group():
 
 
 def test_tables_are_put_in_place_again_and_again(tmp_path):
-    results = [Result("single", Row("one axis", "steps/s"), [1.0, 2.0, 3.0])]
+    results = [Row("one axis", "steps/s", group="single", values=[1.0, 2.0, 3.0])]
     source, page = tmp_path / "benchmark.md", tmp_path / "page.md"
     write_markdown(source, results, {"single": "One."}, "Some machine.")
     text = "A\n<!-- benchmark: single -->\nold\n<!-- end -->\nB\n<!-- benchmark: circumstances -->\n<!-- end -->\n"
@@ -28,7 +28,7 @@ def test_tables_are_put_in_place_again_and_again(tmp_path):
     for _ in range(2):
         assert put_into_docs.main(str(source), str(page)) == 0
         filled = page.read_text(encoding="utf-8")
-        assert filled.count("| one axis | steps/s | 2 | 1–3 | 3 |") == 1
+        assert filled.count("| one axis | steps/s | 2.00 | 1.00–3.00 | 3 |") == 1
         assert "old" not in filled
         assert "Some machine." in filled
         assert "kept" in filled

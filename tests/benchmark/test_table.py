@@ -1,17 +1,18 @@
 """The table of the benchmark: medians, ratios within a round, files, going on, refusing."""
 
+import copy
+
 import pytest
 import yaml
 
 from agents.benchmark.table import (
     Case,
-    Result,
     Row,
     UnavailableError,
+    figure,
     markdown_table,
     ratios,
     read_csv,
-    shown,
     write_csv,
 )
 from agents.commands import benchmark as command
@@ -21,8 +22,8 @@ from hydro_env import ConfigurationError
 
 
 def peer_and_own():
-    peer = Result("g", Row("peer", "steps/s"), [100.0, 200.0, 400.0])
-    return [peer, Result("g", Row("own", "steps/s", "peer", "a note"), [300.0, 400.0, 4000.0])]
+    peer = Row("peer", "steps/s", group="g", values=[100.0, 200.0, 400.0])
+    return [peer, Row("own", "steps/s", "peer", "a note", "g", [300.0, 400.0, 4000.0])]
 
 
 def test_ratio_is_taken_run_by_run():
@@ -33,21 +34,19 @@ def test_ratio_is_taken_run_by_run():
 
 def test_markdown_holds_median_range_and_ratio():
     text = markdown_table(peer_and_own(), "g")
-    assert "| own | steps/s | 400 | 300–4,000 | 3 | 3 × peer (2–10) | a note |" in text
+    assert "| own | steps/s | 400 | 300–4,000 | 3 | 3.00 × peer (2.00–10.0) | a note |" in text
     assert len(text.splitlines()) == 4
 
 
 def test_a_row_without_values_says_why():
-    missing = Result("g", Row("motor", "steps/s"), [], "not installed: no module")
-    assert "| motor | steps/s | – | – | 0 | | not installed: no module |" in markdown_table([missing], "g")
+    missing = Row("motor", "steps/s", note="not installed: no module", group="g")
+    assert "| motor | steps/s | – | – | 0 |  | not installed: no module |" in markdown_table([missing], "g")
 
 
 def test_csv_returns_every_value(tmp_path):
     results = peer_and_own()
     write_csv(tmp_path / "t.csv", results)
-    back = read_csv(tmp_path / "t.csv")
-    assert [r.values for r in back] == [r.values for r in results]
-    assert [r.row for r in back] == [r.row for r in results]
+    assert read_csv(tmp_path / "t.csv") == results
 
 
 def test_a_foreign_csv_is_refused(tmp_path):
@@ -57,18 +56,18 @@ def test_a_foreign_csv_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (1e-5, "1.00e-05")]
+    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (1e-7, "1.00e-07")]
 )
 def test_figures_are_short(value, text):
-    assert shown(value) == text
+    assert figure(value) == text
 
 
 def groups_of(monkeypatch, **cases):
-    monkeypatch.setattr(command, "GROUPS", {n: command.Group(n, lambda extent, c=c: c) for n, c in cases.items()})
+    monkeypatch.setattr(command, "GROUPS", {n: (n, lambda extent, c=c: copy.deepcopy(c)) for n, c in cases.items()})
 
 
 def case(name, measure, runs=3):
-    return Case((Row(name, "s"),), measure, runs)
+    return Case([Row(name, "s")], measure, runs)
 
 
 def unavailable(run):
@@ -95,14 +94,14 @@ def test_command_writes_keeps_and_goes_on(tmp_path, monkeypatch):
     groups_of(monkeypatch, first=first, second=[case("two", stopped)])
     with pytest.raises(KeyboardInterrupt):
         benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
-    kept = {r.row.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    kept = {r.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
     assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0]}
     assert "## first" in (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     with pytest.raises(ConfigurationError, match="holds results already"):
         benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
     first[0] = case("one", lambda run: pytest.fail("measured again"))
     benchmark_to_folder(tmp_path, [], True, True, False, "hydro benchmark")
-    kept = {r.row.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    kept = {r.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
     assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0, 1.0]}
     circumstances = yaml.safe_load((tmp_path / "benchmark.yaml").read_text(encoding="utf-8"))
     assert {"machine", "versions", "threads", "quick"} <= set(circumstances)

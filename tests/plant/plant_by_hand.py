@@ -1,6 +1,6 @@
-"""The plant as a user would write it by hand: plain Python from the equations of docs/model.md, for SciPy's solvers.
+"""The right-hand side written a second time: plain Python from the equations of docs/model.md.
 
-A peer of the compiled right-hand side, not used by anything else; a test holds the two to each other.
+It shares only the names of the states with the compiled one.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from math import inf, pi, sqrt
 
 from hydro_env import ConfigurationError, PlantParameters
+from hydro_env.plant.states import State
 
-RightHandSide = Callable[[float, Sequence[float], float], list[float]]
+RightHandSide = Callable[[float, Sequence[float], float], State]
 
 ATMOSPHERE = 101_325.0  # Pa
 VAPOUR = -0.9e5  # Pa, gauge
@@ -26,7 +27,7 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
     """
     kinds = parameters.valve.model, parameters.friction.model, parameters.supply.model
     if kinds[0] != "drive" or kinds[1] == "lugre" or kinds[2] == "pump":
-        raise ConfigurationError(f"the plant written by hand has no model {' / '.join(kinds)}")
+        raise ConfigurationError(f"this plant has no model {' / '.join(kinds)}")
     cylinder, valve, fluid = parameters.cylinder, parameters.valve, parameters.fluid
     load, friction, supply, leakage = parameters.load, parameters.friction, parameters.supply, parameters.leakage
     area_a = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter_a**2)
@@ -47,9 +48,11 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
         air = fluid.air_fraction * ATMOSPHERE
         return 1 / (1 / fluid.bulk_modulus + air / (((1 - fluid.air_fraction) * absolute + air) * absolute))
 
-    def f(t: float, y: Sequence[float], u: float) -> list[float]:
+    def f(t: float, y: Sequence[float], u: float) -> State:
         del t
-        x, v, p_a, p_b, spool, spool_speed, current, p_s, gas, _ = y
+        s = State(*y)
+        x, v, p_a, p_b, p_s = s.position, s.velocity, s.pressure_a, s.pressure_b, s.supply_pressure
+        spool, spool_speed, current = s.spool_position, s.spool_velocity, s.coil_current
         # valve drive, spool with its limits
         current_rate = (valve.amplifier_gain * u - valve.coil_resistance * current) / valve.coil_inductance
         spool_rate = min(max(spool_speed, -slew), slew)
@@ -87,19 +90,19 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
         if supply.model == "accumulator":
             relief = supply.relief_slope * max(p_s - supply.pressure, 0.0)
             surplus = supply.pump_flow - into_a - into_b - relief
-            supply_rate = supply.polytropic_index * (p_s + ATMOSPHERE) / gas * surplus
+            supply_rate = supply.polytropic_index * (p_s + ATMOSPHERE) / s.gas_volume * surplus
             gas_rate = -surplus
-        return [
-            v,
-            force / mass,
-            rate_a,
-            rate_b,
-            spool_rate,
-            spool_acceleration,
-            current_rate,
-            supply_rate,
-            gas_rate,
-            0.0,
-        ]
+        return State(
+            position=v,
+            velocity=force / mass,
+            pressure_a=rate_a,
+            pressure_b=rate_b,
+            spool_position=spool_rate,
+            spool_velocity=spool_acceleration,
+            coil_current=current_rate,
+            supply_pressure=supply_rate,
+            gas_volume=gas_rate,
+            bristle_deflection=0.0,
+        )
 
     return f

@@ -1,0 +1,13 @@
+"""What holds for every test."""
+
+import os
+import signal
+
+# Threads of torch wait actively for each other: two are many times slower than one where other processes hold a core.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+def pytest_configure():
+    """Let Ctrl-C act even where it is ignored (``nohup make test &``): tests send it to processes that they start."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
