@@ -23,7 +23,7 @@ from hydro_env.plant.analysis import (
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
-from hydro_env.plant.probe import ENOUGH, PERIOD, probe
+from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
 from hydro_env.units import LITRE_PER_MINUTE
@@ -213,7 +213,7 @@ def _integration(parameters: PlantParameters, place: float) -> list[Row]:
     except HydroError as error:
         return [*rows, Row("integration", "inner steps", run, str(error), "")]
     estimate = f"estimated error ({_words(done.state)})"
-    enough = "yes" if done.error <= ENOUGH else "no"
+    enough = "yes" if done.error <= ALLOWED_ERROR else "no"
     period = f"{1e3 * PERIOD:g} ms"
     return [
         *rows,
@@ -221,7 +221,7 @@ def _integration(parameters: PlantParameters, place: float) -> list[Row]:
         Row("integration", f"inner steps in {period}, most", run, float(done.most_steps), "1"),
         Row("integration", "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
         Row("integration", estimate, f"tolerance {TOLERANCE:g}", done.error, "of its range"),
-        Row("integration", "is the inner step small enough", f"error ≤ {ENOUGH:g}", enough, ""),
+        Row("integration", "is the inner step small enough", f"error ≤ {ALLOWED_ERROR:g}", enough, ""),
     ]
 
 
