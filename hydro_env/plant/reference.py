@@ -139,7 +139,7 @@ class _Plant:
         return rate
 
     def events(self, voltage: float, held: Held) -> list[Any]:
-        """Functions that fall through zero where a state meets (free) or leaves (held) its limit; order of :class:`Held`."""
+        """Functions that fall through zero where a state meets or leaves a limit; order of :class:`Held`."""
         c = self.limits
 
         def slew(_: float, y: Array) -> float:
