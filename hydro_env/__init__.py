@@ -1,7 +1,7 @@
 """A hydraulic servo axis with a leaking piston seal, as plant and as Gymnasium environment.
 
-``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``. The rest, and
-the compiler with it, is loaded when it is first used.
+``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``. Everything else,
+including the compiler, is imported at first use.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _HOME = {
     "resistance_from_flow": "units",
     "simulate": "plant.simulate",
 }
-"""Where the public names are defined; each is imported from there at its first use."""
+"""Module that defines each public name; the name is imported from there at its first use."""
 
 __all__ = [
     "ENVIRONMENT_ID",

@@ -1,4 +1,4 @@
-"""How Gymnasium made an environment, kept as plain data so that it can be written as JSON and used elsewhere."""
+"""The spec of an environment as plain data, which can be written as JSON and used on another machine."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How ``gym.make`` or ``gym.make_vec`` made this environment.
+        """The spec with which ``gym.make`` or ``gym.make_vec`` made this environment.
 
-        ``to_json`` works however the task was given: of a YAML file it holds the content, not the path.
-        ``max_episode_steps`` is the length of an episode; the environment itself truncates there.
+        ``to_json`` always works: the spec holds the content of a YAML file, not its path. ``max_episode_steps`` is the
+        length of an episode; the environment itself truncates there.
         """
         return self._spec
 

@@ -114,7 +114,7 @@ def start_cases(extent: Extent) -> list[Case]:
 
 
 def import_time(module: str) -> float:
-    """Seconds that the import of a module takes, what it imports included, by ``python -X importtime``."""
+    """Seconds of the import of a module, including its own imports, by ``python -X importtime``."""
     text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
     line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
     return 1e-6 * int(line.split("|")[1])

@@ -1,4 +1,4 @@
-"""``hydro reproduce``: every figure as picture and table, and the page that explains them."""
+"""``hydro reproduce``: all figures as pictures and tables, and the page that explains them."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def reproduce_to_folder(
 ) -> Path:
     """Compute, draw and write everything; returns the page.
 
-    A figure that the rig cannot do is left out, and the page says why in its place.
+    The page gives the reason for each figure that the rig cannot have.
 
     Args:
         folder: for the results.
-        overwrite: replace results that are there.
-        command: as the page quotes it.
+        overwrite: replace earlier results.
+        command: the command line, quoted on the page.
         rig_file: YAML file of a rig; ``None`` is the paper's.
 
     Raises:
@@ -49,7 +49,7 @@ def reproduce_to_folder(
 
 
 def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:
-    """Compute, draw and write one figure; what the page needs of it."""
+    """Compute, draw and write one figure; returns its part of the page."""
     item = PageFigure(entry.key, entry.title, entry.in_paper, entry.headline, entry.equations)
     try:
         table = entry.compute(rig)

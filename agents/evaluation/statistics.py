@@ -12,7 +12,7 @@ Array = NDArray[np.floating[Any]]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 LEAST_SAMPLES = 3
-"""Fewer samples give no interval."""
+"""Smallest number of samples for an interval."""
 
 
 class Interval(NamedTuple):
@@ -90,5 +90,5 @@ def share_interval(hits: int, total: int) -> Interval:
     """A share with its 95 % Wilson interval."""
     if total == 0:
         return Interval(np.nan, np.nan, np.nan)
-    found = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(hits / total, float(found.low), float(found.high))
+    interval = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(hits / total, float(interval.low), float(interval.high))

@@ -23,7 +23,7 @@ ERROR = "mean_error_mm"
 
 
 def per_plant(frame: pd.DataFrame, metric: str = ERROR) -> NDArray[np.float64]:
-    """Mean over everything else, by plant, (plants,)."""
+    """Mean of a metric for each plant, (plants,)."""
     means: NDArray[np.float64] = frame.groupby("plant")[metric].mean().to_numpy(dtype=np.float64)
     return means
 
@@ -54,8 +54,8 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
 def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     """Mean error of each controller over that of the first, paired by plant.
 
-    Over all cases, per level, per family, and over all with equal weight for each family (large steps otherwise
-    outweigh the rest).
+    The ratios are over all cases, per level, per family, and over all with equal weight for each family (otherwise
+    large steps outweigh the rest).
     """
     rows: list[dict[str, Any]] = []
     base = cases[cases["controller"] == names[0]]

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_FALSE_ALARMS = 1e-3
-"""Left end of the ROC."""
+"""Lowest false-alarm rate in the ROC."""
 
 POINTS = 350
 """Dots per controller."""
@@ -110,9 +110,9 @@ def _roc(evaluation: Evaluation) -> Plot:
             x, y = _corners(*_curve(evaluation, name, "roc"))
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
-            alarms, found = _operating_point(evaluation.detection, name, evaluation.bounds)
+            alarms, detected = _operating_point(evaluation.detection, name, evaluation.bounds)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
-            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * found, look.marker, **point, clip_on=False)
+            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * detected, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
         axes.set_xlim(FEWEST_FALSE_ALARMS, 1.0)
         axes.set_xticks([1e-3, 1e-2, 1e-1, 1.0], ["0.1", "1", "10", "100"])
@@ -132,7 +132,7 @@ def _roc(evaluation: Evaluation) -> Plot:
 
 
 def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
-    """One number of every controller, in words."""
+    """One number of every controller, as text."""
     rows = evaluation.detection_summary
     return ", ".join(
         f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)

@@ -113,14 +113,14 @@ def _by_family(evaluation: Evaluation) -> Plot:
 
 
 def _ends(frame: pd.DataFrame, column: str) -> Array:
-    """What must be seen of a column: its values, and the intervals of means."""
+    """Values that the scale must show: those of a column, and the intervals of means."""
     columns = ["mean", "low", "high"] if column == "mean" else [column]
     values: Array = frame[columns].to_numpy(dtype=np.float64).ravel()
     return values
 
 
 def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
-    """From zero, unless the values differ so much that only a logarithm shows them."""
+    """Scale an axis from zero, or logarithmically if the values differ by a factor of more than 20."""
     positive = values[values > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         axes.set(**{f"{which}scale": "log"})

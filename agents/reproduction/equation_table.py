@@ -1,4 +1,4 @@
-"""Where each equation of the paper is computed, and what was corrected in it."""
+"""The equations of the paper, the functions that compute them, and the corrections."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page that sets each figure beside what the paper says; one file, nothing fetched from elsewhere."""
+"""The page that compares each figure with the paper; one file without external parts."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hydro_env import TaskConfig, __version__
 
 
 class PageFigure(NamedTuple):
-    """A figure of the page, or why there is none."""
+    """A figure of the page, or the reason why there is none."""
 
     key: str
     title: str
@@ -29,7 +29,7 @@ class PageFigure(NamedTuple):
 
     @property
     def svg(self) -> Markup:
-        """The drawing as an element of the page, with its findings for those who cannot see it."""
+        """The drawing as an element of the page, with its findings for readers who cannot see it."""
         return Markup(
             inline(self.drawing, self.key, f"{self.title}. {' '.join(self.words.found if self.words else [])}")
         )

@@ -36,7 +36,7 @@ def leak_lines(
 
 
 def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
-    """The whole move, and what follows the first stop, enlarged, with and without friction."""
+    """The whole move, and the time after the first stop enlarged, with and without friction."""
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
     frictions = [bool(friction) for friction in table["friction"].unique()]
     whole, panels = parts[0].subplots(), parts[1].subplots(1, len(frictions), sharey=True, squeeze=False)[0]

@@ -1,4 +1,4 @@
-"""Fig. 13: settling time after a quick stop against leakage resistance, and how much friction hides its trend."""
+"""Fig. 13: settling time after a quick stop over the leak, and the friction that hides its trend."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from agents.report.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
-from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, rubbing, simplified, with_leak
+from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_friction_share, with_leak
 from agents.reproduction.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
@@ -19,7 +19,7 @@ FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
 FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Friction of the scan, in parts of what is assumed."""
+"""Friction of the scan relative to the assumed friction."""
 
 METHODS = {"clean_s": "noise-free", "signal_s": "accelerometer", "theory_s": "linear theory"}
 NOISE_SEEDS = range(5)
@@ -63,7 +63,7 @@ def _possible(base: PlantParameters, model: str) -> bool:
 def oscillation_mode(run: Trajectory, stretch: float = 1.0) -> Mode | None:
     """The mode of the axis without friction, linearised at the mean state of the first 0.1 s after the stop.
 
-    Friction is left out: at rest its smooth sign is so steep that the linear axis would not oscillate at all.
+    Friction is left out: at rest the slope of its smooth sign would suppress any oscillation of the linear axis.
     """
     window = (run.time >= stretch * RING_DOWN[0]) & (run.time <= stretch * RING_DOWN[1])
     state = run.states[window].mean(axis=0)
@@ -106,7 +106,7 @@ def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int,
 
 
 def healthy_frequency(rig: Rig) -> float:
-    """Oscillation frequency in rad/s with a tight seal: where all detectors look.
+    """Oscillation frequency in rad/s with a tight seal; all detectors use it.
 
     Raises:
         ArithmeticError: the axis does not oscillate.
@@ -135,7 +135,7 @@ def settling_table(rig: Rig, leaks: tuple[float, ...] = FINE_BELOW) -> pd.DataFr
 
 
 def need_a_swing(settling_time: float | str | bool) -> None:
-    """Raise where the stop of the tight axis without friction is too gentle for a settling time.
+    """Raise an error if the stop of the tight axis without friction is too gentle for a settling time.
 
     Raises:
         HydroError: there is nothing to settle.
@@ -176,7 +176,7 @@ def chosen(table: pd.DataFrame, law: str, model: str, underlap: bool) -> pd.Data
 
 
 def trends(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per friction model, valve, law and method: does settling fall at every step from leak to leak?
+    """One row per friction model, valve, law and method: whether settling falls at every step from leak to leak.
 
     ``ratio``: settling with the tight seal over settling at the largest leak; ``falls``: at every step.
     """
@@ -207,7 +207,7 @@ def friction_scan_table(
     frequency, rows = healthy_frequency(rig), []
     for leak in leaks:
         for share in shares:
-            run = quick_stop(with_leak(rubbing(rig.parameters, share), leak, "laminar"), rig)
+            run = quick_stop(with_leak(with_friction_share(rig.parameters, share), leak, "laminar"), rig)
             time = settling_of(run, frequency, rig.stretch).clean
             rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
             need_a_swing(rows[0]["settling_s"])

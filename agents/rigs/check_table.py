@@ -25,7 +25,7 @@ NOTE = (
 
 
 def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> list[Path]:
-    """Print the table of a rig; with a folder write ``check.csv`` and ``check.md`` too. See ``hydro check-rig --help``.
+    """Print the table of a rig; write ``check.csv`` and ``check.md`` into a folder if one is given.
 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the folder cannot be used.

@@ -58,7 +58,8 @@ def read_voltage(path: Path) -> NDArray[np.float64]:
     """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
     Raises:
-        ConfigurationError: no table of numbers (:func:`agents.recordings.table.read_table`), or beyond ±10 V.
+        ConfigurationError: the file is no table of numbers (:func:`agents.recordings.table.read_table`), or a voltage
+            is beyond ±10 V.
     """
     table = read_table(path)
     names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
@@ -83,10 +84,10 @@ def simulate_to_folder(
     position: float | None,
     overwrite: bool,
 ) -> list[str]:
-    """Run and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
+    """Simulate and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
 
     Returns:
-        Lines for the user: the start, the voltage that acts, and the files.
+        Lines for the user: the start, the range of the voltage, and the files.
 
     Raises:
         ConfigurationError: an argument is impossible, or the folder cannot be used.
@@ -123,10 +124,10 @@ def simulate_to_folder(
         write_text(folder / CSV_FILE, trajectory_csv(run))
         write_whole(folder / PICTURE_FILE, trajectory_picture(run))
         parameters.to_yaml(folder / RIG_FILE)
-    told = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
+    range_line = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
     if input_file is None:
-        told += f" ({holding:.3g} V hold the start, --voltage {voltage:g} V acts on top)"
-    return [f"start: {1e3 * position:g} mm from mid-stroke", told, *(str(folder / name) for name in FILES)]
+        range_line += f" ({holding:.3g} V hold the start, plus --voltage {voltage:g} V)"
+    return [f"start: {1e3 * position:g} mm from mid-stroke", range_line, *(str(folder / name) for name in FILES)]
 
 
 def trajectory_csv(run: Trajectory) -> str:
@@ -173,7 +174,7 @@ def paint_trajectory(figure: Figure, run: Trajectory) -> None:
             axis.plot(run.time, values, label=name, linewidth=1.2, **look.stroke)
         axis.set_ylabel(label)
         if len(lines) > 1:
-            # Above the panel: inside, it would lie over one of the lines.
+            # Above the panel: inside it would cover a line.
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
     axes[-1].set_xlabel("time, s")
     figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)
