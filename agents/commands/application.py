@@ -68,11 +68,7 @@ def common(
 
 
 @app.command()
-def reproduce(
-    output: Output = Path("results/reproduce"),
-    rig: Rig = None,
-    overwrite: Overwrite = False,
-) -> None:
+def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
     """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
 
     Leaves for each figure a picture (PNG and SVG) and its numbers (CSV), and `page.html` (self-contained), which sets

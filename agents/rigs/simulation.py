@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -131,12 +130,9 @@ def simulate_to_folder(
 
 def trajectory_csv(run: Trajectory) -> str:
     """All quantities in SI; the first line names each with its unit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([f"{name} [{TRAJECTORY_UNITS[name]}]" for name in TRAJECTORY_NAMES])
-    for row in np.column_stack([run[name] for name in TRAJECTORY_NAMES]):
-        writer.writerow([f"{value:.9g}" for value in row])
-    return text.getvalue()
+    table = pd.DataFrame({f"{name} [{TRAJECTORY_UNITS[name]}]": run[name] for name in TRAJECTORY_NAMES})
+    text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text
 
 
 def trajectory_picture(run: Trajectory) -> bytes:
