@@ -45,11 +45,12 @@ RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0,
 
 def tracking_plots(evaluation: Evaluation) -> list[Plot]:
     """Errors over leak and by reference, ratios, worst cases."""
+    ratios = (("level", "Ratio of errors by leak size"), ("family", "Ratio of errors by kind of reference"))
     tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
     return [
         _by_level(evaluation, "mean", "Mean error by leak size", "Mean over all runs; bars: 95 % interval."),
         _by_family(evaluation),
-        *_ratio_plots(evaluation),
+        *(_ratio_plot(evaluation, *ratio) for ratio in ratios if not evaluation.ratios.empty),
         _by_level(evaluation, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
         _by_level(evaluation, "worst", "Worst run by leak size", "Mean error of the single worst run."),
     ]
@@ -122,15 +123,6 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axis.set_label_text(f"{axis.get_label_text()} (logarithmic)")
     else:
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
-
-
-def _ratio_plots(evaluation: Evaluation) -> list[Plot]:
-    if evaluation.ratios.empty:
-        return []
-    return [
-        _ratio_plot(evaluation, "level", "Ratio of errors by leak size"),
-        _ratio_plot(evaluation, "family", "Ratio of errors by kind of reference"),
-    ]
 
 
 def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
