@@ -123,6 +123,7 @@ class Axes:
 
         See :data:`COLUMN`.
         """
+        self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
         self.state = plant[:, :FIRST_COEFFICIENT]
         self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
@@ -188,12 +189,12 @@ class Axes:
     def step(self, actions: NDArray[Any]) -> None:
         """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
         if self._threads == 1:
-            task_kernel.step_axes(self._task, self._layout, *self.arrays, actions, 0, self.count)
+            task_kernel.step_axes.loaded(*self._fixed_arguments, actions, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
         bounds = [self.count * part // self._threads for part in range(self._threads + 1)]
-        advance = partial(task_kernel.step_axes, self._task, self._layout, *self.arrays, actions)
+        advance = partial(task_kernel.step_axes.loaded, *self._fixed_arguments, actions)
         waiting = [self._pool.submit(advance, first, last) for first, last in pairwise(bounds[1:])]
         advance(bounds[0], bounds[1])
         for future in waiting:
@@ -205,8 +206,8 @@ class Axes:
         return ended
 
     def __getstate__(self) -> dict[str, Any]:
-        views = dict.fromkeys(("record", "state", "coefficient", "peaks", "reference", "observation", "numbers"))
-        return {**self.__dict__, **views, "_pool": None}  # threads start again when needed
+        views = ("record", "state", "coefficient", "peaks", "reference", "observation", "numbers", "_fixed_arguments")
+        return {**self.__dict__, **dict.fromkeys(views), "_pool": None}  # threads start again when needed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

@@ -33,8 +33,7 @@ _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
     COLUMN[name] for name in ("leak_flow", "leak_class", "position", "velocity", "reference")
 )
 _FAMILY, _FAILURE, _REWARD, _STEP = (COLUMN[name] for name in ("reference_family", "failure", "reward", "step"))
-_COSTS = slice(COLUMN["costs"], COLUMN["costs"] + len(REWARD_TERMS))
-_FLAT_TERMS = tuple(f"reward_{name}" for name in REWARD_TERMS)
+_TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
 _FIRST = np.zeros(1, dtype=np.int64)
 
 
@@ -234,6 +233,9 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         if self._info_kind is False:
             return {}
         flow, position, reference = row[_FLOW], row[_POSITION], row[_REFERENCE]
+        terms = {}
+        for index, name in _TERMS:  # a comprehension takes three times as long
+            terms[name] = -row[index]
         info: dict[str, Any] = {
             "leakage_resistance": resistance_from_flow(flow),
             "leakage_flow_lpm": flow,
@@ -242,15 +244,14 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             "velocity": row[_VELOCITY],
             "reference": reference,
             "tracking_error": reference - position,
+            "reference_family": REFERENCE_FAMILIES[int(row[_FAMILY])],
+            "failure": FAILURES[int(row[_FAILURE])],
+            "reward_terms": terms,
         }
         if self._info_kind == "flat":
-            info["reference_family"] = int(row[_FAMILY])
-            info["failure"] = int(row[_FAILURE])
-            info |= {name: -cost for name, cost in zip(_FLAT_TERMS, row[_COSTS], strict=True)}
-        else:
-            info["reference_family"] = REFERENCE_FAMILIES[int(row[_FAMILY])]
-            info["failure"] = FAILURES[int(row[_FAILURE])]
-            info["reward_terms"] = {name: -cost for name, cost in zip(REWARD_TERMS, row[_COSTS], strict=True)}
+            info |= {"reference_family": int(row[_FAMILY]), "failure": int(row[_FAILURE])}
+            del info["reward_terms"]
+            info |= {f"reward_{name}": value for name, value in terms.items()}
         return info
 
     def _draw_if_asked(self) -> None:

@@ -10,7 +10,6 @@ from scipy.linalg import expm
 
 from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import reachable_range
-from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
@@ -153,18 +152,11 @@ def sampled_loop(
         raise HydroError(f"latency = {latency} s: must be within 0 to control_period = {control_period} s")
     moving = parameters.replace(friction={"model": "none"})
     plant = linearise(moving, position=position)
-    # At rest the gas volume acts on nothing, without friction nothing moves bristles, and a constant supply pressure is
-    # no state: they would stand at z = 1.
-    dropped = {"gas_volume", "bristle_deflection"} | (
-        {"supply_pressure"} if parameters.supply.model == "constant" else set()
-    )
-    rows = [index for index, name in enumerate(STATE_NAMES) if name not in dropped]
+    rows = [STATE_NAMES.index(name) for name in plant.active_states]  # the others would stand at z = 1
     size = TYPICAL_SIZE[rows]
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_COMMAND * plant.b[rows] / size
-    force = np.zeros(len(rows))
-    velocity = STATE_NAMES.index("velocity")
-    force[velocity] = -plant_coefficients(parameters).inverse_mass / size[velocity]
+    force = plant.force[rows] / size
     first, held_first = _hold(a, b, latency)
     rest, held_rest = _hold(a, b, control_period - latency)
     return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)

@@ -107,14 +107,15 @@ def sample(row, s, settings):
         pressure_b=row.sensed_b,
         spool_position=s.spool_position,
     )
-    step = np.int64(row.step)
-    for channel in range(len(CHANNELS)):
-        if settings.sensors.enabled:
-            first, second = noise_pair(row.noise_key, step, channel // 2)
-            noise = first if channel % 2 == 0 else second
-            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise, settings.channels[channel])
-        else:
+    if not settings.sensors.enabled:
+        for channel in range(len(CHANNELS)):
             row.measured[channel] = signals[channel]
+        return
+    for first in range(0, len(CHANNELS), 2):
+        noise = noise_pair(row.noise_key, np.int64(row.step), first // 2)
+        for channel in range(first, min(first + 2, len(CHANNELS))):
+            sensor = settings.channels[channel]
+            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise[channel - first], sensor)
 
 
 @inline
