@@ -68,12 +68,8 @@ def common(
 
 
 @app.command()
-def reproduce(
-    output: Output = Path("results/reproduce"),
-    rig: Rig = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Compute the figures of the paper again, and further ones: about a minute on two cores.
+def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
+    """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
 
     Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
     compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your

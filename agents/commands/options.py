@@ -28,8 +28,7 @@ Agents = Annotated[
     ),
 ]
 Rig = Annotated[
-    Path | None,
-    typer.Option("--rig", help="YAML file of a rig; default: the paper's. `configs/rigs` holds examples."),
+    Path | None, typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some.")
 ]
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds examples.")

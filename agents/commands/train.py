@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agents.commands.options import (
-    Agents,
-    Config,
-    Output,
-    Overwrite,
-    Resume,
-    Seed,
-    named_agents,
-    say,
-)
+from agents.commands.options import Agents, Config, Output, Overwrite, Resume, Seed, named_agents, say
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:

@@ -93,18 +93,8 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
         groups += [("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]) for a, b in pairwise(edges)]
         groups.append(("range", bounds.moderate_label, frame[flow >= bounds.moderate_from]))
         for kind, label, part in groups:
-            interval = share_interval(int(part["flagged"].sum()), len(part))
-            rows.append(
-                {
-                    "controller": controller,
-                    "group": kind,
-                    "value": label,
-                    "flagged_share": interval.value,
-                    "low": interval.low,
-                    "high": interval.high,
-                    "episodes": len(part),
-                }
-            )
+            share = share_interval(int(part["flagged"].sum()), len(part)).columns("flagged_share")
+            rows.append({"controller": controller, "group": kind, "value": label, **share, "episodes": len(part)})
     return pd.DataFrame(rows)
 
 

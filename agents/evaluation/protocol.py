@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -169,8 +168,4 @@ def evaluate(
 
 
 def _reporter(progress: Callable[[str, int, int], None] | None, phase: str, total: int) -> Callable[[int], None] | None:
-    return None if progress is None else partial(_report, progress, phase, total)
-
-
-def _report(progress: Callable[[str, int, int], None], phase: str, total: int, done: int) -> None:
-    progress(phase, done, total)
+    return None if progress is None else lambda done: progress(phase, done, total)

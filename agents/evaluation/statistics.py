@@ -22,6 +22,10 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    def columns(self, name: str) -> dict[str, float]:
+        """A part of a table's row: the value under its name, ``low`` and ``high``."""
+        return {name: self.value, "low": self.low, "high": self.high}
+
 
 def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
     """Mean over plants with a 95 % bootstrap interval (percentile); NaNs are left out."""

@@ -218,9 +218,7 @@ class LeakageHead:
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         settings = {
-            "observation_names": list(self.settings.layout.names),
-            "observation_scale": list(self.settings.layout.scale),
-            "control_period": self.settings.layout.control_period,
+            **self.settings.layout.describe(),
             "signals": list(SIGNALS),
             "window": self.settings.window,
             "threshold": self.settings.threshold,

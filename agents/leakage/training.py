@@ -209,27 +209,21 @@ def targets(flow_lpm: NDArray[np.float64], healthy_bound: float) -> tuple[Tensor
     return label, size.clamp(min=math.log10(healthy_bound))
 
 
+@dataclass
 class _Fit:
     """Epochs of gradient steps, with a checkpoint before the first epoch and after each."""
 
-    def __init__(
-        self,
-        network: LeakageNetwork,
-        settings: HeadTrainingSettings,
-        config: TaskConfig,
-        seed: int,
-        checkpoint: Path | None,
-    ) -> None:
-        self.network = network
-        self.settings = settings
-        self.config = config
-        self.seed = seed
-        self.checkpoint = checkpoint
-        self.epoch = 0
-        self._data_digest: str | None = None
-        self._optimiser = torch.optim.AdamW(
-            network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-        )
+    network: LeakageNetwork
+    settings: HeadTrainingSettings
+    config: TaskConfig
+    seed: int
+    checkpoint: Path | None
+    epoch: int = 0
+    _data_digest: str | None = None
+
+    def __post_init__(self) -> None:
+        rate, decay = self.settings.learning_rate, self.settings.weight_decay
+        self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
 
     def _description(self) -> dict[str, Any]:
         return {

@@ -110,9 +110,7 @@ class PolicyFeatures:
     def describe(self) -> dict[str, Any]:
         """All that is needed to build this again (JSON)."""
         return {
-            "observation_names": list(self.layout.names),
-            "observation_scale": list(self.layout.scale),
-            "control_period": self.layout.control_period,
+            **self.layout.describe(),
             "pid_gains": self.gains.model_dump() if self.gains is not None else None,
             "residual_scale": self.residual_scale,
             "history_signals": list(HISTORY_SIGNALS),

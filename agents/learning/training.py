@@ -304,12 +304,7 @@ def train_ppo(
         if settings.residual and gains is not None and math.isnan(base_error):
             base_error = validation_errors(config, PID(gains, features.layout))[0]
         mean, worst, failures = validation_errors(config, current())
-        return {
-            "mean_error_mm": mean,
-            "worst_error_mm": worst,
-            "failures": failures,
-            "base_mean_error_mm": base_error,
-        }
+        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, "base_mean_error_mm": base_error}
 
     callback = _Callback(
         settings,

@@ -145,6 +145,17 @@ def draw(key: str, alt: str, paint: Callable[[Figure], None], height: float = HE
     return inline(render(paint, (WIDTH, height), "svg")[0], key, alt)
 
 
+def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
+    """A figure of one panel: what ``paint`` draws, with a legend above."""
+
+    def painted(figure: Figure) -> None:
+        axes = figure.subplots()
+        paint(axes)
+        add_legend(axes)
+
+    return Plot(title, note, alt, draw(key, alt, painted, height))
+
+
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
     """All numbers of a figure in words, by controller."""
     parts = [f"{name}: " + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name]) for name in rows]
@@ -207,6 +218,22 @@ def bars(axes: Axes, places: Any, frame: pd.DataFrame, column: str, look: Look, 
         axes.errorbar(value, places, xerr=lengths, **style)
     else:
         axes.errorbar(places, value, yerr=lengths, **style)
+
+
+def bars_by(
+    axes: Axes,
+    parts: Mapping[str, pd.DataFrame],
+    by: str,
+    values: Sequence[str],
+    column: str,
+    looks: Mapping[str, Look],
+    kind: str,
+) -> None:
+    """Bars of every controller at the place of each value of the column ``by``, those of one value side by side."""
+    width = min(0.2, 0.7 / len(parts)) if kind == "rows" else 0.16
+    for index, (name, part) in enumerate(parts.items()):
+        places = np.array([values.index(str(value)) for value in part[by]]) + dodge(len(parts), index, width)
+        bars(axes, places, part, column, looks[name], name, kind)
 
 
 def dodge(count: int, index: int, width: float) -> float:

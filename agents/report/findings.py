@@ -182,7 +182,8 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
         "wins": f"{name} positions better than {base}: {_change(whole.value)}.",
         "loses": f"{name} loses to {base}: {_change(whole.value)}.",
     }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
-    mine, theirs = (_worst_twentieth(evaluation.cases, who) for who in (name, base))
+    errors = evaluation.cases.groupby("controller")["mean_error_mm"]
+    mine, theirs = (conditional_value_at_risk(errors.get_group(who).to_numpy()) for who in (name, base))
     equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
     text = (
         f"Over all runs the mean error of {name} is {interval_text(whole)} times that of {base}; {name} is "
@@ -193,10 +194,6 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
         f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
     )
     return Finding(lead, text)
-
-
-def _worst_twentieth(cases: pd.DataFrame, controller: str) -> float:
-    return conditional_value_at_risk(cases[cases["controller"] == controller]["mean_error_mm"].to_numpy())
 
 
 def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:

@@ -31,14 +31,9 @@ def _shown(metric: str) -> tuple[str, str, float]:
     return SHOWN.get(metric, (metric, METRICS[metric][0], 1.0))
 
 
-def _group(by: str) -> tuple[str, str]:
-    """Column that names the rows of a table, and its heading."""
-    return ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
-
-
 def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst of every controller."""
-    column, first = _group(by)
+    column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
     table = evaluation.levels if by == "level" else evaluation.families
     table = table[table["metric"] == metric]
     label, unit, factor = _shown(metric)

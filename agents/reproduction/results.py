@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,8 +57,8 @@ def _leaking(plant: PlantParameters, flow: float, law: Law = "laminar") -> Plant
 
 
 def _settling(plant: PlantParameters, at: Setting, factor: float, leak: float = LEAK) -> float:
-    run = quick_stop(_leaking(with_friction_share(plant, FRICTION_SHARE), factor * leak), at.rig)
-    return settling_of(run, at.frequency, at.rig.stretch).clean
+    run = quick_stop(_leaking(rubbing(plant, FRICTION_SHARE), factor * leak), at.rig)
+    return settling_of(run, at.frequency, at.rig.stretch).clean_s
 
 
 def _settling_ratio(plant: PlantParameters, at: Setting, factor: float) -> float:
@@ -78,7 +79,7 @@ def _move(plant: PlantParameters, at: Setting, factor: float) -> float:
 
 
 def _share(plant: PlantParameters, at: Setting, factor: float) -> float:
-    varied = at.rig.with_parameters(plant)
+    varied = replace(at.rig, parameters=plant)
     table = force_rate_table(varied, "laminar", (factor * LEAK,), plant.leakage.orifice_gain)
     windows = shares(table, at.rig.stretch).set_index("window")
     return 100.0 * float(windows.loc["stop", "leakage_share"])

@@ -67,10 +67,6 @@ class Rig:
         friction = self.parameters.friction
         return friction.model != "none" and max(friction.coulomb_force, friction.breakaway_force) > 0.0
 
-    def with_parameters(self, parameters: PlantParameters) -> Rig:
-        """The same places and commands with another plant."""
-        return replace(self, parameters=parameters)
-
     def count(self, seconds: float) -> int:
         """Samples of a duration (s)."""
         return round(seconds / self.sample_time)

@@ -29,14 +29,14 @@ FIRST_SWINGS = 0.05  # s after the stop command. All three times Rig.stretch
 
 
 class Settling(NamedTuple):
-    """Settling of one quick stop, seconds from the command to stop."""
+    """Settling of one quick stop, by the columns of its table; seconds from the command to stop."""
 
-    clean: float  # of the noise-free acceleration
-    naive: float  # last |a| above the level, drift and all
-    theory: float  # linear theory; NaN with friction
-    frequency: float  # rad/s of the linearised axis; NaN where it does not oscillate
-    damping: float
-    start: float  # m/s², largest swing after the stop
+    clean_s: float  # of the noise-free acceleration
+    theory_s: float  # linear theory; NaN with friction
+    naive_s: float  # last |a| above the level, drift and all
+    natural_frequency_rad_s: float  # of the linearised axis; NaN where it does not oscillate
+    damping_ratio: float
+    first_swing_m_s2: float  # largest after the stop
 
 
 def friction_words(model: str) -> str:
@@ -88,8 +88,8 @@ def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.
         theory = float(time[first]) + math.log(max(float(swing[first]) / SETTLED, 1.0)) / decay
     return Settling(
         last_above(time, swing),
-        last_above(time, np.abs(acceleration)),
         theory,
+        last_above(time, np.abs(acceleration)),
         mode.natural_frequency if mode else math.nan,
         mode.damping_ratio if mode else math.nan,
         float(swing[first]),
@@ -157,15 +157,11 @@ def _row(rig: Rig, plant: PlantParameters, law: Law, leak: float, frequency: flo
         "law": law,
         "leak_lpm": leak,
         "resistance_pa_s_m3": resistance_from_flow(leak),
-        "clean_s": settling.clean,
+        "clean_s": settling.clean_s,
         "signal_s": float(np.median(from_signal)),
         "signal_low_s": min(from_signal),
         "signal_high_s": max(from_signal),
-        "theory_s": settling.theory,
-        "naive_s": settling.naive,
-        "natural_frequency_rad_s": settling.frequency,
-        "damping_ratio": settling.damping,
-        "first_swing_m_s2": settling.start,
+        **settling._asdict(),
     }
 
 
@@ -207,8 +203,8 @@ def friction_scan_table(
     frequency, rows = healthy_frequency(rig), []
     for leak in leaks:
         for share in shares:
-            run = quick_stop(with_leak(with_friction_share(rig.parameters, share), leak, "laminar"), rig)
-            time = settling_of(run, frequency, rig.stretch).clean
+            run = quick_stop(with_leak(rubbing(rig.parameters, share), leak, "laminar"), rig)
+            time = settling_of(run, frequency, rig.stretch).clean_s
             rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
             need_a_swing(rows[0]["settling_s"])
     return pd.DataFrame(rows)

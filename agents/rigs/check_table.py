@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
+import pandas as pd
 from rich.table import Table
 
 from agents.rigs.check import BAR, Row, check_rig
@@ -70,11 +69,8 @@ def _table(rows: list[Row], title: str) -> Table:
 
 def check_csv(rows: list[Row]) -> str:
     """All figures with nine digits, one per line."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(Row._fields)
-    writer.writerows([row.group, row.quantity, row.at, row.text(9), row.unit] for row in rows)
-    return text.getvalue()
+    text: str = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).to_csv(index=False, lineterminator="\n")
+    return text
 
 
 def check_markdown(rows: list[Row], title: str) -> str:

@@ -79,9 +79,7 @@ def read_curve(folder: Path) -> pd.DataFrame:
         ConfigurationError: the file is damaged.
     """
     file = folder / PROGRESS_FILE
-    curve = pd.DataFrame(read_progress(file) if file.exists() else [])
-    names = {"time/total_timesteps": "steps", "time/time_elapsed": "seconds", "rollout/mean_reward": "mean_reward"}
-    return curve.rename(columns=names)
+    return pd.DataFrame(read_progress(file) if file.exists() else [])
 
 
 def train_leakage_head(
