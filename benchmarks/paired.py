@@ -25,7 +25,7 @@ NAMES = ("single", "vector", "kernel", "ppo")
 
 
 def rates() -> dict[str, Callable[[float], float]]:
-    """What is measured, as functions of the seconds to take; made of what each checkout has itself."""
+    """The measurements as functions of their duration (s), made of each checkout's own code."""
     import gymnasium as gym
 
     from agents.benchmark.environment_rows import single_rate, vector_rate

@@ -1,7 +1,7 @@
 """A hydraulic servo axis with a leaking piston seal, as plant and as Gymnasium environment.
 
-``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``. The rest, and
-the compiler with it, is loaded when it is first used.
+``import hydro_env`` registers ``ServoHydraulic-v0`` for ``gymnasium.make`` and ``gymnasium.make_vec``. Everything else,
+including the compiler, is imported at first use.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hydro_env.env import ServoHydraulicEnv
     from hydro_env.errors import ConfigurationError, HydroError, InvalidStateError
     from hydro_env.plant.arrays import equilibrium
+    from hydro_env.plant.linearisation import Linearisation, linearise
     from hydro_env.plant.parameters import PlantParameters
     from hydro_env.plant.simulate import Trajectory, simulate
     from hydro_env.task.configuration import LEAKAGE_CLASSES, TaskConfig
@@ -38,6 +39,7 @@ _HOME = {
     "HydroError": "errors",
     "InvalidStateError": "errors",
     "LEAKAGE_CLASSES": "task.configuration",
+    "Linearisation": "plant.linearisation",
     "PlantParameters": "plant.parameters",
     "REFERENCE_FAMILIES": "task.reference_signals",
     "ServoHydraulicEnv": "env",
@@ -46,10 +48,11 @@ _HOME = {
     "Trajectory": "plant.simulate",
     "equilibrium": "plant.arrays",
     "flow_from_resistance": "units",
+    "linearise": "plant.linearisation",
     "resistance_from_flow": "units",
     "simulate": "plant.simulate",
 }
-"""Where the public names are defined; each is imported from there at its first use."""
+"""Module that defines each public name; the name is imported from there at its first use."""
 
 __all__ = [
     "ENVIRONMENT_ID",
@@ -58,6 +61,7 @@ __all__ = [
     "ConfigurationError",
     "HydroError",
     "InvalidStateError",
+    "Linearisation",
     "PlantParameters",
     "ServoHydraulicEnv",
     "ServoHydraulicVectorEnv",
@@ -66,6 +70,7 @@ __all__ = [
     "__version__",
     "equilibrium",
     "flow_from_resistance",
+    "linearise",
     "resistance_from_flow",
     "simulate",
 ]

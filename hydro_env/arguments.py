@@ -1,4 +1,4 @@
-"""Checks of what callers hand to the environments; a wrong argument is answered with one line."""
+"""Checks of the arguments that callers pass to the environments; a wrong one raises an error of one line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
     """A whole number, of Python or NumPy, within its bounds.
 
     Raises:
-        ConfigurationError: it is of another type (``True`` too), too small or too large.
+        ConfigurationError: it is no whole number (``True`` is none), too small or too large.
     """
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         number = int(value)
@@ -33,7 +33,7 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
 
 
 def numbers(values: Any) -> NDArray[np.float64] | None:
-    """A new array of numbers; None where ``values`` are anything else (text, truth values, objects, ragged rows)."""
+    """A new array of numbers; None if ``values`` are anything else (text, truth values, objects, ragged rows)."""
     try:
         given = np.asarray(values)
     except (TypeError, ValueError, RuntimeError):
@@ -42,7 +42,7 @@ def numbers(values: Any) -> NDArray[np.float64] | None:
 
 
 def info_kind(value: Any) -> bool | str:
-    """How much ``info`` tells.
+    """The checked kind of ``info``.
 
     Raises:
         ConfigurationError: it is none of :data:`INFO_KINDS`.

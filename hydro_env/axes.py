@@ -1,7 +1,7 @@
-"""Many axes at once: the episodes that both environments share.
+"""Episodes of many axes at once: the core of both environments.
 
-:class:`ServoHydraulicEnv` is this with one axis, :class:`ServoHydraulicVectorEnv` with N; so they agree bit for bit.
-The class holds the arrays and calls two compiled functions: one begins episodes, one advances a control period.
+:class:`ServoHydraulicEnv` uses it with one axis, :class:`ServoHydraulicVectorEnv` with N; both agree bit for bit.
+:class:`Axes` holds the arrays and calls two compiled functions: one begins episodes, one advances a control period.
 """
 
 from __future__ import annotations
@@ -42,21 +42,21 @@ from hydro_env.task.settings import draws_of, settings_of
 from hydro_env.task.signals import layout_of, observation_layout
 
 AXES_PER_THREAD = 256
-"""A second thread starts when each has at least this many axes to work on: it takes a while to wake up."""
+"""Each thread gets at least this many axes; with fewer, waking it takes longer than its work."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}
-"""Where :attr:`Axes.numbers` holds the (first) number of each field of a record."""
+"""Column of :attr:`Axes.numbers` with the (first) number of each field of a record."""
 
 
 @dataclass(frozen=True)
 class AxesState:
-    """All that axes carry from one control period to the next; may be pickled, and set on any axes of the same task.
+    """Complete state of some axes; it can be pickled, and set on any axes of the same task.
 
-    ``arrays`` have one row per axis; ``generator`` is the state of ``np_random`` and ``history`` the drawn past,
-    where the whole environment was asked.
+    ``arrays`` have one row per axis. A state of the whole environment also holds ``generator``, the state of
+    ``np_random``, and ``history``, the past positions and references of the drawing.
     """
 
     config: TaskConfig
@@ -71,12 +71,12 @@ class AxesState:
 
 
 class Axes:
-    """N servo axes in episodes. Arrays are public for reading; ``record`` has the fields of ``RECORD``.
+    """N servo axes and their episodes. Arrays are public for reading; ``record`` has the fields of ``RECORD``.
 
     Args:
         config: the task.
         count: number of axes N.
-        threads: worker threads of a step; ``None`` takes as many as there are cores, where there are axes enough.
+        threads: worker threads of a step; ``None`` takes one per core, but no more than the number of axes needs.
 
     Raises:
         ConfigurationError: the task is impossible, or the axes do not fit into memory.
@@ -119,10 +119,11 @@ class Axes:
         self._pool: ThreadPoolExecutor | None = None
 
     def _name_parts(self) -> None:
-        """Views of the arrays; ``numbers`` are the records as rows of numbers, which Python reads faster than fields.
+        """Make views of the arrays.
 
-        See :data:`COLUMN`.
+        ``numbers`` holds the records as rows of plain numbers (:data:`COLUMN`), which Python reads faster than fields.
         """
+        self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
         self.state = plant[:, :FIRST_COEFFICIENT]
         self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
@@ -132,7 +133,7 @@ class Axes:
     # Randomness -----------------------------------------------------------------------------------------------------
 
     def seed(self, axis: int, generator: np.random.Generator) -> None:
-        """Give an axis its root of randomness from its generator; its episodes count from 0 again."""
+        """Seed an axis from its generator; its episodes count from 0 again."""
         self._chances.seeds["root"][axis] = generator.integers(0, 2**64, dtype=np.uint64)
         self._chances.seeds["episode"][axis] = -1
 
@@ -170,7 +171,7 @@ class Axes:
             )
 
     def _unreachable(self, axis: int) -> str:
-        """Which position of a reference asks for more force than the supply gives, and what that force can hold."""
+        """Message about a reference that needs more force than the supply gives."""
         from hydro_env.plant.analysis import force_limits  # loaded only to refuse
 
         plant = self.parameters(axis)
@@ -188,25 +189,25 @@ class Axes:
     def step(self, actions: NDArray[Any]) -> None:
         """Advance every axis by one control period with the commands ``actions``, (N,), within −1 to 1."""
         if self._threads == 1:
-            task_kernel.step_axes(self._task, self._layout, *self.arrays, actions, 0, self.count)
+            task_kernel.step_axes.loaded(*self._fixed_arguments, actions, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self._threads - 1, thread_name_prefix="hydro_env")
         bounds = [self.count * part // self._threads for part in range(self._threads + 1)]
-        advance = partial(task_kernel.step_axes, self._task, self._layout, *self.arrays, actions)
+        advance = partial(task_kernel.step_axes.loaded, *self._fixed_arguments, actions)
         waiting = [self._pool.submit(advance, first, last) for first, last in pairwise(bounds[1:])]
         advance(bounds[0], bounds[1])
         for future in waiting:
             future.result()
 
     def ended(self) -> NDArray[np.bool_]:
-        """Which axes have failed or come to the end of their episode, shape (N,)."""
+        """True for the axes that have failed or reached the end of their episode, shape (N,)."""
         ended: NDArray[np.bool_] = (self.column("failure") != NO_FAILURE) | (self.column("step") >= self.config.steps)
         return ended
 
     def __getstate__(self) -> dict[str, Any]:
-        views = dict.fromkeys(("record", "state", "coefficient", "peaks", "reference", "observation", "numbers"))
-        return {**self.__dict__, **views, "_pool": None}  # threads start again when needed
+        views = ("record", "state", "coefficient", "peaks", "reference", "observation", "numbers", "_fixed_arguments")
+        return {**self.__dict__, **dict.fromkeys(views), "_pool": None}  # threads start again when needed
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -233,14 +234,14 @@ class Axes:
         }
 
     def get_state(self, axes: Indices) -> AxesState:
-        """All that some axes carry, as copies."""
+        """Complete state of some axes, as copies."""
         return AxesState(self.config, {name: values[axes] for name, values in self._rows().items()})
 
     def set_state(self, state: AxesState | Sequence[AxesState], axes: Indices) -> None:
-        """Put states of :meth:`get_state` on some axes, one for each or the same one for all.
+        """Set states of :meth:`get_state` on some axes, one for each or the same one for all.
 
         Raises:
-            ConfigurationError: it is no such state, of another task, or of another number of axes.
+            ConfigurationError: ``state`` is no such state, belongs to another task, or has another number of axes.
         """
         states = [state] if isinstance(state, AxesState) else state
         if not isinstance(states, list | tuple) or not states or not all(isinstance(s, AxesState) for s in states):
@@ -258,14 +259,14 @@ class Axes:
         if not np.array_equal(own["fixed_user_reference"][axes], user_reference):
             self.options.set_user_reference(user_reference, axes)
 
-    # What the judge sees --------------------------------------------------------------------------------------------
+    # Hidden from the controller ---------------------------------------------------------------------------------------
 
     def column(self, name: str) -> Floats:
         """A view of one field of ``record``, shape (N,), or (N, entries)."""
         return self.record[name]
 
     def leakage_class(self, flow_lpm: Floats) -> Indices:
-        """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar; the record has that of the present."""
+        """Class label (index into LEAKAGE_CLASSES) of leaks in l/min at 100 bar; ``record`` holds the present label."""
         exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"]).sum(axis=1)
         return exceeded
 

@@ -26,17 +26,17 @@ PAPER, INK = (250, 250, 248), (38, 46, 56)
 
 
 class Canvas:
-    """Shapes are drawn enlarged and scaled down, which smooths their edges; text is set afterwards at its true size."""
+    """Draws shapes enlarged and scales them down, which smooths their edges; text is added at its true size."""
 
     def __init__(self) -> None:
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # the greeting would end up in a program's output
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting out of the output
         try:
             import pygame
             import pygame.freetype
         except ImportError as error:
             raise DependencyNotInstalled('pygame is not installed, run `pip install "hydro_env[render]"`') from error
         pygame.freetype.init()
-        with warnings.catch_warnings():  # without system fonts the bundled one is taken
+        with warnings.catch_warnings():  # without system fonts pygame takes its own
             warnings.simplefilter("ignore")
             self._font = pygame.freetype.SysFont(FONTS, 13)
         self._font.origin = True
@@ -58,7 +58,7 @@ class Canvas:
         return self._small
 
     def text(self, text: str, x: float, y: float, color: Color = INK, size: float = 12, align: float = 0) -> None:
-        """``y`` is the baseline; ``align`` is 0 left, 0.5 centred, 1 right; what follows ``_`` is a subscript."""
+        """``y`` is the baseline; ``align`` is 0 left, 0.5 centred, 1 right; text after ``_`` is a subscript."""
         head, _, subscript = text.partition("_")
         width = self._font.get_rect(head, size=size).width
         self._texts.append((head, x - align * width, y, color, size))
@@ -109,7 +109,7 @@ class Canvas:
         self.polygon([(x + r * cosine - s * sine, y + r * sine + s * cosine) for r, s in shape], fill, INK)
 
     def pipe(self, points: Points, fill: Color) -> None:
-        """Runs are straight along x or y; both ends reach 3 px further, to be covered by what they join."""
+        """A pipe of straight runs along x or y; both ends reach 3 px further, under the parts that they join."""
         for color, half in ((INK, 3.0), (fill, 2.0)):
             for (x, y), (x_end, y_end) in pairwise(points):
                 left, right, top, bottom = min(x, x_end), max(x, x_end), min(y, y_end), max(y, y_end)

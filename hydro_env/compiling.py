@@ -1,8 +1,8 @@
-"""How the hot loops are compiled: by numba's public interface, with a cache on disk that notices every change.
+"""Compilation of the inner loops through numba's public interface, with a cache on disk that notices every change.
 
-:func:`inline` marks the functions of which kernels are made, :func:`compiled` the kernels themselves. Numba compiles
-neither loops over the fields of a named tuple nor ``_replace``; the functions that it needs instead are generated here
-from the list of fields (:func:`tuple_reader` and the others).
+:func:`inline` marks the functions that kernels call, :func:`compiled` marks the kernels. Numba compiles neither loops
+over the fields of a named tuple nor ``_replace``; this module generates the functions that replace them from the list
+of fields (:func:`tuple_reader` and the others).
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from typing import Any, TypeVar, cast
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-"""Divisions like NumPy's; a product and a sum may be one instruction; other Python threads may run.
+"""Division follows NumPy; a product and a sum may be one instruction; other Python threads may run.
 
-On one processor the same source gives the same bits, whatever surrounds a plant. Between processors with and without
-fused multiply–add the last digits differ: ``contract`` lets the compiler use that instruction where there is one.
+On one processor the same source gives the same bits, whatever other plants run beside it. Between processors with and
+without fused multiply–add the last digits differ: ``contract`` lets the compiler use that instruction if there is one.
 """
 
 SILENT_SECONDS = 2.0
-"""Compiling that takes longer is announced on the console."""
+"""A message on the console announces a compilation that takes longer."""
 
 
 def _digest_of_sources() -> int:
@@ -40,15 +40,15 @@ def _digest_of_sources() -> int:
 SOURCES = _digest_of_sources()
 """A number that changes with every source file of this package; kernels have it in their closure.
 
-Numba keys its cache on the kernel's own file and closure; what a kernel merges from other files it would not notice.
+Numba keys its cache on the kernel's own file and closure; it would not notice a change in functions from other files.
 """
 
 
 class Inline:
-    """A function that is merged into the compiled functions that call it, so that loops over it vectorise.
+    """A function that is merged into the compiled functions that call it; loops over it can then vectorise.
 
-    Called from Python, it is compiled on its own at its first call. Numba would prepare every function for such calls,
-    which takes a third of the time to compile, although hardly any of them is ever called from Python.
+    Its first call from Python compiles it on its own. Numba would prepare every function for calls from Python, which
+    takes a third of the compile time, although few of these functions are ever called from Python.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -62,7 +62,7 @@ class Inline:
 
     @cached_property
     def merged(self) -> Any:
-        """What numba merges into callers."""
+        """The form that numba merges into callers."""
         return numba().njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(self.py_func)
 
     @cached_property
@@ -77,7 +77,7 @@ def inline(function: Function) -> Function:
 
 @cache
 def numba() -> Any:
-    """The module numba, loaded when something is compiled: parameters and configuration do not need it."""
+    """The module numba, imported at the first compilation: parameters and configuration do not need it."""
     import numba as module
     from numba.extending import typeof_impl
 
@@ -90,10 +90,10 @@ def numba() -> Any:
 
 
 class Kernel:
-    """A compiled function whose machine code stays on disk, where a folder can be written.
+    """A compiled function with its machine code cached on disk.
 
-    The first call loads or compiles it. A damaged cache is dropped, and where nothing can be written (no folder, a full
-    disk) the kernel is compiled for this process alone.
+    The first call loads or compiles it. A damaged cache entry is deleted. If nothing can be written (no folder, a full
+    disk), the kernel is compiled for this process alone.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
@@ -104,7 +104,7 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """The function as numba compiles it, with a cache where a folder for it can be written."""
+        """Numba's dispatcher of the function, with a cache if its folder can be written."""
         try:
             return numba().njit(cache=True, **OPTIONS)(self.py_func)
         except RuntimeError:
@@ -114,9 +114,15 @@ class Kernel:
         """Call the machine code."""
         return self.dispatcher(*arguments) if self._ready else self._first(arguments)
 
+    @property
+    def loaded(self) -> Callable[..., Any]:
+        """The machine code itself once there is some, for callers that count tenths of microseconds."""
+        loaded: Callable[..., Any] = self.dispatcher if self._ready else self
+        return loaded
+
     def _first(self, arguments: tuple[Any, ...]) -> Any:
         collecting = gc.isenabled()
-        gc.disable()  # it would search millions of live objects of the compiler again and again
+        gc.disable()  # it would search millions of the compiler's live objects repeatedly
         timer = threading.Timer(SILENT_SECONDS, _announce)
         timer.daemon = True
         timer.start()
@@ -167,7 +173,7 @@ def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -
 
 
 def named_tuple(name: str, fields: Iterable[str], module: str) -> Any:
-    """A named tuple whose fields are computed, which a class statement could not say."""
+    """A named tuple with computed fields, which a class statement cannot express."""
     return namedtuple(name, list(fields), module=module)
 
 
@@ -204,7 +210,7 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callab
     """A function of an array that runs statements for every ``lane`` and ``place`` = row · lanes + lane."""
     lines = [
         f"for lane in range({lanes}):",
-        f"    for row in range({rows}):",  # inside, where it is unrolled: the loop over lanes becomes vectors
+        f"    for row in range({rows}):",  # inner and unrolled: the loop over lanes becomes vector instructions
         f"        place = row * {lanes} + lane",
         *(f"        {statement}" for statement in statements),
     ]
@@ -212,7 +218,7 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callab
 
 
 def tuple_replacer(kind: type, *replaced: str) -> Callable[..., Any]:
-    """``replace(values, …)``: the named tuple ``kind`` with the fields ``replaced``, in this order, exchanged."""
+    """``replace(old, …)``: a copy of the named tuple ``kind`` with new values of the fields ``replaced``, in order."""
     values = ", ".join(name if name in replaced else f"old.{name}" for name in _fields(kind))
     text = [f"return kind({values})"]
     return _generated("replace", f"old, {', '.join(replaced)}", text, kind=kind)  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""The errors that this package raises; each message is one line that says what, where and what is allowed."""
+"""The errors that this package raises; each message is one line with place, value and what is allowed."""
 
 
 class HydroError(ValueError):
@@ -14,7 +14,7 @@ class UnknownKeyError(ConfigurationError, TypeError):
 
 
 class NotBegunError(ConfigurationError, AttributeError):
-    """What an environment has only after ``reset`` was asked for before; an ``AttributeError`` for ``hasattr``."""
+    """An attribute that exists only after ``reset``; also an ``AttributeError``, for ``hasattr``."""
 
 
 class InvalidStateError(HydroError, ArithmeticError):

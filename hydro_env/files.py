@@ -1,4 +1,4 @@
-"""Configuration is data: frozen validated groups, read from YAML; every mistake is answered with one line."""
+"""Configuration as data: frozen validated groups, read from YAML; every mistake raises an error of one line."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from hydro_env.errors import ConfigurationError, UnknownKeyError
 
 LARGEST_FILE = 100_000
-"""Bytes of a configuration file; the largest of this project has two thousand."""
+"""Largest size of a configuration file in bytes; the largest of this project has two thousand."""
 
 MOST_NODES = 20_000
-"""Values of a YAML file, counted again at each alias: nested aliases multiply."""
+"""Largest number of values in a YAML file; each alias counts its values again, because nested aliases multiply."""
 
 DEEPEST = 50
-"""Levels of a YAML file; a study has five."""
+"""Largest number of levels in a YAML file; a study has five."""
 
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ else:
 
 
 class _OneLine(_ModelType):
-    """Answers a wrong keyword with one line, also where a group is made in Python: ``Load(mass=-1)``."""
+    """Raises an error of one line for a wrong keyword when Python code makes a group: ``Load(mass=-1)``."""
 
     def __call__(self, *arguments: Any, **values: Any) -> Any:
         model = cast("type[BaseModel]", self)
@@ -66,7 +66,7 @@ ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
 def validate(model: type[ModelType], values: Mapping[str, Any], source: str) -> ModelType:
-    """Build ``model`` from ``values``; a mistake is answered with one line that names ``source`` and the field.
+    """Build ``model`` from ``values``; a mistake raises an error of one line that names ``source`` and the field.
 
     Raises:
         UnknownKeyError: unknown key; also a ``TypeError``.
@@ -106,7 +106,7 @@ def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> Co
 
 
 def _shown(value: Any) -> str:
-    """`` = value``, where it is short."""
+    """`` = value`` if the value is short, else nothing."""
     if isinstance(value, bool):
         return f" = {str(value).lower()}"
     flat = isinstance(value, list | tuple) and len(value) < 10 and not any(isinstance(v, list | dict) for v in value)
@@ -117,7 +117,7 @@ def _shown(value: Any) -> str:
 
 
 def _schema_at(model: type[BaseModel], path: Sequence[int | str]) -> dict[str, Any]:
-    """JSON schema of the field that ``path`` leads to; empty where it leads elsewhere."""
+    """JSON schema of the field at ``path``; empty if there is no such field."""
     root = model.model_json_schema()
 
     def resolved(schema: dict[str, Any]) -> dict[str, Any]:
@@ -139,7 +139,7 @@ def _schema_at(model: type[BaseModel], path: Sequence[int | str]) -> dict[str, A
 
 
 def _allowed(schema: Mapping[str, Any]) -> str:
-    """What a JSON schema allows, in words."""
+    """Description of what a JSON schema allows."""
     if "enum" in schema or "const" in schema:
         return f"one of {', '.join(map(str, schema.get('enum', [schema.get('const')])))}"
     kind = schema.get("type")
@@ -156,8 +156,8 @@ def _allowed(schema: Mapping[str, Any]) -> str:
         bounds = f" within {_number(low)} to {_number(high)}"
     else:
         words = (("at least", low), ("above", above), ("at most", high), ("below", below))
-        found = [f"{word} {_number(bound)}" for word, bound in words if bound is not None]
-        bounds = f", {' and '.join(found)}" if found else ""
+        given = [f"{word} {_number(bound)}" for word, bound in words if bound is not None]
+        bounds = f", {' and '.join(given)}" if given else ""
     return f"a{' whole' if kind == 'integer' else ''} number{bounds}"
 
 
@@ -166,7 +166,7 @@ def _number(value: float) -> str:
 
 
 def _kind(value: Any) -> str:
-    """What a value is, in words."""
+    """Name of the kind of a value."""
     names = {bool: "true or false", str: "text", int: "a number", float: "a number", list: "a list"}
     return "nothing" if value is None else names.get(type(value), type(value).__name__)
 
@@ -182,7 +182,7 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
             content = file.read(largest + 1)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError:  # a null or a surrogate in it
+    except ValueError:  # it holds a null or a surrogate
         raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
     if len(content) > largest:
         raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
@@ -193,7 +193,7 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML's safe values alone; ``1e5`` is a number, a date is text, and an impossible value is named by its line."""
+    """Reads only YAML's safe values; ``1e5`` is a number, a date is text, and an error names the line of its value."""
 
     yaml_implicit_resolvers = {
         first: [entry for entry in entries if not entry[0].endswith(":timestamp")]
@@ -227,10 +227,10 @@ def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
 
 
 def _count_nodes(node: yaml.Node, counted: dict[int, int]) -> int:
-    """Values below and including a node, those of an alias again each time; refuses repeated keys."""
+    """Number of values in a node, itself included; an alias counts each time. Refuses repeated keys."""
     if id(node) in counted:
         return counted[id(node)]
-    counted[id(node)] = MOST_NODES + 1  # what an alias within itself counts
+    counted[id(node)] = MOST_NODES + 1  # refuses an alias within itself
     inner: list[yaml.Node] = []
     if isinstance(node, yaml.MappingNode):
         keys = set()
@@ -316,12 +316,12 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a text in UTF-8, whole or not at all; a file name in it that is not UTF-8 is escaped."""
+    """Write a text in UTF-8, whole or not at all; characters that UTF-8 cannot hold (in file names) are escaped."""
     write_whole(path, text.encode("utf-8", "backslashreplace"))
 
 
 def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file so that a reader finds the old content or the new one, never a part.
+    """Write a file atomically: a reader sees the old content or the new content, never a part.
 
     Raises:
         ConfigurationError: the folder cannot be made or written.

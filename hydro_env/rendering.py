@@ -55,14 +55,14 @@ class AxisRenderer:
         self._closed = False
 
     def draw(self, view: View) -> NDArray[np.uint8] | None:
-        """Draw one frame; a window that was closed stays closed, and drawing to it does nothing."""
+        """Draw one frame; after the window has been closed this does nothing."""
         import pygame
 
         if self._render_mode == "human":
             if not self._closed:
-                self._show(self._picture.paint(view))
+                self._show(self._picture.draw_view(view))
             return None
-        content = pygame.image.tobytes(self._picture.paint(view), "RGB")
+        content = pygame.image.tobytes(self._picture.draw_view(view), "RGB")
         return np.frombuffer(content, dtype=np.uint8).reshape(HEIGHT, WIDTH, 3).copy()
 
     def close(self) -> None:
@@ -98,9 +98,9 @@ class _Picture(Canvas):
         super().__init__()
         self._pressure_scale = PRESSURE_SCALES[0]
 
-    def paint(self, view: View) -> pygame.Surface:
+    def draw_view(self, view: View) -> pygame.Surface:
         self._view = view
-        # Only ever grows, so that the colours do not flicker while the supply pressure moves about a limit.
+        # The scale only grows: colours do not flicker while the supply pressure moves about a limit.
         fitting = (scale for scale in PRESSURE_SCALES if scale >= 1.1 * view.supply_pressure / BAR)
         self._pressure_scale = max(self._pressure_scale, next(fitting, PRESSURE_SCALES[-1]))
         self.clear()
@@ -168,7 +168,7 @@ class _Picture(Canvas):
         self.text("Chamber b (rod)", BARREL_RIGHT + CAP, BORE_TOP - WALL - 12, GREY, align=1)
 
     def _leak_width(self) -> float:
-        """The gap at the seal; the root keeps both an incipient and a severe leak visible."""
+        """Draw the gap at the seal; the square root keeps both an incipient and a severe leak visible."""
         flow = self._view.leakage_flow_lpm
         return min(10.0, 1 + 4 * math.sqrt(flow)) if flow > 0 else 0.0
 
@@ -222,11 +222,11 @@ class _Picture(Canvas):
             self.polygon([(x, SCALE_Y), (x - 5, y), (x + 5, y)], color)
 
     def _valve(self) -> None:
-        """A positive spool position moves the left box, P to A and B to T, over the ports."""
+        """Draw the valve; a positive spool position moves the left box, P to A and B to T, over the ports."""
         middle, top, bottom = VALVE_X + self._view.spool_position * VALVE_BOX, VALVE_TOP, VALVE_BOTTOM
         for left in (middle + offset * VALVE_BOX for offset in (-1.5, -0.5, 0.5)):
             self.box(left, top, left + VALVE_BOX, bottom, WHITE)
-        for y in (top - 4, bottom + 4):  # the two lines of a valve that can stand between its positions
+        for y in (top - 4, bottom + 4):  # the two lines are the symbol of a continuous valve
             self.line([(middle - 1.5 * VALVE_BOX, y), (middle + 1.5 * VALVE_BOX, y)])
         for side in (-1, 1):
             port, edge = middle + side * PORT, middle + side * 1.5 * VALVE_BOX

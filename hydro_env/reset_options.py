@@ -1,4 +1,4 @@
-"""The options of ``reset``: what a caller fixes in the next episode of some axes, checked before anything changes."""
+"""The options of ``reset``: they fix parts of the next episode of some axes, and are checked before any change."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ OPTION_NAMES = (
     "reset_mask",
 )
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
-"""Parameters that must be larger than another one (rod, Coulomb force, precharge): impossible when drawn too low."""
+"""Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is the critical one."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
 def options_given(options: Any) -> dict[str, Any]:
-    """The options of a reset as a dictionary of their own.
+    """A copy of the options of a reset as a dictionary.
 
     Raises:
-        ConfigurationError: they are no mapping.
+        ConfigurationError: the options are no mapping.
     """
     if options is None:
         return {}
@@ -48,12 +48,12 @@ def options_given(options: Any) -> dict[str, Any]:
 
 
 class ResetOptions:
-    """What the caller fixes in the next episode of each of N axes.
+    """The parts of the next episode that the caller fixes, for each of N axes.
 
     Args:
         config: the task.
         count: number of axes N.
-        samples: of a reference, preview included.
+        samples: number of samples of a reference, preview included.
 
     Raises:
         ConfigurationError: the randomisation can draw impossible plants, or the task's own reference is impossible.
@@ -80,7 +80,7 @@ class ResetOptions:
         self._own_reference = self.fixed.user_reference[0].copy()
 
     def used(self, axes: Indices) -> None:
-        """An episode has begun on these axes: what was not to persist is drawn again next time."""
+        """Release the options that do not persist, after an episode has begun on these axes."""
         passing = axes[~self.persistent[axes]]
         self.fixed.parameters[passing] = np.nan
         self.fixed.leakage_flow_lpm[passing] = np.nan
@@ -90,7 +90,7 @@ class ResetOptions:
             self.fixed.user_reference[passing] = self._own_reference
 
     def set_user_reference(self, rows: Floats, axes: Indices) -> None:
-        """References of the user's own for some axes, (axes, samples) or (1, samples), m."""
+        """Set the user's own references on some axes, (axes, samples) or (1, samples), m."""
         if self.count > 1 and len(self.fixed.user_reference) == 1:
             everyone = np.repeat(self.fixed.user_reference, self.count, axis=0)
             self.fixed = self.fixed._replace(user_reference=everyone)
@@ -100,7 +100,7 @@ class ResetOptions:
         """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``.
 
         Raises:
-            ConfigurationError: unknown option, wrong shape, or an impossible value; nothing is changed then.
+            ConfigurationError: unknown option, wrong shape, or an impossible value; nothing has changed then.
         """
         options = options_given(options)
         for name in options:
@@ -136,14 +136,14 @@ class ResetOptions:
 
     def _leak_option(self, options: Mapping[str, Any], axes: Indices) -> Floats:
         if "leakage_resistance" in options and "leakage_flow_lpm" in options:
-            raise ConfigurationError("reset options: leakage_resistance and leakage_flow_lpm say the same; give one")
+            raise ConfigurationError("reset options: leakage_resistance and leakage_flow_lpm exclude each other")
         if "leakage_resistance" in options:
             resistance = self._per_axis(options["leakage_resistance"], "leakage_resistance", axes)
             if not np.all(resistance > 0.0):
                 raise ConfigurationError(
                     f"reset options: leakage_resistance = {resistance.min():g} Pa s/m³: must be positive"
                 )
-            flow = np.array([flow_from_resistance(r) for r in resistance])  # 0 of an infinite one
+            flow = np.array([flow_from_resistance(r) for r in resistance])  # infinity gives 0
         elif "leakage_flow_lpm" in options:
             flow = self._per_axis(options["leakage_flow_lpm"], "leakage_flow_lpm", axes)
         else:
@@ -207,7 +207,7 @@ class ResetOptions:
         return override
 
     def _check_parameters(self, row: Floats, where: str) -> None:
-        """With these parameters fixed (not NaN), the plant must be possible for the least favourable draws."""
+        """Check that the plant is valid for the least favourable draws while these parameters are fixed (not NaN)."""
         vector = np.where(np.isnan(row), self._base, row)
         for draw in self._draws:
             index, times = int(draw["parameter"]), int(draw["times"])
@@ -259,7 +259,7 @@ class ResetOptions:
         return families, rows
 
     def _checked_reference(self, values: Floats, where: str) -> Floats:
-        """One row of the length that an episode needs, held at its end."""
+        """The reference with the length that an episode needs; its last value is repeated."""
         if values.ndim != 1 or len(values) == 0:
             raise ConfigurationError(f"{where}: must be a row of positions in m")
         half = 0.5 * self.config.plant.cylinder.stroke

@@ -1,12 +1,14 @@
-"""How Gymnasium made an environment, kept as plain data so that it can be written as JSON and used elsewhere."""
+"""The spec of an environment as plain data, which can be written as JSON and used on another machine."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from pydantic import BaseModel
 
@@ -21,10 +23,10 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How ``gym.make`` or ``gym.make_vec`` made this environment.
+        """The spec with which ``gym.make`` or ``gym.make_vec`` made this environment.
 
-        ``to_json`` works however the task was given: of a YAML file it holds the content, not the path.
-        ``max_episode_steps`` is the length of an episode; the environment itself truncates there.
+        ``to_json`` always works: the spec holds the content of a YAML file, not its path. ``max_episode_steps`` is the
+        length of an episode; the environment itself truncates there.
         """
         return self._spec
 
@@ -43,4 +45,10 @@ def _plain(value: Any) -> Any:
         return value.model_dump(mode="json")
     if isinstance(value, Mapping):
         return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
     return str(value) if isinstance(value, Path) else value

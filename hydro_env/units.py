@@ -1,4 +1,4 @@
-"""Units in which practice quotes leaks, and numbers of a configuration with their unit, origin and bounds."""
+"""Units in which practice quotes leaks, and fields of a configuration with unit, origin and bounds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def flow_from_resistance(resistance: float) -> float:
 
 
 def orifice_gain_from_flow(flow_lpm: float) -> float:
-    """Gain in m³/(s √Pa) of a throttle through which 100 bar press a leak quoted in l/min."""
+    """Gain in m³/(s √Pa) of a throttle that passes a leak quoted in l/min at 100 bar."""
     return flow_lpm * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
 
 
@@ -46,6 +46,6 @@ Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_n
 
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float, *, above: bool = False) -> Any:
-    """A numeric field with its unit, its origin and the range outside of which it must be a mistake."""
+    """A numeric field with its unit, its origin and its allowed range; a value outside must be a mistake."""
     bounds: dict[str, Any] = {"gt" if above else "ge": low, "le": high}
     return Field(default, description=origin, json_schema_extra={"unit": unit}, **bounds)

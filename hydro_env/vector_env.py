@@ -1,4 +1,4 @@
-"""The Gymnasium vector environment: N axes in one compiled step, the same numbers as N single environments."""
+"""The Gymnasium vector environment: N axes in one compiled step, bit-identical to N single environments."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ MOST_THREADS = 1024
 class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
     """N independent axes of :class:`~hydro_env.env.ServoHydraulicEnv`, which describes spaces, rewards and options.
 
-    ``gym.make_vec("ServoHydraulic-v0", num_envs=N)`` makes it. Axis i with seed s + i gives the same numbers, bit for
-    bit, as the single environment with that seed. Options of ``reset`` may be given per axis: an array of N numbers
-    (or N references, or N names) where the single environment takes one.
+    ``gym.make_vec("ServoHydraulic-v0", num_envs=N)`` makes it. With the same seed an axis gives the same numbers as
+    the single environment, bit for bit. Options of ``reset`` may differ per axis: give an array of N numbers (or N
+    references, or N names) instead of one.
 
     Args:
         num_envs: number of axes N.
         config: task, as for the single environment; its fields are also keywords.
         autoreset_mode: ``NEXT_STEP`` (default), ``SAME_STEP`` or ``DISABLED`` (then ``options["reset_mask"]``).
         max_episode_steps: truncate after so many steps instead of after ``episode_duration``.
-        threads: worker threads of a step; ``None`` takes the cores where there are axes enough.
+        threads: worker threads of a step; ``None`` takes one per core, but no more than the number of axes needs.
         render_mode: must be ``None``; draw a single environment.
-        info: ``False`` leaves ``info`` empty, for training loops that do not read it; ``"flat"`` makes it arrays of
-            numbers alone, without text and dictionaries, for array libraries (final observations and infos too).
+        info: ``False`` leaves ``info`` empty, for training loops that do not read it; ``"flat"`` holds only arrays of
+            numbers, without text and dictionaries, for array libraries (final observations and infos too).
     """
 
     metadata: dict[str, Any] = {
@@ -102,7 +102,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
 
     @property
     def axes(self) -> Axes:
-        """The arrays behind the environment (for the judge)."""
+        """The arrays behind the environment (hidden from the controller)."""
         return self._axes
 
     def reset(
@@ -141,7 +141,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         return np.flatnonzero(chosen)
 
     def _begin(self, axes: NDArray[np.int64]) -> None:
-        """Begin episodes; where a plant cannot begin, all axes need a reset before the next step."""
+        """Begin episodes; if one of them cannot begin, all axes need a reset before the next step."""
         self._begun = False
         self._axes.begin(axes)
         self._begun = True
@@ -176,7 +176,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             actions: (N, 1), commands in [−1, 1].
 
         Returns:
-            Observations (N, n), rewards (N,), terminated (N,), truncated (N,), info; fresh arrays each time.
+            Observations (N, n), rewards (N,), terminated (N,), truncated (N,), info; new arrays at each call.
 
         Raises:
             ConfigurationError: an action is NaN or infinite, the shape is wrong, or ``reset`` was not called.
@@ -216,7 +216,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         return observation.copy(), reward, terminated, truncated, self._info(self._everyone) | final
 
     def _finish(self) -> dict[str, Any]:
-        """Restart the axes that ended in this step; their last observation and info go into the info."""
+        """Restart the axes that ended in this step; returns their last observation and info."""
         mask = self._ended
         ended = np.flatnonzero(mask)
         if self._info_kind == "flat":
@@ -238,7 +238,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         return final
 
     def get_state(self, axes: Sequence[int] | None = None) -> AxesState:
-        """Everything that some axes carry (all by default); see the single environment.
+        """Complete state of some axes (all by default); see the single environment.
 
         Raises:
             ConfigurationError: ``reset`` was not called, or there is no such axis.
@@ -249,15 +249,15 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         return state if axes is not None else replace(state, generator=deepcopy(self.np_random.bit_generator.state))
 
     def set_state(self, state: AxesState | Sequence[AxesState], axes: Sequence[int] | None = None) -> None:
-        """Go on from a state of :meth:`get_state`, on some axes (on all by default), bit for bit.
+        """Continue from a state of :meth:`get_state` on some axes (all by default), bit for bit.
 
         Args:
-            state: of as many axes, of one (then all get it), or a list with one for each; of this environment or of a
-                single one.
-            axes: which axes; the others go on undisturbed.
+            state: a state with one row per chosen axis, a state of one axis for all of them, or a list with one state
+                per axis; from this class or from the single environment.
+            axes: numbers of the chosen axes; the others continue undisturbed.
 
         Raises:
-            ConfigurationError: it is no such state, of another task, or does not fit the axes.
+            ConfigurationError: ``state`` is no such state, belongs to another task, or does not fit the axes.
         """
         chosen = self._numbered(axes)
         if not self._begun and len(chosen) < self.num_envs:
@@ -281,7 +281,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         return np.array(chosen, dtype=np.int64)
 
     def _info(self, axes: NDArray[np.int64]) -> dict[str, Any]:
-        """Arrays over all axes, each with a mask of the axes for which it holds; zero elsewhere, as Gymnasium does."""
+        """Arrays over all axes, each with a mask of the axes to which it applies; zero elsewhere, as in Gymnasium."""
         if self._info_kind is False:
             return {}
         everyone = len(axes) == self.num_envs
@@ -331,7 +331,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the worker threads."""
         del kwargs
-        axes = getattr(self, "_axes", None)  # absent where the constructor refused its arguments
+        axes = getattr(self, "_axes", None)  # absent if the constructor refused its arguments
         if axes is not None:
             axes.close()
 
@@ -339,7 +339,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
 def _names(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> NDArray[np.object_]:
     """The name of each code, None where an axis is not present.
 
-    Filled code by code: NumPy 2.0 to 2.2.2 crash where two threads repeat an array of objects.
+    Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
     """
     names = np.empty(len(codes), dtype=object)
     for code in np.bincount(codes).nonzero()[0].tolist():

@@ -1,4 +1,4 @@
-"""What the drawing of an axis shows, as numbers."""
+"""The numbers that the drawing of an axis shows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class View:
-    """What is drawn; SI units."""
+    """One picture as numbers; SI units."""
 
     time: float
     position: float

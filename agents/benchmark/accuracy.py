@@ -1,9 +1,9 @@
 """Rows of accuracy: error of the integrator against the reference solver, its order, and its time.
 
-A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, a start in motion and under
-pressure at a place that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new voltage in
-every control period, or a sinusoid with noise. The reference is Radau IIA at a relative tolerance of 1e-10, which meets
-limits by root finding (:mod:`hydro_env.plant.reference`).
+A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
+under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
+voltage in every control period, or a sinusoid with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
+which locates limits by root finding (:mod:`hydro_env.plant.reference`).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ SAMPLE_TIME = 5e-3
 SAMPLES = 40
 INPUTS = ("held", "noise", "sine")
 SEED = 990_001
-"""Not among the seeds with which the integrator was adjusted."""
+"""First seed; the integrator was adjusted with other seeds."""
 
 LIMIT = 1e-4
-"""Error of any state, in parts of its range, that the default must stay within."""
+"""Largest allowed error of any state relative to its range, with the default settings."""
 
 BATCH = 20
 """Rigs per round of the benchmark."""
@@ -116,7 +116,7 @@ def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array
 def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     """Order of the integrator from each fixed step (s) to the next, on a smooth run of the paper's rig.
 
-    Smooth: no dry friction, small voltages, so that no limit is met and nothing turns sharply.
+    Smooth: without dry friction and with small voltages the axis reaches no limit and does not turn sharply.
     """
     plant = PlantParameters().replace(friction={"model": "none"}, valve={"underlap": 0.3})
     run = Run(plant, np.sin(np.arange(SAMPLES) * 0.2), {"position": 0.01}, "sine")

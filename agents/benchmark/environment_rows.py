@@ -68,7 +68,7 @@ def motor_environment() -> gym.Env[Any, Any]:
     """gym-electric-motor's current control of a permanent magnet synchronous motor.
 
     Raises:
-        UnavailableError: it is not installed, or does not work with the installed versions of other packages.
+        UnavailableError: the package is not installed, or does not work with the installed versions of others.
     """
     try:
         with warnings.catch_warnings():

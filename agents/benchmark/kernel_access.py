@@ -1,4 +1,4 @@
-"""All that the benchmark knows of the integrator: how to call it, and how much arithmetic it does."""
+"""The benchmark's access to the integrator: its call, and its number of arithmetic operations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HALF_WAVE = 20  # control periods
 
 
 class BareKernel:
-    """N plants drawn as the environment draws them, advanced by nothing but the integrator.
+    """N plants drawn as in the environment, advanced by the integrator alone.
 
     The plants follow a square wave of ±1 V with a period of 0.2 s.
     """
@@ -89,7 +89,7 @@ def counted_work() -> tuple[dict[str, int], float]:
 
 
 def count_operations() -> Counter[str]:
-    """Operations of one right-hand side by kind; it runs uncompiled on numbers that count what is done to them."""
+    """Operations of one right-hand side by kind; it runs uncompiled on numbers that count their operations."""
     counts: Counter[str] = Counter()
 
     def counting(function: Callable[..., Any], kind: str) -> Callable[..., Any]:

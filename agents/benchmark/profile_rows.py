@@ -1,4 +1,4 @@
-"""Rows of the profile: where the time of one step and of one PPO iteration goes.
+"""Rows of the profile: shares of the time of one step and of one PPO iteration.
 
 Parts nest: each is measured alone, on the same environment, and compared with the whole.
 """
@@ -57,7 +57,7 @@ def _step(env: Any) -> Callable[[], Any]:
 
 
 def _compiled_step(axes: Any, count: int) -> Callable[[], Any]:
-    """The compiled step of begun axes; their clock stands still, so that no episode ends."""
+    """The compiled step of begun axes; their clock is stopped, and no episode ends."""
     command, clock = np.zeros(count), axes.column("step")
 
     def call() -> None:

@@ -96,25 +96,19 @@ def start_cases(extent: Extent) -> list[Case]:
         return first_step(folder.name)
 
     own, note = "import hydro_env", "what it imports included, interpreter start not"
+    filled, anew = "first step, warm cache", "everything compiled anew"
     return [
         process("python, nothing imported", "pass"),
         process("import gymnasium", "import gymnasium", "python, nothing imported"),
         process(own, own, "import gymnasium"),
         one_row(f"{own}, by -X importtime", "s", lambda: import_time("hydro_env"), extent.runs, note=note),
-        one_row("first step, warm cache", "s", warm, extent.runs, own, "import, gym.make, reset, step"),
-        one_row(
-            "first step, cold cache",
-            "s",
-            cold,
-            min(3, extent.runs),
-            "first step, warm cache",
-            "everything compiled anew",
-        ),
+        one_row(filled, "s", warm, extent.runs, own, "import, gym.make, reset, step"),
+        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, anew),
     ]
 
 
 def import_time(module: str) -> float:
-    """Seconds that the import of a module takes, what it imports included, by ``python -X importtime``."""
+    """Seconds of the import of a module, including its own imports, by ``python -X importtime``."""
     text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
     line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
     return 1e-6 * int(line.split("|")[1])

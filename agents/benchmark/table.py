@@ -19,7 +19,7 @@ CSV_COLUMNS = ("group", "row", "unit", "against", "note", "runs", *STATISTICS, "
 
 
 class UnavailableError(Exception):
-    """This machine lacks what a row measures; the message says why."""
+    """A row cannot be measured on this machine; the message gives the reason."""
 
 
 @dataclass
@@ -38,8 +38,8 @@ class Row:
 class Case:
     """One measurement, which fills one or more rows.
 
-    ``measure(run)`` gives a value per row; it may raise :class:`UnavailableError`. Its values leave out what it builds
-    or compiles first.
+    ``measure(run)`` gives a value per row, without the time of building and compiling; it may raise
+    :class:`UnavailableError`.
     """
 
     rows: Sequence[Row]
@@ -53,7 +53,7 @@ def one_row(name: str, unit: str, measure: Callable[[], float], runs: int, again
 
 
 def ratios(row: Row, rows: Sequence[Row]) -> list[float]:
-    """Value over that of the row it is compared with, run by run (both were measured in the same round)."""
+    """Value divided by that of the row it is compared with, for each run (both belong to the same round)."""
     others = [other.values for other in rows if (other.group, other.name) == (row.group, row.against)]
     return [own / other for own, other in zip(row.values, others[0], strict=False) if other] if others else []
 

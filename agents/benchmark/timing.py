@@ -1,4 +1,4 @@
-"""How times are measured: a rate, a fresh process, calls of functions; and how much is measured in all."""
+"""Measurement of times: rates, fresh processes, calls of functions; and the extent of the benchmark."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured."""
+    """Extent of the benchmark."""
 
     runs: int
     seconds: float  # duration of one measurement of a rate
@@ -48,7 +48,7 @@ QUICK = Extent(3, 0.1, (1, 64, 4096), (16, 1024), (256, 4096), 8, 40, 131_072, 2
 
 
 def rate(work: Callable[[], int], seconds: float) -> float:
-    """Units of work per second. ``work`` does some and returns how many; a first call is not timed."""
+    """Units of work per second. ``work`` returns the number of units that it did; its first call is not timed."""
     work()
     done, began = 0, time.perf_counter()
     while True:
@@ -59,10 +59,10 @@ def rate(work: Callable[[], int], seconds: float) -> float:
 
 
 def fresh_process(code: str, environment: Mapping[str, str] | None = None, *options: str) -> tuple[float, str, str]:
-    """Run Python code in a process of its own; returns wall time (s), output, and what it wrote to stderr.
+    """Run Python code in a new process; returns wall time (s), standard output and standard error.
 
     Raises:
-        RuntimeError: it failed; the message is its last line.
+        RuntimeError: the code failed; the message is the last line of its output.
     """
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     variables = {**os.environ, "PYTHONPATH": path, **(environment or {})}

@@ -1,4 +1,4 @@
-"""Rows of training with stable-baselines3: speed of PPO, where its time goes, and how soon it beats the PID."""
+"""Rows of training with stable-baselines3: speed of PPO, shares of its time, and time until it beats the PID."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ PARTS = ("environment", "policy inputs and PIDs", "inference", "update", "rest")
 
 CHECK_EVERY = 50_000  # steps
 MARGIN = 0.01
-"""How far below the PID's error the policy's must be: an untrained correction differs from the PID by less."""
+"""Required reduction of the PID's error; an untrained correction differs from the PID by less."""
 
 IN_A_ROW = 3
-"""Checks in a row that must be below the PID, so that one lucky check does not count."""
+"""Required number of successive checks below the PID; a single lucky check does not count."""
 
 
 class DefaultStudy(NamedTuple):
-    """What ``make study`` trains, and the PID that it corrects."""
+    """Settings of the policy of ``make study``, and the PID that it corrects."""
 
     task: TaskConfig
     pid: PIDGains
@@ -152,7 +152,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
         Training time (s, checks not counted) and steps at the first of these checks, and the time the checks took (s).
 
     Raises:
-        RuntimeError: it never happened in a whole training.
+        RuntimeError: a whole training did not reach this error.
     """
     pid = PID(settings.pid, ObservationLayout.of(settings.task))
     bar = (1.0 - MARGIN) * validation_error(settings, pid, plants)
@@ -179,7 +179,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
 
 
 def beating_cases(extent: Extent) -> list[Case]:
-    """How soon PPO's mean error is below the tuned PID's."""
+    """Time until PPO's mean error is below the tuned PID's."""
     settings = default_study()
     cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * PLANTS
     note = f"mean error 1 % lower on {cases} validation cases; checked every {CHECK_EVERY:,} steps, checks not counted"

@@ -1,4 +1,4 @@
-"""The command ``hydro``: simulate the axis, train controllers and the leakage head, evaluate, or do the whole study."""
+"""The command ``hydro``: simulate the axis, train controllers and the leakage head, evaluate, or run a whole study."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from agents.commands.train import train
 from agents.running.console import discard_output
 from hydro_env import HydroError, __version__
 
-# Typer brings its own copy of click, or uses click, depending on its version; this finds either.
+# Depending on its version, typer has its own copy of click or uses click; this line works with both.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
 
 class _Commands(TyperGroup):
-    """Commands that end with one line when a signal stops them."""
+    """A group of commands; a signal ends them with one line."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -46,8 +46,8 @@ app = typer.Typer(
     help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, notice the leak.
 
 Begin with `hydro study` (the whole job, about six minutes on two cores), or with
-`hydro simulate --leakage 1` (one run, a second). Leaks are given as practice does: l/min at 100 bar across the piston.
-Healthy is up to 0.03, severe is 1 to 4.""",
+`hydro simulate --leakage 1` (one run, a second). Leaks are in l/min at 100 bar across the piston, as in practice: up to
+0.03 is healthy, 1 to 4 is severe.""",
 )
 
 
@@ -63,21 +63,17 @@ def common(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
     ] = False,
 ) -> None:
-    """What holds for every command."""
+    """Options of all commands."""
     del version
 
 
 @app.command()
-def reproduce(
-    output: Output = Path("results/reproduce"),
-    rig: Rig = None,
-    overwrite: Overwrite = False,
-) -> None:
+def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
     """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
 
-    Leaves for each figure a picture (PNG and SVG) and its numbers (CSV), and `page.html` (self-contained), which sets
-    each beside what the paper says and tells where it does not come out. With `--rig` the same for a rig of your own;
-    a figure that it cannot do is left out, and the page says why.
+    Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
+    compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your
+    own rig; the page names the figures that this rig cannot have, and why.
     """
     from agents.commands.reproduce import reproduce_to_folder
 
@@ -91,18 +87,19 @@ def benchmark(
         list[str] | None,
         typer.Option(
             "--only",
-            help="Group to measure, may be given more than once: kernel, single, vector, cost, solvers, accuracy, "
-            "training, beating, memory, start, inference, profile. Without it all.",
+            help="Group to measure (repeat the option for several): kernel, single, vector, cost, solvers, accuracy, "
+            "training, beating, memory, start, inference, profile. Default: all.",
         ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, to try it.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, for a trial.")] = False,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Measure speed, memory and start-up on this machine, with other environments and solvers in turn.
 
-    Leaves one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. About a quarter
-    of an hour on two quiet cores, `--quick` a few minutes. Ctrl-C keeps what is measured, `--resume` goes on.
+    Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes about a
+    quarter of an hour on two quiet cores, and a few minutes with `--quick`. Ctrl-C keeps the finished measurements;
+    `--resume` continues.
     """
     from agents.commands.benchmark import benchmark_to_folder
 
@@ -117,7 +114,7 @@ app.command("study")(study)
 
 
 class _Stopped(KeyboardInterrupt):
-    """A signal asked the program to end; work is kept as after Ctrl-C."""
+    """A signal that ends the program; finished work is kept as after Ctrl-C."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -125,7 +122,7 @@ class _Stopped(KeyboardInterrupt):
 
 
 def main() -> None:
-    """Entry point: one clear line and exit code 2 for whatever a user can put right; 128 + number after a signal."""
+    """Entry point: one line and exit code 2 for an error that the user can correct; 128 + number after a signal."""
     _prepare_streams()
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
@@ -145,7 +142,7 @@ def main() -> None:
         _end(2, str(error))
     except (KeyboardInterrupt, typer.Abort):  # before a command had begun
         sys.exit(130)
-    except BrokenPipeError:  # nobody reads on, as with `hydro check-rig | head -1`
+    except BrokenPipeError:  # the reader has closed the pipe, as in `hydro check-rig | head -1`
         discard_output()
         sys.exit(141)
     except OSError as error:
@@ -156,7 +153,7 @@ def main() -> None:
 
 
 def _prepare_streams() -> None:
-    """What the terminal cannot show is escaped; a stream that is closed takes everything."""
+    """Escape characters that the terminal cannot show; replace a closed stream by one that discards all output."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:

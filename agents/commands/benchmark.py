@@ -1,4 +1,4 @@
-"""``hydro benchmark``: measures group after group, in rounds, and keeps every finished round."""
+"""``hydro benchmark``: measures one group after another, in rounds, and saves every finished round."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ GROUPS: dict[str, tuple[str, Callable[[Extent], list[Case]]]] = {
     "cost": ("Cost of one step of one axis through `gym.make_vec`, `NextStep`, info included.", cost_cases),
     "solvers": ("The same plant with SciPy's `solve_ivp`, at the accuracy of the integrator.", solver_cases),
     "accuracy": ("Error and time of the integrator over drawn rigs, against Radau (one axis).", accuracy_cases),
-    "training": ("PPO of stable-baselines3, end to end, and where its time goes.", training_cases),
+    "training": ("PPO of stable-baselines3, end to end, and the shares of its time.", training_cases),
     "beating": ("Training until PPO's mean error is below the tuned PID's.", beating_cases),
     "memory": ("Memory.", memory_cases),
     "start": ("Start-up, wall time of fresh processes.", start_cases),
     "inference": ("From observation to command on one axis.", inference_cases),
-    "profile": ("Where the time of a step and of a PPO iteration goes.", profile_cases),
+    "profile": ("Shares of the time of a step and of a PPO iteration.", profile_cases),
 }
-"""Title of each group, and what lists its cases. The cases of a group are measured in turn, round by round."""
+"""Title of each group, and the function that lists its cases, which are measured in turn, round by round."""
 
 
 def benchmark_to_folder(
@@ -54,7 +54,7 @@ def benchmark_to_folder(
 
     Raises:
         ConfigurationError: an unknown group, or a folder that cannot be used.
-        KeyboardInterrupt: Ctrl-C; what is measured so far has been written.
+        KeyboardInterrupt: Ctrl-C; the measurements so far have been written.
     """
     for name in only:
         if name not in GROUPS:
@@ -89,7 +89,7 @@ def benchmark_to_folder(
 def measure_group(
     group: str, cases: Sequence[Case], rows: list[Row], keep: Callable[[], None], display: ProgressDisplay
 ) -> None:
-    """Measure the cases in turn, round by round; ``keep`` is called after every measurement that adds to the table."""
+    """Measure the cases in turn, round by round; ``keep`` is called after every measurement."""
     unavailable: set[int] = set()
     turns = [(run, case) for run in range(max(case.runs for case in cases)) for case in cases if run < case.runs]
     for done, (run, case) in enumerate(turns):
@@ -127,7 +127,7 @@ def _stored(folder: Path, circumstances: dict[str, Any]) -> tuple[list[str], lis
 
 
 def _threads() -> str:
-    """How many threads each part may use."""
+    """Number of threads of each part, as text."""
     return (
         f"vector environment: one per 256 axes, as many as cores at most; torch, in training: "
         f"{default_study().ppo.torch_threads}; torch, elsewhere: {torch.get_num_threads()}; "

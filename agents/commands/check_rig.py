@@ -13,14 +13,14 @@ from agents.commands.options import Overwrite, Rig, say
 def check_rig(
     rig: Rig = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; without it none.")
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Print what an engineer works out by hand for a rig, and refuse a rig that cannot work.
+    """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
 
-    Areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional gain of the
-    sampled position loop with a tight and a leaking seal, and how finely the rig must be integrated.
+    The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
+    gain of the sampled position loop with a tight and a leaking seal, and the inner steps of the integrator.
     """
     from agents.rigs.check_table import check_to_console
 

@@ -14,17 +14,17 @@ def evaluate(
     output: Output = Path("results/evaluate"),
     config: Config = None,
     agent: Agents = None,
-    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default the shipped one.")] = None,
+    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Judge the controllers of a study, yours and the leakage head on test plants.
+    """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
 
-    The same plants, references and noise for each. Trained controllers take the shipped weights where `--agent` gives
-    no others. Writes CSV tables with every number and a report, and prints the main figures. A controller that fails
-    does not lose the others' results.
+    All controllers get the same plants, references and noise. Trained controllers take the shipped weights unless
+    `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
+    a controller fails, the results of the others are kept.
     """
     from agents.evaluation.opponents import load_head
     from agents.evaluation.protocol import ProtocolSettings

@@ -1,4 +1,4 @@
-"""Entry point of the command ``hydro``: says what to install where the learning libraries are missing."""
+"""Entry point of the command ``hydro``: names the extra to install if the learning libraries are missing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> None:
-    """Run the command line, or say in one line that the extra ``agents`` is needed."""
+    """Run the command line, or print one line that names the missing extra."""
     try:
         from agents.commands.application import main as command
     except ModuleNotFoundError as error:

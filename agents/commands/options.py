@@ -14,45 +14,42 @@ from hydro_env import ConfigurationError
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
 Seed = Annotated[
     int | None,
-    typer.Option(
-        "--seed", "-s", min=0, max=2**32 - 1, help="Seed of everything that is drawn, instead of the study's."
-    ),
+    typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of all random numbers, instead of the study's."),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with what is in the output folder.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin anew where the output folder holds results.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
 Agents = Annotated[
     list[str] | None,
     typer.Option(
         "--agent",
         metavar="NAME=WHAT",
-        help="A controller: module:attribute (anything with predict, or what makes one from the task), or the path of "
-        "weights. A name of the study replaces that controller. May be given more than once.",
+        help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
+        "task), or the path of weights. A name of the study replaces that controller. Repeat the option for several.",
     ),
 ]
 Rig = Annotated[
-    Path | None,
-    typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some."),
+    Path | None, typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some.")
 ]
 Config = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds some.")
+    Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds examples.")
 ]
 
 
 def command_line() -> str:
-    """The command as the user typed it; a file name that is not UTF-8 is escaped."""
+    """The command as the user typed it; characters that UTF-8 cannot hold are escaped."""
     return " ".join(["hydro", *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
 
 
 def say(*lines: object) -> None:
-    """Print what a command leaves, as it is."""
+    """Print the results of a command without formatting."""
     print(*lines, sep="\n", flush=True)
 
 
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
-    """``--agent NAME=WHAT``, by name.
+    """The values of ``--agent NAME=WHAT``, by name.
 
     Raises:
-        ConfigurationError: not of this form, or a name is given twice.
+        ConfigurationError: a value has another form, or a name is given twice.
     """
     agents: dict[str, str] = {}
     for text in texts or ():

@@ -1,12 +1,11 @@
-"""``hydro reproduce``: every figure as picture and table, and the page that explains them."""
+"""``hydro reproduce``: all figures as pictures and tables, and the page that explains them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from agents.reproduction.equation_table import equation_table
 from agents.reproduction.figures import FIGURES, Entry, draw, write_words
-from agents.reproduction.page import PageFigure, render_page
+from agents.reproduction.page import PageFigure, equation_table, render_page
 from agents.reproduction.rig import Rig, rig_from
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
@@ -23,12 +22,12 @@ def reproduce_to_folder(
 ) -> Path:
     """Compute, draw and write everything; returns the page.
 
-    A figure that the rig cannot do is left out, and the page says why in its place.
+    The page gives the reason for each figure that the rig cannot have.
 
     Args:
         folder: for the results.
-        overwrite: replace results that are there.
-        command: as the page quotes it.
+        overwrite: replace earlier results.
+        command: the command line, quoted on the page.
         rig_file: YAML file of a rig; ``None`` is the paper's.
 
     Raises:
@@ -50,15 +49,13 @@ def reproduce_to_folder(
 
 def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:
     """Compute, draw and write one figure; what the page needs of it."""
-    item = PageFigure(entry.key, entry.title, entry.in_paper, entry.headline, entry.equations)
     try:
         table = entry.compute(rig)
         words = write_words(entry, table, rig)
     except (HydroError, ArithmeticError) as error:  # ArithmeticError: the axis does not oscillate
-        return item._replace(reason=" ".join(str(error).split()))
+        return PageFigure(entry, reason=" ".join(str(error).split()))
     svg, png = draw(entry, table, rig)
-    for suffix, content in zip(
-        SUFFIXES, (svg, png, table.to_csv(index=False, float_format="%.9g").encode()), strict=True
-    ):
+    contents = (svg, png, table.to_csv(index=False, float_format="%.9g").encode())
+    for suffix, content in zip(SUFFIXES, contents, strict=True):
         write_whole(folder / f"{entry.key}.{suffix}", content)
-    return item._replace(words=words, drawing=svg)
+    return PageFigure(entry, words, svg)

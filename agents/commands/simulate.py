@@ -25,7 +25,7 @@ def simulate(
     rig: Rig = None,
     signal: Annotated[InputSignal, typer.Option("--input", help="Shape of the voltage.")] = InputSignal.STOP,
     voltage: Annotated[
-        float, typer.Option(help="Amplitude in V, −10 to 10, on top of the voltage that holds the start.")
+        float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the start.")
     ] = 3.0,
     input_file: Annotated[
         Path | None,
@@ -35,14 +35,14 @@ def simulate(
     sample_time: Annotated[float, typer.Option(help="s; each voltage is held this long.")] = 1e-3,
     leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
     position: Annotated[
-        float | None, typer.Option(help="Start in m from mid-stroke, at rest; default mid-stroke where it can be held.")
+        float | None, typer.Option(help="Start in m from mid-stroke, at rest; default: mid-stroke if it can be held.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Run the rig open loop: states, flows and forces as CSV and as a picture.
 
     `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
-    `--leakage 0.01` with `--leakage 4`: with the leak the oscillation dies out sooner.
+    `--leakage 0.01` with `--leakage 4`: the leak damps the oscillation.
     """
     from agents.rigs.simulation import simulate_to_folder
 

@@ -1,4 +1,4 @@
-"""``hydro study``: the whole job."""
+"""``hydro study``: training, evaluation and report."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def study(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train PPO and the leakage head from nothing, evaluate them beside the PID, write one report.
+    """Train PPO and the leakage head from scratch, compare them with the PID, write one report.
 
-    Leaves in the output folder: `report.html` (self-contained), `tables/*.csv` (every number), the weights, and
-    `study.yaml` (the configuration used). `controllers:` in the YAML file says who takes part.
+    Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
+    `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
     """
     from agents.study.run import run_study
     from agents.study.settings import default_study

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agents.commands.options import (
-    Agents,
-    Config,
-    Output,
-    Overwrite,
-    Resume,
-    Seed,
-    named_agents,
-    say,
-)
+from agents.commands.options import Agents, Config, Output, Overwrite, Resume, Seed, named_agents, say
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
@@ -27,8 +18,8 @@ def train(
     what: Annotated[
         str,
         typer.Argument(
-            help="ppo (or another trained controller of the study), head (the leakage head), or pid (its gains, by an "
-            "optimiser)."
+            help="ppo (or another trained controller of the study), head (the leakage head), or pid (optimises its "
+            "gains)."
         ),
     ],
     output: Output = Path("results/train"),
@@ -39,10 +30,10 @@ def train(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` goes on from it.
+    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
 
-    The head learns from episodes under every controller of the study, with the shipped weights where `--agent` gives
-    no others.
+    The head learns from episodes under every controller of the study; trained controllers take the shipped weights
+    unless `--agent` gives others.
     """
     from agents.study.settings import default_study
 
@@ -83,7 +74,7 @@ def _controller(
         settings = validate(type(settings), {**settings.model_dump(), "total_steps": steps}, "--steps")
     corrected = study.controllers[name].corrects
     if corrected in study.trained:
-        raise ConfigurationError(f"{name} corrects {corrected}, which is trained itself; run hydro study")
+        raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
     base = study.make(corrected) if corrected is not None else None
     if resume and not any(folder.glob(CHECKPOINTS)):
         raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint; leave --resume out")

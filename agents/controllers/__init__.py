@@ -1,4 +1,4 @@
-"""Controllers: PID and whatever else acts on observations, through one interface."""
+"""Controllers: PID and others, through one interface."""
 
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.pid import PID, PIDGains

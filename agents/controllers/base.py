@@ -1,4 +1,4 @@
-"""The one interface of everything that acts: ``predict(observation, state, episode_start, deterministic)``."""
+"""The one interface of all controllers: ``predict(observation, state, episode_start, deterministic)``."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Floats = NDArray[np.floating[Any]]
 
 
 class Controller(Protocol):
-    """Acts on what the rig measures; the same signature as a stable-baselines3 model.
+    """Turns measured signals into commands; the same signature as a stable-baselines3 model.
 
-    ``predict`` takes one observation (n,) or a batch (N, n) and returns commands (1,) or (N, 1) with the controller's
-    memory. The memory has one rule: **a state that is given is never changed**; ``predict`` returns a new one. So a
-    caller may keep any state and go on from it again, with the same results bit for bit.
+    ``predict`` takes one observation (n,) or a batch (N, n) and returns commands (1,) or (N, 1) and the controller's
+    state (its memory). One rule applies: **predict never changes the state that it is given**; it returns a new one. A
+    caller may keep any state and continue from it again, with the same results bit for bit.
     """
 
     def predict(
@@ -29,23 +29,23 @@ class Controller(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], Any]:
-        """Commands for the observations, and the memory for the next call.
+        """Commands for the observations, and the state for the next call.
 
         Args:
             observation: (n,) or (N, n), as the environment scales it.
-            state: the memory that the call before returned; ``None`` in the first call.
-            episode_start: (N,), true where an episode begins with this observation; its memory starts anew.
+            state: the state that the previous call returned; ``None`` in the first call.
+            episode_start: (N,), true if an episode begins with this observation; the state of that axis is reset.
             deterministic: without exploration noise.
 
         Returns:
-            Commands in parts of 10 V; the environment limits them to [−1, 1]. And the memory.
+            Commands in parts of 10 V (the environment limits them to [−1, 1]), and the new state.
         """
         ...
 
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """What an observation holds: names, scales (SI per 1), and the control period (s) at which it comes."""
+    """Layout of an observation: names, scales (SI units per 1), and the control period (s)."""
 
     names: tuple[str, ...]
     scale: tuple[float, ...]
@@ -56,6 +56,11 @@ class ObservationLayout:
         """The layout of a task's observations."""
         names, _, scale, _ = observation_layout(config)
         return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
+
+    def describe(self) -> dict[str, Any]:
+        """All that is needed to build this again (JSON)."""
+        scale = {"observation_scale": list(self.scale), "control_period": self.control_period}
+        return {"observation_names": list(self.names), **scale}
 
     def index(self, name: str) -> int:
         """Column of a signal.
@@ -74,14 +79,14 @@ class ObservationLayout:
 
     @property
     def preview_times(self) -> tuple[float, ...]:
-        """How far ahead the previews look, s."""
+        """Times in s by which the previews look ahead."""
         prefix = "reference_preview_"
         return tuple(
             1e-3 * float(name.removeprefix(prefix).removesuffix("ms")) for name in self.names if name.startswith(prefix)
         )
 
     def previews(self, observation: Floats) -> NDArray[np.float64]:
-        """Reference ahead minus reference now, m, shape (N, previews)."""
+        """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
         return np.asarray(observation[:, columns], dtype=np.float64) * scale

@@ -21,10 +21,10 @@ class PIDGains(Group):
     integral: float = Field(40.0, ge=0.0, le=1e5, description="1/(m s)")
     derivative: float = Field(0.0, ge=0.0, le=1e3, description="s/m, on the error of the speed")
     derivative_filter_time: float = Field(0.005, ge=0.0, le=1.0, description="s, first-order")
-    feedforward_extending: float = Field(6.0, ge=0.0, le=1e3, description="s/m: command per speed asked for")
+    feedforward_extending: float = Field(6.0, ge=0.0, le=1e3, description="s/m: command per reference speed")
     feedforward_retracting: float = Field(8.0, ge=0.0, le=1e3, description="s/m")
-    feedforward_lead: float = Field(0.008, ge=0.0, le=0.1, description="s: how far ahead the speed is taken")
-    reference_lead: float = Field(0.0, ge=0.0, le=0.1, description="s: how far ahead the position is taken")
+    feedforward_lead: float = Field(0.008, ge=0.0, le=0.1, description="s: lead of the reference speed")
+    reference_lead: float = Field(0.0, ge=0.0, le=0.1, description="s: lead of the reference position")
     anti_windup_time: float = Field(0.05, gt=0.0, le=10.0, description="s, back-calculation while saturated")
 
     @classmethod
@@ -53,9 +53,9 @@ class PIDState:
 class PID:
     """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
 
-    e and ẋ_ref may be taken a little ahead of time from the preview, to make up for latency and valve. The derivative
-    acts on the filtered difference of the measured position. While the command saturates, the integral is led back
-    (back-calculation). Starts without a bump: the integral takes the command that holds the axis.
+    The preview gives e and ẋ_ref with a lead that compensates latency and valve. The derivative acts on the filtered
+    difference of the measured position. While the command saturates, back-calculation unwinds the integral. The start
+    is bumpless: the integral takes over the command that holds the axis.
 
     Args:
         gains: one set, or arrays (N,) of each gain through ``PIDGains.model_construct``, for tuning.
@@ -114,9 +114,9 @@ class PID:
 
 
 def _interpolate(time: Any, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each row of ``values`` (N, times) at ``time`` (one, or one per row), linear, constant beyond the ends."""
+    """Each row of ``values`` (N, times) at ``time`` (one, or one per row), interpolated; constant beyond the ends."""
     result: NDArray[np.float64]
-    if np.ndim(time) == 0:  # one set of gains for all axes: two columns
+    if np.ndim(time) == 0:  # one set of gains for all axes needs only two columns
         one = min(max(float(time), float(times[0])), float(times[-1]))
         column = min(max(int(np.searchsorted(times, one)), 1), len(times) - 1)
         weight = (one - times[column - 1]) / (times[column] - times[column - 1])

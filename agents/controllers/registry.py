@@ -1,4 +1,4 @@
-"""Controllers by name: ``kind: pid``, or ``kind: "my_module:MyController"`` for one of your own."""
+"""Controllers by kind: ``kind: pid``, or ``kind: "my_module:MyController"`` for your own."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def _pid(config: TaskConfig, **gains: Any) -> PID:
 
 
 CONTROLLERS: dict[str, Callable[..., Controller]] = {"pid": _pid}
-"""Makes a controller from the task and its settings, by kind."""
+"""Function that makes a controller from the task and its settings, by kind."""
 
 
 def imported(name: str) -> Any:
-    """What ``"module:attribute"`` names; modules in the current folder count.
+    """The object that ``"module:attribute"`` names; modules in the current folder count.
 
     Raises:
         ConfigurationError: the module cannot be imported or has no such attribute.
@@ -35,25 +35,24 @@ def imported(name: str) -> Any:
     if os.getcwd() not in sys.path and "" not in sys.path:
         sys.path.append(os.getcwd())
     try:
-        found: Any = importlib.import_module(module)
+        value: Any = importlib.import_module(module)
     except Exception as error:
         raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {_reason(error)}") from error
     for part in attribute.split("."):
-        if not hasattr(found, part):
+        if not hasattr(value, part):
             raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'")
-        found = getattr(found, part)
-    return found
+        value = getattr(value, part)
+    return value
 
 
 def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] | None = None) -> Controller:
     """A controller for a task.
 
     Args:
-        kind: a key of :data:`CONTROLLERS`, or ``"module:attribute"``. The attribute is a controller (used as it is),
-            or a class or function that makes one: it is called as ``attribute(config, **settings)``, or as
-            ``attribute()`` where it takes no argument.
-        config: the task, which tells the controller the layout of its observations and the control period.
-        settings: of the controller.
+        kind: a key of :data:`CONTROLLERS`, or ``"module:attribute"``. The attribute is a controller, or a class or
+            function that makes one: ``attribute(config, **settings)``, or ``attribute()`` if it takes no argument.
+        config: the task, which defines the layout of the observations and the control period.
+        settings: settings of the controller.
 
     Raises:
         ConfigurationError: the kind is unknown, or the settings do not fit it.

@@ -10,7 +10,6 @@ from scipy.linalg import expm
 
 from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import reachable_range
-from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
@@ -27,20 +26,20 @@ FULL_COMMAND = 10.0
 """V; command 1."""
 
 REACH_SHARE = 0.9
-"""Part of the reachable range over which a position loop is judged."""
+"""Share of the reachable range over which a position loop is examined."""
 
 PLACES = 9
-"""Positions at which it is judged there."""
+"""Number of positions at which it is examined there."""
 
 _NEUTRAL = 1e-7
-"""Excess over 1 of a spectral radius that is rounding."""
+"""Excess of a spectral radius over 1 that counts as rounding."""
 
 
 @dataclass(frozen=True)
 class SampledLoop:
-    """Linearised axis and valve, sampled; the loop is closed by command = −gain · (position − set point).
+    """Linearised axis and valve, sampled; the control law is command = −gain · (position − set point).
 
-    In each period the previous command acts for the latency and the new one for the rest, both held, so that
+    In each period the previous command is held during the latency and the new one during the rest. Hence
     x[n+1] = Φ x[n] + Γ_old u[n−1] + Γ_new u[n] is exact for the linear plant. States are scaled by their typical size.
     """
 
@@ -66,13 +65,13 @@ class SampledLoop:
         return matrix
 
     def spectral_radius(self, gain: float) -> float:
-        """Largest |z| of the closed loop; above 1 it grows from period to period."""
+        """Largest |z| of the closed loop; above 1 the loop is unstable."""
         return float(np.abs(np.linalg.eigvals(self.closed(gain))).max())
 
     def largest_stable_gain(self) -> float:
         """Gain in command per metre (1 = 10 V) at which an eigenvalue of the closed loop leaves the unit circle.
 
-        0 if the axis is unstable without a loop, infinity if no gain up to 1e6 per metre makes it so.
+        0 if the axis is unstable without a loop, infinity if no gain up to 1e6 per metre makes it unstable.
         """
         gains = np.geomspace(1e-2, 1e6, 161)
         radii = np.abs(np.linalg.eigvals(np.array([self.closed(gain) for gain in gains]))).max(axis=1)
@@ -113,13 +112,13 @@ class SampledLoop:
         return out
 
     def final_value(self, gain: float) -> float:
-        """Position in m per m of reference at which a stable closed loop comes to rest; below 1 where oil leaks."""
+        """Final position of a stable closed loop in m per m of reference; below 1 if oil leaks."""
         matrix, n = self.closed(gain), len(self.input_new)
         drive = np.append(self.input_new * gain, gain)
         return float(np.linalg.solve(np.eye(n + 1) - matrix, drive)[0] * self.position_size)
 
     def static_stiffness(self, gain: float) -> float:
-        """Constant external force per lasting position error, N/m, with the loop closed; inf if nothing gives way."""
+        """Constant external force per steady-state position error, N/m, with the loop closed; inf without an error."""
         matrix = self.a.copy()
         matrix[:, 0] -= gain * self.position_size * self.b
         answer, *_ = np.linalg.lstsq(matrix, -self.force, rcond=1e-15)
@@ -135,12 +134,12 @@ def sampled_loop(
 ) -> SampledLoop:
     """Linearise at rest and sample exactly (zero-order hold with latency; Åström & Wittenmark 1997, section 2.3).
 
-    Dry friction is left out: it holds a resting axis still and damps a moving one little. The resting valve is the
-    worst case, since every opening adds damping.
+    The linearisation leaves out dry friction, which blocks a resting axis and hardly damps a moving one. The resting
+    valve is the worst case, because every opening adds damping.
 
     Args:
         parameters: the plant.
-        position: m, where it rests.
+        position: m, position at rest.
         control_period: s.
         latency: s, 0 to one period, from sampling to the new command.
 
@@ -153,25 +152,18 @@ def sampled_loop(
         raise HydroError(f"latency = {latency} s: must be within 0 to control_period = {control_period} s")
     moving = parameters.replace(friction={"model": "none"})
     plant = linearise(moving, position=position)
-    # At rest the gas volume acts on nothing, without friction nothing moves bristles, and a constant supply pressure is
-    # no state: they would stand at z = 1.
-    dropped = {"gas_volume", "bristle_deflection"} | (
-        {"supply_pressure"} if parameters.supply.model == "constant" else set()
-    )
-    rows = [index for index, name in enumerate(STATE_NAMES) if name not in dropped]
+    rows = [STATE_NAMES.index(name) for name in plant.active_states]  # any other state would add a pole at z = 1
     size = TYPICAL_SIZE[rows]
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_COMMAND * plant.b[rows] / size
-    force = np.zeros(len(rows))
-    velocity = STATE_NAMES.index("velocity")
-    force[velocity] = -plant_coefficients(parameters).inverse_mass / size[velocity]
+    force = plant.force[rows] / size
     first, held_first = _hold(a, b, latency)
     rest, held_rest = _hold(a, b, control_period - latency)
     return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)
 
 
 def places_in_reach(parameters: PlantParameters) -> list[float]:
-    """Positions in m at which a loop is judged, evenly over 0.9 of what the supply can hold, ends included."""
+    """Positions in m at which a loop is examined, evenly over 0.9 of the reachable range, ends included."""
     low, high = (REACH_SHARE * float(end) for end in reachable_range(parameters))
     return [low + part * (high - low) / (PLACES - 1) for part in range(PLACES)]
 
@@ -179,8 +171,8 @@ def places_in_reach(parameters: PlantParameters) -> list[float]:
 def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> float:
     """Steady speed in m/s per command (1 = 10 V) of small motions about rest at a position (m).
 
-    The supply pressure is held, and so is the place: the force of a spring does not change. Times the gain of the
-    loop it is the velocity gain K_v in 1/s (Merritt 1967).
+    Supply pressure and position are held constant: the force of a spring does not change. Multiplied by the gain of
+    the loop it is the velocity gain K_v in 1/s (Merritt 1967).
     """
     plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
     names = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")

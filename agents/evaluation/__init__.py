@@ -1,1 +1,1 @@
-"""Proof: the robustness protocol, control metrics, statistics, report."""
+"""Evaluation: the robustness protocol, control metrics, statistics."""

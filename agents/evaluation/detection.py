@@ -1,4 +1,4 @@
-"""How well the leakage head works under each controller: episodes, rates, ROC, sizes."""
+"""Evaluation of the leakage head under each controller: episodes, rates, ROC, sizes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from hydro_env import LEAKAGE_CLASSES, TaskConfig
 SEEDS_OFFSET = 500_000
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
-"""l/min at 100 bar; leaks are counted between these, as far as the task draws them."""
+"""l/min at 100 bar; bounds of the size ranges, as far as the task draws such leaks."""
 
 
 class LeakBounds(NamedTuple):
-    """The leaks, in l/min at 100 bar, by which a task tells seals apart; pages take them from here."""
+    """Bounds between healthy, leaking and moderately leaking seals of a task, l/min at 100 bar; pages use them too."""
 
     healthy_up_to: float
     leaking_above: float
@@ -44,12 +44,12 @@ class LeakBounds(NamedTuple):
 
     @property
     def moderate_label(self) -> str:
-        """What the table of rates calls all leaks from ``moderate_from``."""
+        """Name of the row with all leaks from ``moderate_from`` in the table of rates."""
         return f"≥ {self.moderate_from:g}"
 
 
 def detection_cases(config: TaskConfig, count: int) -> Cases:
-    """Healthy and leaking episodes in turn, sizes log-uniform, references drawn; the same for every controller."""
+    """Alternating healthy and leaking episodes, sizes log-uniform, references drawn; the same for every controller."""
     generator = np.random.default_rng(TEST_SEEDS.start)
     healthy = np.arange(count) % 2 == 0
     low = np.where(healthy, config.leakage.healthy_range[0], config.leakage.faulty_range[0])
@@ -65,7 +65,7 @@ def signal_columns(names: tuple[str, ...]) -> list[int]:
 
 
 def detection_table(controller: str, cases: Cases, rollout: Rollout, head: LeakageHead) -> pd.DataFrame:
-    """One row per episode: the leak, and the head's answer from the signals of the whole episode."""
+    """One row per episode: the leak, and the head's estimate from the signals of the whole episode."""
     assert rollout.signals is not None
     estimate = head.estimate_signals(rollout.signals)
     return pd.DataFrame(
@@ -93,18 +93,8 @@ def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame
         groups += [("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]) for a, b in pairwise(edges)]
         groups.append(("range", bounds.moderate_label, frame[flow >= bounds.moderate_from]))
         for kind, label, part in groups:
-            interval = share_interval(int(part["flagged"].sum()), len(part))
-            rows.append(
-                {
-                    "controller": controller,
-                    "group": kind,
-                    "value": label,
-                    "flagged_share": interval.value,
-                    "low": interval.low,
-                    "high": interval.high,
-                    "episodes": len(part),
-                }
-            )
+            share = share_interval(int(part["flagged"].sum()), len(part)).columns("flagged_share")
+            rows.append({"controller": controller, "group": kind, "value": label, **share, "episodes": len(part)})
     return pd.DataFrame(rows)
 
 

@@ -16,7 +16,7 @@ SETTLING_BAND = 0.2e-3
 """m; an axis is settled while it stays this close to a constant reference."""
 
 STANDSTILL = 0.1
-"""s; a reference that is constant for at least this long is a target to settle on."""
+"""s; a reference that is constant for at least this long is a target on which the axis must settle."""
 
 FINAL_SHARE = 0.05
 """s; the last part of a standstill, over which the steady-state error is averaged."""
@@ -28,16 +28,16 @@ METRICS: dict[str, tuple[str, str]] = {
     "settling_time_s": (
         "s",
         "from the start of a standstill of the reference until the error stays within ±0.2 mm; the end of the "
-        "standstill, where the preview shows the next move, does not count",
+        "standstill, when the preview shows the next move, does not count",
     ),
-    "unsettled_share": ("1", "standstills on which it never settled"),
+    "unsettled_share": ("1", "share of standstills on which the axis never settled"),
     "overshoot_percent": ("%", "beyond the target, of the size of the step (family 'step')"),
     "steady_state_error_mm": (
         "mm",
         "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
     ),
     "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
-    "control_effort": ("1", "root mean square of the command that acted, in parts of 10 V"),
+    "control_effort": ("1", "root mean square of the limited command, in parts of 10 V"),
     "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
     "failed": ("1", "1 if the axis failed"),
 }
@@ -92,8 +92,8 @@ def case_metrics(
         period: control period, s.
         is_step: whether the reference jumps, so that overshoot has a meaning.
         failed: whether the axis failed.
-        preview: s; how far ahead the controller sees the reference. This much of the end of each standstill does not
-            count: an axis may start before the reference does.
+        preview: s; the controller sees the reference this far ahead. This much of the end of each standstill does not
+            count, because an axis may start before the reference does.
     """
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
@@ -101,8 +101,8 @@ def case_metrics(
     steady: list[float] = []
     beyond: list[float] = []
     final = max(round(FINAL_SHARE / period), 1)
-    seen = round(preview / period)
-    for first, last in ((first, last - seen) for first, last in standstills(reference, period)):
+    ahead = round(preview / period)
+    for first, last in ((first, last - ahead) for first, last in standstills(reference, period)):
         if last - first < final:
             continue
         settling.append(settling_time(error[first:last], period))

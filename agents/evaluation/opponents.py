@@ -1,4 +1,4 @@
-"""Who takes part in an evaluation: tasks and controllers by name, file or object, checked against each other."""
+"""Participants of an evaluation: tasks and controllers by name, file or object, checked against each other."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHIPPED_WEIGHTS = {"ppo": "policy"}
 
 
 def task_named(task: TaskConfig | Mapping[str, Any] | str | Path | None) -> TaskConfig:
-    """A task from its name in ``configs/tasks``, a YAML file, a mapping, or nothing.
+    """A task from its name in ``configs/tasks``, a YAML file, a mapping, or None (the default task).
 
     Raises:
         ConfigurationError: no such file, unknown key, or impossible value.
@@ -60,10 +60,10 @@ def opponent(
             :func:`~agents.controllers.registry.make_controller`), or the path of weights.
         config: the task.
         name: for messages.
-        trainer: loads weights; default PPO.
+        trainer: trainer that loads weights; default PPO.
 
     Raises:
-        ConfigurationError: there is no such controller, or it was made for other observations; the message names it.
+        ConfigurationError: there is no such controller, or it needs other observations; the message names it.
     """
     try:
         controller: Controller
@@ -91,7 +91,7 @@ def opponent(
 
 
 def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
-    """Weights fit a task only if its observations are those that they were trained on.
+    """Check that weights fit a task: its observations must be those of their training.
 
     Raises:
         ConfigurationError: names, scales or control period differ.
@@ -106,7 +106,7 @@ def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
     """Check that a leakage head can watch the episodes of a task.
 
     Raises:
-        ConfigurationError: other observations, or a window that is not an episode.
+        ConfigurationError: other observations, or a window that is not as long as an episode.
     """
     try:
         check_layout(head.settings.layout, config)

@@ -1,6 +1,6 @@
 """The robustness protocol: the same plants, references and noise for every controller, at every leak level.
 
-A list of independent cases, each a pure function of configuration and seed. Only test seeds are used here.
+An evaluation is a list of independent cases, each a pure function of configuration and seed; it uses test seeds only.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +65,7 @@ class ProtocolSettings(Group):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Every number of an evaluation, as tables."""
+    """All numbers of an evaluation, as tables."""
 
     cases: pd.DataFrame  # one row per controller, level, family, plant
     levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
@@ -77,11 +76,11 @@ class Evaluation:
     detection_summary: pd.DataFrame  # per controller: AUROC, average precision, false alarms, size error
     curves: pd.DataFrame  # ROC and precision–recall
     bounds: LeakBounds = field(default_factory=lambda: LeakBounds.of(TaskConfig()))
-    errors: dict[str, str] = field(default_factory=dict)  # why a controller has no results, by name
+    errors: dict[str, str] = field(default_factory=dict)  # controller → reason why it has no results
 
 
 def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
-    """All cases of the tracking part, and a table of what each is."""
+    """All cases of the tracking part, and a table with level, family and plant of each."""
     rows = [
         (level, family, plant)
         for level in settings.leak_levels
@@ -89,7 +88,7 @@ def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
         for plant in range(settings.plants)
     ]
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
-    # A family meets the same plants at every level; another family meets others.
+    # A family has the same plants at every level; families have different plants.
     family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
     seeds = TEST_SEEDS.start + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
     cases = Cases(seeds.astype(np.int64), table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
@@ -105,20 +104,20 @@ def evaluate(
 ) -> Evaluation:
     """Compare controllers on test plants: the same plants, references and noise for each.
 
-    A controller that fails (it raises an exception, or returns no finite commands of the right shape) costs only its
-    own results: a warning names it and the case, and ``errors`` of the result keeps the line.
+    A controller that fails (it raises an exception, or returns no finite commands of the right shape) loses only its
+    own results: a warning names it and the case, and ``errors`` of the result keeps the message.
 
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
         controllers: by name, objects with stable-baselines3's ``predict``, or texts that
-            :func:`~agents.evaluation.opponents.opponent` understands. The others are compared with the first.
+            :func:`~agents.evaluation.opponents.opponent` understands. The first one is the baseline of the ratios.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
-        progress: called with the name of the phase, cases done, of how many.
+        progress: called with the name of the phase, the number of cases done, and their total.
 
     Raises:
         ConfigurationError: impossible task or settings, a text that names no controller, weights of another task, or
-            no controller without an error.
+            all controllers failed.
     """
     config = task_named(task)
     if not isinstance(settings, ProtocolSettings):
@@ -138,18 +137,18 @@ def evaluate(
             rollout = run_cases(config, controller, cases, progress=report)
             assert cases.families is not None
             metrics = rollout_metrics(rollout, cases.families, config.control_period, preview)
-            found = pd.DataFrame()
+            estimates = pd.DataFrame()
             if head is not None:
                 report = _reporter(progress, f"detection, {name}", len(watched))
                 columns = signal_columns(head.settings.layout.names)
                 rollout = run_cases(config, controller, watched, columns, states=False, progress=report)
-                found = detection_table(name, watched, rollout, head)
+                estimates = detection_table(name, watched, rollout, head)
         except ControllerError as error:
             errors[name] = f"{name}: {error}"
             warnings.warn(errors[name], stacklevel=2)
             continue
         tracking.append(table.assign(controller=name, seed=cases.seeds, **metrics))
-        detection.append(found)
+        detection.append(estimates)
     if not tracking:
         raise ControllerError("; ".join(errors.values()))
     all_cases, episodes = (pd.concat(frames, ignore_index=True) for frames in (tracking, detection))
@@ -169,8 +168,4 @@ def evaluate(
 
 
 def _reporter(progress: Callable[[str, int, int], None] | None, phase: str, total: int) -> Callable[[int], None] | None:
-    return None if progress is None else partial(_report, progress, phase, total)
-
-
-def _report(progress: Callable[[str, int, int], None], phase: str, total: int, done: int) -> None:
-    progress(phase, done, total)
+    return None if progress is None else lambda done: progress(phase, done, total)

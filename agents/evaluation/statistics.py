@@ -12,7 +12,7 @@ Array = NDArray[np.floating[Any]]
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 LEAST_SAMPLES = 3
-"""Fewer samples give no interval."""
+"""Smallest number of samples for an interval."""
 
 
 class Interval(NamedTuple):
@@ -21,6 +21,10 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
+
+    def columns(self, name: str) -> dict[str, float]:
+        """A part of a table's row: the value under its name, ``low`` and ``high``."""
+        return {name: self.value, "low": self.low, "high": self.high}
 
 
 def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
@@ -90,5 +94,5 @@ def share_interval(hits: int, total: int) -> Interval:
     """A share with its 95 % Wilson interval."""
     if total == 0:
         return Interval(np.nan, np.nan, np.nan)
-    found = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
-    return Interval(hits / total, float(found.low), float(found.high))
+    interval = binomtest(int(hits), int(total)).proportion_ci(CONFIDENCE, method="wilson")
+    return Interval(hits / total, float(interval.low), float(interval.high))

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from agents.evaluation.metrics import METRICS
 from agents.evaluation.statistics import (
-    Interval,
     conditional_value_at_risk,
     geometric_ratio_interval,
     mean_interval,
@@ -23,7 +22,7 @@ ERROR = "mean_error_mm"
 
 
 def per_plant(frame: pd.DataFrame, metric: str = ERROR) -> NDArray[np.float64]:
-    """Mean over everything else, by plant, (plants,)."""
+    """Mean of a metric for each plant, (plants,)."""
     means: NDArray[np.float64] = frame.groupby("plant")[metric].mean().to_numpy(dtype=np.float64)
     return means
 
@@ -33,16 +32,13 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
     rows = []
     for (controller, group), frame in cases.groupby(["controller", by], sort=False):
         for metric, (unit, _) in METRICS.items():
-            interval = mean_interval(per_plant(frame, metric))
             rows.append(
                 {
                     "controller": controller,
                     by: group,
                     "metric": metric,
                     "unit": unit,
-                    "mean": interval.value,
-                    "low": interval.low,
-                    "high": interval.high,
+                    **mean_interval(per_plant(frame, metric)).columns("mean"),
                     "worst": float(frame[metric].max()),
                     "cvar_5_percent": conditional_value_at_risk(frame[metric].to_numpy()),
                     "cases": len(frame),
@@ -54,39 +50,26 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
 def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     """Mean error of each controller over that of the first, paired by plant.
 
-    Over all cases, per level, per family, and over all with equal weight for each family (large steps otherwise
-    outweigh the rest).
+    The ratios are over all cases, per level, per family, and over all with equal weight for each family (otherwise
+    large steps outweigh the rest).
     """
     rows: list[dict[str, Any]] = []
     base = cases[cases["controller"] == names[0]]
     families = cases["family"].unique()
     for name in names[1:]:
-        own = cases[cases["controller"] == name]
-
-        def add(group: str, value: str, interval: Interval, better: float, name: str = name) -> None:
-            rows.append(
-                {
-                    "controller": name,
-                    "against": names[0],
-                    "group": group,
-                    "value": value,
-                    "ratio": interval.value,
-                    "low": interval.low,
-                    "high": interval.high,
-                    "share_of_cases_better": better,
-                }
-            )
-
+        own, who = cases[cases["controller"] == name], {"controller": name, "against": names[0]}
         parts = [("all", "", own, base)]
         for group, column in (("level", "leakage_flow_lpm"), ("family", "family")):
             for value in cases[column].unique():
                 parts.append((group, str(value), own[own[column] == value], base[base[column] == value]))
         for group, label, mine, theirs in parts:
             better = float(np.mean(mine[ERROR].to_numpy() < theirs[ERROR].to_numpy()))
-            add(group, label, ratio_interval(per_plant(mine), per_plant(theirs)), better)
+            ratio = ratio_interval(per_plant(mine), per_plant(theirs)).columns("ratio")
+            rows.append({**who, "group": group, "value": label, **ratio, "share_of_cases_better": better})
         mine_by_family, theirs_by_family = (
             np.array([per_plant(frame[frame["family"] == family]) for family in families]) for frame in (own, base)
         )
-        interval = geometric_ratio_interval(mine_by_family, theirs_by_family)
-        add("equal_weight", "geometric mean of the families' ratios", interval, float("nan"))
+        ratio = geometric_ratio_interval(mine_by_family, theirs_by_family).columns("ratio")
+        label = "geometric mean of the families' ratios"
+        rows.append({**who, "group": "equal_weight", "value": label, **ratio, "share_of_cases_better": np.nan})
     return pd.DataFrame(rows)

@@ -1,1 +1,1 @@
-"""Notices the leak from what the rig measures: the leakage head, its training, its metrics."""
+"""Leak detection from measured signals: the leakage head, its training, its metrics."""

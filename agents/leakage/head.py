@@ -1,6 +1,6 @@
-"""The leakage head: two seconds of observations in, probability and size of a leak out.
+"""The leakage head: it estimates probability and size of a leak from two seconds of observations.
 
-Works under any controller, because it sees observations alone. ``MonitoredController`` attaches it to one.
+It works under any controller, because it reads only observations. ``MonitoredController`` attaches it to one.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_c
 N_CHANNELS = 18
 
 SHORTEST_WINDOW = 56
-"""Observations that give the last convolution one output."""
+"""Number of observations for which the last convolution has one output."""
 
 LONGEST_WINDOW, LARGEST_WIDTH = 1_000_000, 1024
-"""Observations, and channels of a convolution: more must be a mistake."""
+"""Largest numbers of observations and of channels of a convolution; more must be a mistake."""
 
 
 class LeakageEstimate(NamedTuple):
-    """What the head says, each (N,); NaN while less than a window of observations has been seen."""
+    """Estimate of the head, each (N,); NaN until a whole window of observations is known."""
 
     probability: NDArray[np.float64]  # of a leak, 0 to 1
     flow_lpm: NDArray[np.float64]  # l/min at 100 bar
@@ -43,8 +43,8 @@ class LeakageEstimate(NamedTuple):
 def channels(signals: Tensor) -> Tensor:
     """Input channels (N, 18, T) of the network from SIGNALS (N, 5, T) in the scales of the observation.
 
-    Besides the signals, the terms of the flow balance of each chamber (12), (13): the speed that takes oil up, the
-    pressure rates, and the products of spool and pressures of which the valve flows consist. A leak is what remains.
+    Besides the signals these are the terms of the flow balance of each chamber (12), (13): the speed, the pressure
+    rates, and the products of spool and pressures that make up the valve flows. A leak is the rest of this balance.
     """
     position, pressure_a, pressure_b, spool, command = signals.unbind(1)
 
@@ -109,7 +109,7 @@ class LeakageNetwork(nn.Module):
 
 @dataclass(frozen=True)
 class HeadSettings:
-    """What inference needs besides the weights."""
+    """Settings of inference besides the weights."""
 
     layout: ObservationLayout
     window: int  # observations
@@ -118,7 +118,7 @@ class HeadSettings:
 
 
 class HeadState(NamedTuple):
-    """Memory of the head; no call changes one that it is given."""
+    """Memory of the head; no call changes its argument."""
 
     history: tuple[NDArray[np.float32], ...]
     """SIGNALS (N, 5) of the last observations, at most a window of them, newest last."""
@@ -138,9 +138,9 @@ class _StoredHead(StoredLayout):
 
 
 class LeakageHead:
-    """The trained network with everything that inference needs.
+    """The trained network and its settings.
 
-    ``predict`` watches step by step, with the signature of a controller; ``estimate`` judges whole windows.
+    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows.
     """
 
     def __init__(self, network: LeakageNetwork, settings: HeadSettings) -> None:
@@ -157,19 +157,19 @@ class LeakageHead:
     ) -> tuple[NDArray[np.float64], HeadState]:
         """Probability of a leak and its size in l/min at 100 bar, (2,) or (N, 2), and the memory for the next call.
 
-        NaN until a whole window of observations has been seen. Arguments as of a controller
+        NaN until a whole window of observations is known. The arguments are those of a controller
         (:class:`~agents.controllers.base.Controller`).
         """
         del deterministic
         batch, single = as_batch(observation)
         state = self.remember(batch, state, episode_start)
-        found = np.column_stack(self.estimate_remembered(state))
-        return (found[0] if single else found), state
+        estimates = np.column_stack(self.estimate_remembered(state))
+        return (estimates[0] if single else estimates), state
 
     def remember(
         self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
     ) -> HeadState:
-        """Take observations (N, n) into the memory without judging them."""
+        """Add observations (N, n) to the memory without running the network."""
         history, seen = state if state is not None else ((), np.zeros(len(observation), dtype=np.int64))
         if episode_start is not None:
             seen = np.where(episode_start, 0, seen)
@@ -177,7 +177,7 @@ class LeakageHead:
         return HeadState((*history, signals)[-self.settings.window :], seen + 1)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
-        """Probability and size of a leak from the remembered windows (N,); NaN where one is not whole yet."""
+        """Probability and size of a leak from the stored windows (N,); NaN for an incomplete window."""
         window, count = self.settings.window, len(state.seen)
         full = state.seen >= window
         probability, flow = np.full(count, np.nan), np.full(count, np.nan)
@@ -206,7 +206,7 @@ class LeakageHead:
         return self.estimate_signals(array[:, :, self.columns].transpose(0, 2, 1))
 
     def estimate_signals(self, signals: NDArray[Any], batch: int = 2048) -> LeakageEstimate:
-        """The same from SIGNALS alone, (N, 5, window)."""
+        """Probability and size of a leak from SIGNALS, (N, 5, window)."""
         outputs = []
         with torch.no_grad():
             for first in range(0, len(signals), batch):
@@ -218,9 +218,7 @@ class LeakageHead:
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         settings = {
-            "observation_names": list(self.settings.layout.names),
-            "observation_scale": list(self.settings.layout.scale),
-            "control_period": self.settings.layout.control_period,
+            **self.settings.layout.describe(),
             "signals": list(SIGNALS),
             "window": self.settings.window,
             "threshold": self.settings.threshold,
@@ -242,7 +240,7 @@ class LeakageHead:
         if stored.signals != SIGNALS:
             raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
         bias = tensors.get("convolutions.0.bias")
-        if bias is None or bias.shape != (stored.width,):  # before a network of that width takes memory
+        if bias is None or bias.shape != (stored.width,):  # checked before a network of that width takes memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors are of another network")
         network = LeakageNetwork(stored.width)
         require(tensors, {name: value.numpy() for name, value in network.state_dict().items()}, path)
@@ -262,10 +260,9 @@ class MonitorState:
 
 
 class MonitoredController:
-    """Any controller with the leakage head attached: acts as the controller does, and tells the leak on the side.
+    """Any controller with the leakage head attached; its commands are those of the controller.
 
-    ``estimate(state)`` gives the head's answer for the last window of observations of each axis; only then does the
-    network run.
+    ``estimate(state)`` runs the head on the last window of observations of each axis.
     """
 
     def __init__(self, controller: Controller, head: LeakageHead) -> None:
@@ -279,7 +276,7 @@ class MonitoredController:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], MonitorState]:
-        """The controller's commands; the observations are remembered for the head."""
+        """The controller's commands; the state also stores the observations for the head."""
         batch, single = as_batch(observation)
         inner, watching = (state.controller, state.head) if state is not None else (None, None)
         action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
@@ -287,5 +284,5 @@ class MonitoredController:
         return (action[0] if single else action), MonitorState(inner, watching)
 
     def estimate(self, state: MonitorState) -> LeakageEstimate:
-        """Probability and size of a leak on each axis (N,); NaN until a whole window has been seen."""
+        """Probability and size of a leak on each axis (N,); NaN until a whole window is known."""
         return self.head.estimate_remembered(state.head)

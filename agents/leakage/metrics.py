@@ -1,4 +1,4 @@
-"""How well leaks are told from healthy seals: ROC, precision and recall, detection at a false-alarm rate."""
+"""Metrics of leak detection: ROC, precision and recall, detection at a false-alarm rate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Curve(NamedTuple):
 
 
 def _counts(scores: NDArray[Any], positive: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """True and false positives at each distinct threshold, from the highest down; starts with none of either."""
+    """True and false positives at each distinct threshold, in falling order; the first entry has none."""
     order = np.argsort(-scores, kind="stable")
     sorted_scores = np.asarray(scores, dtype=np.float64)[order]
     last_of_each = np.append(np.flatnonzero(np.diff(sorted_scores)), len(scores) - 1)
@@ -63,7 +63,7 @@ def average_precision(scores: NDArray[Any], positive: NDArray[np.bool_]) -> floa
 
 
 def threshold_at_false_alarm_rate(healthy_scores: NDArray[Any], rate: float) -> float:
-    """Lowest threshold at which no more than the share ``rate`` of healthy scores lies at or above it."""
+    """Lowest threshold that flags at most the share ``rate`` of the healthy scores."""
     ordered = np.sort(np.asarray(healthy_scores, dtype=np.float64))[::-1]
     allowed = int(np.floor(rate * len(ordered)))
     if allowed >= len(ordered):
@@ -72,5 +72,5 @@ def threshold_at_false_alarm_rate(healthy_scores: NDArray[Any], rate: float) -> 
 
 
 def detection_rate(scores: NDArray[Any], threshold: float) -> float:
-    """Share of scores at or above the threshold; NaN where there are none."""
+    """Share of scores at or above the threshold; NaN without scores."""
     return float(np.mean(np.asarray(scores) >= threshold)) if len(scores) else float("nan")

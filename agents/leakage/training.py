@@ -39,11 +39,11 @@ FALSE_ALARM_RATE = 0.01
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
 RISE = 0.05
-"""Share of the training over which the learning rate rises."""
+"""Share of the training during which the learning rate rises."""
 
 
 class HeadTrainingSettings(Group):
-    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds the ones that are used."""
+    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds those of the studies."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -57,16 +57,16 @@ class HeadTrainingSettings(Group):
     learning_rate: float = Field(2e-3, gt=0.0, le=1.0)
     weight_decay: float = Field(1e-4, ge=0.0, le=1.0)
     size_weight: float = Field(
-        1.0, ge=0.0, le=1e3, description="of the size error (in decades, Huber) beside the class"
+        1.0, ge=0.0, le=1e3, description="weight of the size error (in decades, Huber) relative to the class"
     )
     width: int = Field(48, ge=1, le=LARGEST_WIDTH)
     torch_threads: int = Field(2, ge=1, le=256)
 
     def check(self, config: TaskConfig) -> None:
-        """Check that the leaks to train on, and the window, suit a task.
+        """Check that the leaks of the training and the window suit a task.
 
         Raises:
-            ConfigurationError: a bound lies on the wrong side of the task's, or an episode is too short.
+            ConfigurationError: a bound lies on the wrong side of the task's bound, or an episode is too short.
         """
         if config.steps < SHORTEST_WINDOW:
             raise ConfigurationError(
@@ -140,17 +140,18 @@ def train_head(
     """Train a head on episodes of all controllers, and set its threshold on validation plants.
 
     Args:
-        config: the task; an episode is the head's window.
-        controllers: that produce the data.
-        settings: of the training.
-        seed: of data and network.
-        progress: called with the phase, how much of it is done, of how much, and the loss (NaN while simulating).
-        folder: where ``head_checkpoint.safetensors`` goes at once and after each epoch; ``None`` writes nothing.
-        resume: go on from that checkpoint; the episodes are simulated again, which gives the same.
+        config: the task; the head's window is one episode.
+        controllers: controllers of the training episodes.
+        settings: settings of the training.
+        seed: seed of data and network.
+        progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
+        folder: for ``head_checkpoint.safetensors``, written at the start and after each epoch; ``None`` writes nothing.
+        resume: continue from that checkpoint; the same episodes are simulated again.
 
     Raises:
-        ConfigurationError: settings that do not suit the task; a checkpoint that is missing, damaged or of others.
-        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole epoch stays.
+        ConfigurationError: settings that do not suit the task; a checkpoint that is missing, damaged or of other
+            settings.
+        KeyboardInterrupt: Ctrl-C; the checkpoint of the last whole epoch remains.
     """
     settings.check(config)
     torch.set_num_threads(settings.torch_threads)
@@ -166,7 +167,7 @@ def train_head(
     def simulated(phase: str, total: int) -> Callable[[int], None]:
         return lambda done: progress(phase, done, total, math.nan) if progress is not None else None
 
-    # The far half of the training seeds: PPO uses the near one.
+    # The second half of the training seeds: PPO uses the first.
     offset = len(TRAINING_SEEDS) // 2 + (seed * settings.episodes) % (len(TRAINING_SEEDS) // 4)
     first = TRAINING_SEEDS.start + offset
     if fit.epoch < settings.epochs:
@@ -199,36 +200,30 @@ def _set_normalisation(network: LeakageNetwork, signals: NDArray[Any]) -> None:
 
 
 def targets(flow_lpm: NDArray[np.float64], healthy_bound: float) -> tuple[Tensor, Tensor]:
-    """What the network is to answer (N,): 1 for a leak above the bound, and log10 of the flow, not below the bound.
+    """Targets of the network (N,): 1 for a leak above the bound, and log10 of the flow, at least that of the bound.
 
-    The size of a leak below the bound does not matter and cannot be seen.
+    The size of a leak below the bound does not matter and cannot be estimated.
     """
     label = torch.from_numpy((flow_lpm > healthy_bound).astype(np.float32))
     size = torch.from_numpy(np.log10(flow_lpm).astype(np.float32))
     return label, size.clamp(min=math.log10(healthy_bound))
 
 
+@dataclass
 class _Fit:
-    """Epochs of gradient steps with a checkpoint after each, and one before the first."""
+    """Epochs of gradient steps, with a checkpoint before the first epoch and after each."""
 
-    def __init__(
-        self,
-        network: LeakageNetwork,
-        settings: HeadTrainingSettings,
-        config: TaskConfig,
-        seed: int,
-        checkpoint: Path | None,
-    ) -> None:
-        self.network = network
-        self.settings = settings
-        self.config = config
-        self.seed = seed
-        self.checkpoint = checkpoint
-        self.epoch = 0
-        self._data_digest: str | None = None
-        self._optimiser = torch.optim.AdamW(
-            network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-        )
+    network: LeakageNetwork
+    settings: HeadTrainingSettings
+    config: TaskConfig
+    seed: int
+    checkpoint: Path | None
+    epoch: int = 0
+    _data_digest: str | None = None
+
+    def __post_init__(self) -> None:
+        rate, decay = self.settings.learning_rate, self.settings.weight_decay
+        self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
 
     def _description(self) -> dict[str, Any]:
         return {
@@ -238,7 +233,7 @@ class _Fit:
         }
 
     def restore(self) -> None:
-        """Take up the checkpoint."""
+        """Load the checkpoint."""
         if self.checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
         tensors, stored = load_checkpoint(self.checkpoint, KIND)
@@ -269,7 +264,7 @@ class _Fit:
         self._data_digest = digest
 
     def run(self, data: Labelled, progress: Callable[[str, int, int, float], None] | None) -> None:
-        """The epochs that are left."""
+        """Run the remaining epochs."""
         self._check_data(data)
         settings, total = self.settings, len(data.flow_lpm)
         per_epoch = math.ceil(total / settings.batch)

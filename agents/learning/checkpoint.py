@@ -1,4 +1,4 @@
-"""The whole state of an on-policy training between two rollouts: what a resumed training needs to go on bit for bit."""
+"""The whole state of an on-policy training between two rollouts; a resumed training continues from it bit for bit."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Checkpoint(NamedTuple):
     steps: int
     updates: int
     seconds: float
-    """Of training, all sessions together."""
+    """Duration of training, all sessions together."""
 
 
 def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoint:
-    """Copy the state of a training that stands at the start of a rollout."""
+    """Copy the state of a training at the start of a rollout."""
     generator: Any = np.random.get_state(legacy=False)
     episodes = [(episode["r"], episode["l"]) for episode in model.ep_info_buffer or ()]
     tensors: dict[str, NDArray[Any]] = {
@@ -52,7 +52,7 @@ def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoin
 
 
 def save(checkpoint: Checkpoint, folder: Path, made_with: Mapping[str, Any]) -> None:
-    """Write a checkpoint with what it was made with (JSON), whole or not at all.
+    """Write a checkpoint and the circumstances ``made_with`` (JSON), whole or not at all.
 
     Raises:
         ConfigurationError: the folder cannot be written.
@@ -65,11 +65,11 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
     """Read the checkpoint of a folder.
 
     Args:
-        folder: where it lies.
-        made_with: groups that must be the same as when it was written, each a dictionary or a single value.
+        folder: folder of the checkpoint.
+        made_with: groups that must equal those of the checkpoint, each a dictionary or a single value.
 
     Raises:
-        ConfigurationError: it is missing, damaged, or was made with something else.
+        ConfigurationError: the checkpoint is missing, damaged, or was made with other groups.
     """
     path = folder / CHECKPOINT_FILE
     tensors, stored = load_checkpoint(path, KIND)
@@ -91,7 +91,7 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
 
 
 def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:
-    """Put a training back to where :func:`take` found it; ``model`` and ``env`` are fresh and of the same settings.
+    """Restore the state that :func:`take` copied into a new ``model`` and ``env`` of the same settings.
 
     Raises:
         ConfigurationError: the checkpoint does not fit the model; ``where`` names its file.
@@ -126,7 +126,7 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
     model._n_updates = checkpoint.updates
     generator["state"] = {"key": tensors["numpy_generator"], "pos": int(tensors["numpy_generator_position"])}
     try:
-        if not 0 <= generator["state"]["pos"] <= 624:  # NumPy would read beyond its words
+        if not 0 <= generator["state"]["pos"] <= 624:  # NumPy would read beyond its array
             raise ValueError
         np.random.set_state(generator)
         torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
@@ -135,10 +135,10 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """An array as safetensors holds it: the bytes of one with named fields."""
+    """An array that safetensors can hold: of an array with named fields, its bytes."""
     return array if array.dtype.names is None else np.frombuffer(array.tobytes(), dtype=np.uint8)
 
 
 def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
-    """What :func:`_plain` took apart."""
+    """The inverse of :func:`_plain`."""
     return array if like.dtype.names is None else array.view(like.dtype).reshape(like.shape)

@@ -1,7 +1,7 @@
-"""What the policy network sees: the observation, the PID's command, and a short history of signals.
+"""Inputs of the policy network: the observation, the PID's command, and a short history of signals.
 
-Leakage, stiffness of the oil, mass and friction are hidden; in the recent past of pressures, spool and error they
-show. The same class serves training and inference, so that they cannot differ.
+Leakage, stiffness of the oil, mass and friction are hidden, but they affect the recent past of pressures, spool and
+error. Training and inference use the same class.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
 
 
 FEATURE_LIMIT = 50.0
-"""Inputs of the policy are cut off here."""
+"""Inputs of the policy are limited to ± this value."""
 
 
 class FeatureState(NamedTuple):
-    """Memory of N axes; no call changes one that it is given."""
+    """Memory of N axes; no call changes its argument."""
 
     pid: PIDState | None
     ring: NDArray[np.float32]
-    """Recent signals (N, length, signals), oldest first from ``slot`` on, around the end."""
+    """Ring buffer of recent signals (N, length, signals); the oldest is at ``slot``."""
 
     slot: int
-    """Where the next signals go."""
+    """Index for the next signals."""
 
     base_command: NDArray[np.float32]
-    """Of the PID at the last call, (N, 1)."""
+    """Command of the PID at the last call, (N, 1)."""
 
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
@@ -76,8 +76,8 @@ class PolicyFeatures:
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
-        The history is given as changes since then. Before an episode's start, its first observation counts as the
-        past.
+        The history consists of the changes since each past sample. The first observation of an episode stands for the
+        time before it.
         """
         signals = np.asarray(observation[:, self._columns], dtype=np.float32)
         if state is None:
@@ -110,9 +110,7 @@ class PolicyFeatures:
     def describe(self) -> dict[str, Any]:
         """All that is needed to build this again (JSON)."""
         return {
-            "observation_names": list(self.layout.names),
-            "observation_scale": list(self.layout.scale),
-            "control_period": self.layout.control_period,
+            **self.layout.describe(),
             "pid_gains": self.gains.model_dump() if self.gains is not None else None,
             "residual_scale": self.residual_scale,
             "history_signals": list(HISTORY_SIGNALS),

@@ -1,4 +1,4 @@
-"""A trained policy as a controller: NumPy inference from safetensors, and the way from and to stable-baselines3."""
+"""A trained policy as a controller: NumPy inference from safetensors, and conversion from and to stable-baselines3."""
 
 from __future__ import annotations
 
@@ -45,18 +45,18 @@ class _StoredPolicy(Group):
 
 
 class PolicyController:
-    """An actor network of dense layers from features to a command, as PPO or A2C trains it.
+    """An actor network of dense layers from features to a command, as trained by PPO or A2C.
 
-    Same interface as every controller; see :class:`~agents.controllers.base.Controller`. With
-    ``deterministic=False`` Gaussian exploration noise of the trained size is added.
+    It has the interface of every controller; see :class:`~agents.controllers.base.Controller`.
+    ``deterministic=False`` adds Gaussian exploration noise of the trained size.
 
     Args:
-        features: from observation to policy input, from output to command.
+        features: map observations to policy inputs, and outputs to commands.
         layers: (weight (out, in), bias (out,)) of each layer of the actor.
-        log_standard_deviation: of the exploration noise.
-        activation: of the hidden layers, ``tanh`` or ``relu``.
-        training: how the weights came about (JSON), for the record.
-        critic: the layers of the network that estimates values, of the same sizes; ``None`` if it is not known.
+        log_standard_deviation: logarithm of the standard deviation of the exploration noise.
+        activation: activation of the hidden layers, ``tanh`` or ``relu``.
+        training: record of the training (JSON).
+        critic: layers of the value network, of the same sizes; ``None`` if unknown.
     """
 
     def __init__(
@@ -101,12 +101,12 @@ class PolicyController:
     def from_sb3(
         cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
     ) -> PolicyController:
-        """Take actor and critic out of a PPO or A2C model of stable-baselines3 that was trained on ``AxisVecEnv``.
+        """Copy actor and critic of a PPO or A2C model of stable-baselines3 that was trained on ``AxisVecEnv``.
 
         Args:
-            model: with an ``MlpPolicy`` of tanh or relu layers.
-            features: from observation to the model's input; those of the model's environment by default.
-            training: for the record.
+            model: a model with an ``MlpPolicy`` of tanh or relu layers.
+            features: map observations to the model's inputs; default: those of the model's environment.
+            training: record of the training.
 
         Raises:
             ConfigurationError: the model has another kind of network, or its inputs are not policy features.
@@ -125,14 +125,14 @@ class PolicyController:
         return cls(features, actor, float(policy.log_std.detach().mean()), training, activation, critic)
 
     def to_sb3(self, env: VecEnv, **keywords: Any) -> PPO:
-        """A PPO model of stable-baselines3 with these weights, to train on.
+        """A PPO model of stable-baselines3 with these weights, for further training.
 
-        A policy without a critic (the shipped one has none) gets a fresh critic: train that for a while before the
-        actor may be trusted to improve.
+        A policy without a critic (the shipped one has none) gets an untrained critic; the actor cannot improve before
+        the critic has learned.
 
         Args:
             env: ``AxisVecEnv(config, count, features=policy.features)``.
-            keywords: of ``PPO``, such as ``n_steps`` and ``learning_rate``.
+            keywords: keywords of ``PPO``, such as ``n_steps`` and ``learning_rate``.
 
         Raises:
             ConfigurationError: the environment's inputs are not those of this policy.

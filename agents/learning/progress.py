@@ -1,4 +1,4 @@
-"""The log of a training: stable-baselines3's logger to ``progress.csv``, and to TensorBoard where it is installed."""
+"""The log of a training: stable-baselines3's logger to ``progress.csv``, and to TensorBoard if it is installed."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ Row = dict[str, float]
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a training stands."""
+    """Progress of a training."""
 
     steps: int
     total_steps: int
-    seconds: float  # of training, all sessions together
-    mean_reward: float  # per control period, of the episodes that ended lately; NaN before the first has
+    seconds: float  # duration of training, all sessions together
+    mean_reward: float  # per control period, over the last episodes; NaN before the first one has ended
 
 
 class ProgressFile(KVWriter):
-    """``progress.csv``: one row per update, written at once, so that a resumed training goes on where it stopped.
+    """``progress.csv``: one row per update, written at once; a resumed training continues the file.
 
     Args:
-        path: of the file.
-        steps: rows after so many steps are dropped: the training that wrote them was killed before its checkpoint.
+        path: path of the file.
+        steps: number of steps at the checkpoint; later rows are dropped, because a training wrote them that was killed
+            before its next checkpoint.
 
     Raises:
         ConfigurationError: the file is damaged or cannot be written.
@@ -75,7 +76,7 @@ def _text(value: float) -> str:
 
 
 def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
-    """The rows of ``progress.csv`` up to so many steps; an empty field is NaN, an unfinished last line is left out.
+    """The rows of ``progress.csv`` up to a number of steps; an empty field is NaN, an incomplete last line is skipped.
 
     Raises:
         ConfigurationError: the file cannot be read, or a row is damaged.
@@ -111,7 +112,7 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
 
     Args:
         folder: for ``progress.csv`` and the event files of TensorBoard.
-        steps: that a resumed training has done already.
+        steps: number of steps that a resumed training has already done.
 
     Raises:
         ConfigurationError: ``progress.csv`` is damaged or cannot be written.

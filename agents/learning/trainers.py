@@ -1,4 +1,4 @@
-"""What can be trained, by name: another algorithm is a class with two methods, in a file of its own."""
+"""Trainers by name; to add an algorithm, write a class with two methods in a new file."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from hydro_env.files import Group
 
 
 class TrainedController(Controller, Protocol):
-    """A controller whose weights can be kept."""
+    """A controller whose weights can be saved."""
 
     def save(self, path: str | Path) -> Path:
-        """Write the weights without running code on loading; returns the file."""
+        """Write the weights in a format that loads without running code; returns the file."""
         ...
 
 
@@ -28,7 +28,7 @@ class Trainer(Protocol):
     """An algorithm that makes a controller for a task."""
 
     settings: type[Group]
-    """What a YAML file may say."""
+    """Class of the settings in a YAML file."""
 
     def train(
         self,
@@ -46,11 +46,11 @@ class Trainer(Protocol):
         Args:
             config: the task.
             settings: an instance of the class's ``settings``.
-            seed: of everything that is drawn.
+            seed: seed of all random numbers.
             folder: for checkpoints and logs.
-            resume: go on from the checkpoint in ``folder``.
+            resume: continue from the checkpoint in ``folder``.
             base: the controller that a residual form corrects, if there is one.
-            progress: called now and then.
+            progress: called from time to time.
 
         Raises:
             ConfigurationError: impossible settings, or nothing to resume.
@@ -61,7 +61,7 @@ class Trainer(Protocol):
         """Read weights that a controller of this trainer saved.
 
         Raises:
-            ConfigurationError: the files are missing, damaged, or of something else.
+            ConfigurationError: the files are missing, damaged, or of another kind.
         """
         ...
 
@@ -99,7 +99,7 @@ TRAINERS: dict[str, Trainer] = {"ppo": PPOTrainer()}
 
 
 def trainer(kind: str) -> Trainer:
-    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
+    """The trainer with a name in :data:`TRAINERS`, or the one that ``my_module:MyTrainer`` names.
 
     Raises:
         ConfigurationError: no such trainer, or it cannot be loaded.
@@ -108,14 +108,14 @@ def trainer(kind: str) -> Trainer:
         return TRAINERS[kind]
     if ":" not in kind:
         raise ConfigurationError(f"trainer '{kind}': unknown; known: {', '.join(TRAINERS)}, or my_module:MyTrainer")
-    found = imported(kind)
+    given = imported(kind)
     try:
-        made: Any = found() if isinstance(found, type) else found
-    except Exception as error:  # whatever a class of the user's raises
+        made: Any = given() if isinstance(given, type) else given
+    except Exception as error:  # a user's class may raise anything
         reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason}") from None
-    lacking = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
-    if lacking:
-        raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(lacking)}")
+    missing = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
+    if missing:
+        raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(missing)}")
     checked: Trainer = made
     return checked

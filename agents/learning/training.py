@@ -1,4 +1,4 @@
-"""Trains PPO of stable-baselines3 on the native vector environment, with checkpoints that can be resumed."""
+"""Trains PPO of stable-baselines3 on the native vector environment, with checkpoints for resuming."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from hydro_env.files import Group
 from hydro_env.task.configuration import task_config
 
 LARGEST_ROLLOUT = 10_000_000
-"""Samples of a rollout: some gigabytes of memory."""
+"""Largest number of samples of a rollout; it takes some gigabytes of memory."""
 
 
 class PPOSettings(Group):
-    """Settings of the training; ``configs/agents/ppo.yaml`` holds the ones that are used."""
+    """Settings of the training; ``configs/agents/ppo.yaml`` holds those of the studies."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -40,7 +40,7 @@ class PPOSettings(Group):
     residual_scale: float = Field(0.25, gt=0.0, le=2.0, description="command per 1 of the policy's output")
     paired: bool = Field(True, description="reward against a twin under the PID (residual form only)")
     practice: dict[str, Any] = Field(
-        default_factory=dict, description="fields of the task that differ in training, such as what occurs more often"
+        default_factory=dict, description="fields of the task that differ in training, such as the share of leaks"
     )
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
     axes: int = Field(256, ge=1, le=65_536)
@@ -54,7 +54,7 @@ class PPOSettings(Group):
     entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
     initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
     final_log_standard_deviation: float = Field(
-        -3.0, ge=-10.0, le=2.0, description="reached linearly; left to the gradient it collapses too early"
+        -3.0, ge=-10.0, le=2.0, description="linear schedule; the gradient alone would reduce it too early"
     )
     hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1, max_length=16)
     activation: Literal["tanh", "relu"] = Field(
@@ -77,7 +77,7 @@ class PPOSettings(Group):
         return self
 
     def learning_rate_at(self, remaining: float) -> float:
-        """Learning rate while a share ``remaining`` of the training (1 to 0) is left."""
+        """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
         share = min(1.0 - remaining, 1.0)  # the last rollout may go past the end
         return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
 
@@ -99,7 +99,7 @@ def make_features(config: TaskConfig, settings: PPOSettings, gains: PIDGains | N
 
 
 def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
-    """The axes of a training; ``practice`` may change what occurs on them, not what the policy sees.
+    """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
     Raises:
         ConfigurationError: ``practice`` is no part of a task, or changes the observations or the control period.
@@ -111,7 +111,7 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
     if ObservationLayout.of(practised) != ObservationLayout.of(config):
         raise ConfigurationError(
             f"ppo.practice = {settings.practice}: must leave the control period and the names and scales of "
-            "observations as they are in the task, because the policy is used there"
+            "observations as they are in the task, because the policy must work there"
         )
     paired = settings.residual and settings.paired
     return AxisVecEnv(practised, settings.axes, features, seed, settings.reward_scale, paired, stagger=True)
@@ -146,7 +146,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
 
 
 class _Callback(BaseCallback):
-    """Between rollouts: log, checkpoint, the caller's check. After each: exploration schedule and progress."""
+    """Logs, writes checkpoints and calls ``check`` between rollouts; sets the exploration after each."""
 
     model: PPO
 
@@ -175,7 +175,7 @@ class _Callback(BaseCallback):
 
     @property
     def seconds(self) -> float:
-        """Of training, all sessions together; the caller's checks do not count."""
+        """Duration of training, all sessions together, without the caller's checks."""
         return time.monotonic() - self._began
 
     def _on_training_start(self) -> None:
@@ -208,7 +208,7 @@ class _Callback(BaseCallback):
         return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
 
     def _between_rollouts(self) -> None:
-        """Log the last rollout with its update, and note where the next one begins."""
+        """Log the last rollout and its update, and copy the state at the start of the next one."""
         steps = self.num_timesteps
         if steps > self._logged:
             self._log(steps, steps - self._logged)
@@ -232,7 +232,7 @@ class _Callback(BaseCallback):
         self.logger.dump(steps)
 
     def write_checkpoint(self) -> None:
-        """Write the state at the start of the rollout that runs now, or that would be next."""
+        """Write the state at the start of the present rollout, or of the next one between rollouts."""
         if self._write is not None and self._checkpoint is not None:
             self._write(self._checkpoint)
             self._written = time.monotonic()
@@ -249,33 +249,33 @@ def train_ppo(
     checkpoint_seconds: float = 20.0,
     check: Callable[[PolicyController, int, float], bool] | None = None,
 ) -> PolicyController:
-    """Train a policy from nothing, or go on from a checkpoint as if there had been no interruption.
+    """Train a new policy, or continue from a checkpoint as if there had been no interruption.
 
     Args:
         config: the task.
-        settings: of the training.
-        gains: of the PID that the residual form corrects.
-        seed: of networks, exploration, plants, references and noise.
+        settings: settings of the training.
+        gains: gains of the PID that the residual form corrects.
+        seed: seed of networks, exploration, plants, references and noise.
         folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
-        resume: go on from the checkpoint in ``folder``.
+        resume: continue from the checkpoint in ``folder``.
         progress: called after every rollout.
         checkpoint_seconds: time between checkpoints; the first is written before the first rollout.
-        check: called between rollouts with the policy as it stands, the steps done and the seconds that they took
-            (its own not counted); true ends the training early.
+        check: called between rollouts with the present policy, the number of steps and the seconds of training
+            (without its own); true ends the training early.
 
     Returns:
         The trained policy.
 
     Raises:
         ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
-        KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the rollout that was interrupted.
+        KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the interrupted rollout.
     """
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, gains)
     described = settings.model_dump(mode="json")
     made_with = {
         "seed": seed,
-        "settings": {**described, "total_steps": 0},  # a training may be made longer
+        "settings": {**described, "total_steps": 0},  # a resumed training may be longer
         "task": config.model_dump(mode="json"),
         "features": features.describe(),
     }
@@ -297,19 +297,14 @@ def train_ppo(
     def current() -> PolicyController:
         return PolicyController.from_sb3(model, features)
 
-    base_error = math.nan  # of the PID that is corrected; the same each time
+    base_error = math.nan  # of the corrected PID; computed once
 
     def validation() -> dict[str, float]:
         nonlocal base_error
         if settings.residual and gains is not None and math.isnan(base_error):
             base_error = validation_errors(config, PID(gains, features.layout))[0]
         mean, worst, failures = validation_errors(config, current())
-        return {
-            "mean_error_mm": mean,
-            "worst_error_mm": worst,
-            "failures": failures,
-            "base_mean_error_mm": base_error,
-        }
+        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, "base_mean_error_mm": base_error}
 
     callback = _Callback(
         settings,
@@ -324,7 +319,7 @@ def train_ppo(
         if checkpoint is not None and place is not None:
             restore(model, env, checkpoint, place / CHECKPOINT_FILE)
         if done < settings.total_steps:
-            never = settings.total_steps  # the callback writes the log, once the update is done
+            never = settings.total_steps  # the callback writes the log after the update
             model.learn(settings.total_steps - done, callback, log_interval=never, reset_num_timesteps=False)
     except KeyboardInterrupt:
         callback.write_checkpoint()

@@ -1,4 +1,4 @@
-"""Finds the gains of the PID by an optimiser, on training plants with all leak levels and reference families."""
+"""Optimises the gains of the PID on training plants with all leak levels and reference families."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def mean_costs(
     An axis that fails pays the worst tracking cost for the rest of its episode.
 
     Args:
-        env: N axes that restart by themselves.
-        controller: what acts.
-        seeds: of the axes.
-        options: of the reset.
+        env: N axes with automatic resets.
+        controller: the controller.
+        seeds: seeds of the axes.
+        options: options of the reset.
     """
     task, memory = env.config, None
     worst = task.reward.tracking * task.reward.error_limit
@@ -74,18 +74,17 @@ def tune_pid(
     seed: int = 0,
     progress: Callable[[int, float, PIDGains], None] | None = None,
 ) -> tuple[PIDGains, float]:
-    """Optimise the gains by differential evolution on the mean absolute error, by which the evaluation judges.
+    """Optimise the gains by differential evolution on the mean absolute error, the measure of the evaluation.
 
-    The reward's small price on changes of the command is kept, so that the gains do not end in chatter.
-    Every candidate drives the same training plants, references and noise; leak levels and families are spread evenly
-    over them.
+    The cost keeps the reward's small penalty on changes of the command, which prevents chatter. Every candidate drives
+    the same training plants, references and noise; leak levels and families are spread evenly over them.
 
     Args:
         config: the task.
-        plants: axes per candidate; a multiple of levels × families gives each its share.
-        generations: of the search.
+        plants: axes per candidate; a multiple of levels × families gives each combination the same number.
+        generations: number of generations of the search.
         population: candidates per gain.
-        seed: of the search and of the training plants.
+        seed: seed of the search and of the training plants.
         progress: called with the generation, the lowest mean cost so far and its gains.
 
     Returns:

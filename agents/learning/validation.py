@@ -13,7 +13,7 @@ from hydro_env import TaskConfig
 
 
 def validation_cases(config: TaskConfig) -> Cases:
-    """One plant for each family of references at three leaks: healthy, incipient, and the largest that is drawn."""
+    """One plant for each family of references at three leaks: healthy, incipient, and the largest of the task."""
     leakage = config.leakage
     leaks = (math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1])
     families = [name for name, weight in config.references.weights.items() if weight > 0.0]
@@ -23,7 +23,7 @@ def validation_cases(config: TaskConfig) -> Cases:
 
 
 def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
-    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and how many cases failed."""
+    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and number of failed cases."""
     run = run_cases(config, controller, validation_cases(config))
     errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
     return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())

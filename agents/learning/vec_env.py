@@ -23,7 +23,7 @@ ENV = "env."
 class AxisVecEnv(VecEnv):
     """N axes in one compiled step for any algorithm of stable-baselines3, several times faster than ``DummyVecEnv``.
 
-    Observations and actions are the environment's own::
+    Observations and actions are those of the environment::
 
         from stable_baselines3 import PPO
         from agents.learning.vec_env import AxisVecEnv
@@ -31,24 +31,24 @@ class AxisVecEnv(VecEnv):
         env = AxisVecEnv({"episode_duration": 1.0}, 64)
         model = PPO("MlpPolicy", env, n_steps=128, device="cpu").learn(100_000)
 
-    With ``features`` the policy sees :class:`PolicyFeatures` instead, and its output becomes a command through them.
+    With ``features`` the policy gets :class:`PolicyFeatures` instead, which also turn its outputs into commands.
 
-    ``infos`` carries what stable-baselines3 reads (``terminal_observation``, ``TimeLimit.truncated``, ``episode``) on
-    the axes that ended, nothing elsewhere. An axis that ended has begun its next episode.
+    ``infos`` holds the entries of stable-baselines3 (``terminal_observation``, ``TimeLimit.truncated``, ``episode``)
+    for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
-    With ``paired`` each axis has a twin with the same plant, reference and noise that the PID alone drives, and the
-    reward is the difference to the twin's. Error that no controller can avoid cancels out; the twin does not depend
-    on the policy's actions, so that the policy gradient stays unbiased.
+    With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the PID alone; the reward
+    is the difference to the twin's reward. Error that no controller can avoid cancels out. The twin does not depend on
+    the policy's actions; the policy gradient therefore remains unbiased.
 
     Args:
-        config: the task, as the environments take it.
+        config: the task, as for the environments.
         count: number of axes N.
-        features: from observation to policy input, from output to command; ``None`` leaves both as they are.
-        seed: of axis 0; axis i gets seed + i.
-        reward_scale: multiplies rewards, to keep values near 1.
-        paired: reward against a twin under the PID; needs features in the residual form.
-        stagger: move the clock of axis i on by i/N of an episode at the first reset, so that not all axes restart at
-            once. The references jump at that moment; later episodes are whole.
+        features: map observations to policy inputs, and outputs to commands; ``None`` leaves both unchanged.
+        seed: seed of axis 0; axis i gets seed + i.
+        reward_scale: factor on rewards, which keeps values near 1.
+        paired: reward relative to a twin under the PID; needs features in the residual form.
+        stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
+            different times. The references jump at that moment; later episodes are whole.
         overrides: single fields of the task.
 
     Raises:
@@ -105,7 +105,7 @@ class AxisVecEnv(VecEnv):
         return self._inputs(observation, None)
 
     def _inputs(self, observation: NDArray[np.float32], restarted: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """Take in the observations of all axes and twins; returns the policy's inputs (N, size)."""
+        """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
         if self._paired:
             assert self.features is not None
             assert self.features.pid is not None
@@ -117,7 +117,7 @@ class AxisVecEnv(VecEnv):
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
     def step_async(self, actions: Array) -> None:
-        """Take the policy's outputs (N, 1)."""
+        """Store the policy's outputs (N, 1) for ``step_wait``."""
         self._actions = np.asarray(actions, dtype=np.float32)
 
     def step_wait(self) -> VecEnvStepReturn:
@@ -151,7 +151,7 @@ class AxisVecEnv(VecEnv):
     def _fill_infos(
         self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
     ) -> None:
-        """The last inputs of the episodes that ended: their history with the last observation in place of the new."""
+        """Fill ``infos`` of the ended episodes; their last inputs combine their history with the last observation."""
         inputs = last[ended]
         if self.features is not None:
             assert self._state is not None
@@ -165,7 +165,7 @@ class AxisVecEnv(VecEnv):
             }
 
     def get_state(self) -> dict[str, Array]:
-        """Copies of all that the next steps depend on, as named arrays; for :meth:`set_state`."""
+        """Complete state as copies of named arrays, for :meth:`set_state`."""
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
         arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
         if self._state is not None:
@@ -177,16 +177,16 @@ class AxisVecEnv(VecEnv):
         return arrays | {"twin_command": self._twin_commands}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
-        """Go back to a state of :meth:`get_state`, taken here or in another ``AxisVecEnv`` of the same arguments.
+        """Restore a state of :meth:`get_state`, from this or another ``AxisVecEnv`` with the same arguments.
 
         Raises:
-            ConfigurationError: the arrays describe no state that an axis can be in.
+            ConfigurationError: the arrays describe no possible state of an axis.
         """
         arrays = {name.removeprefix(ENV): array for name, array in state.items() if name.startswith(ENV)}
         record, steps = arrays["record"], self.env.config.steps
         finite = all(np.isfinite(record[name]).all() for name in record.dtype.names or ())
         if not finite or not np.isin(record["step"], np.arange(steps + 1)).all():
-            raise ConfigurationError("env.record: holds no state that an axis can be in")
+            raise ConfigurationError("env.record: holds no possible state of an axis")
         self.env.set_state(AxesState(self.env.config, arrays))
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         self._twin_commands = state["twin_command"]

@@ -1,1 +1,1 @@
-"""Files from a rig: columns of numbers, read without ever misreading one."""
+"""Files from a rig: columns of numbers; an ambiguous file is refused."""

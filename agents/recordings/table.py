@@ -1,4 +1,4 @@
-"""Tables of numbers as measuring programs write them: commas, semicolons or tabs, points or decimal commas."""
+"""Tables of numbers from measuring programs: separated by commas, semicolons or tabs, with points or decimal commas."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
 LARGEST_TABLE = 50_000_000
-"""Bytes; about a million rows of four columns."""
+"""Largest size in bytes; about a million rows of four columns."""
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -29,14 +29,14 @@ class NumberTable(NamedTuple):
 
 
 def read_table(path: Path) -> NumberTable:
-    """Read a table; a line of headings may come first, empty lines and lines that begin with ``#`` are left out.
+    """Read a table; the first line may hold headings; empty lines and lines that begin with ``#`` are skipped.
 
-    Semicolons or tabs separate columns where there are any, and decimals may then have commas; otherwise commas
-    separate columns. Where a comma could be either (``0,5`` without headings), the file is refused.
+    If the file has semicolons or tabs, these separate columns, and decimals may have commas; otherwise commas separate
+    columns. A file in which a comma could be either (``0,5`` without headings) is refused.
 
     Raises:
-        ConfigurationError: unreadable or empty, a cell that is no number, rows of different lengths, or a comma that
-            may separate columns or decimals; the message names the line.
+        ConfigurationError: an unreadable or empty file, a cell that is no number, rows of different lengths, or an
+            ambiguous comma; the message names the line.
     """
     text = read_text(path, LARGEST_TABLE)
     separator = next((mark for mark in ";\t" if mark in text), ",")

@@ -1,1 +1,1 @@
-"""What is drawn and written from results: figures, numbers, sentences, pages."""
+"""Presentation of results: figures, numbers, sentences, pages."""

@@ -1,6 +1,6 @@
-"""How every figure of the project is drawn: one style, one palette, SVG (and PNG) that is the same on every machine.
+"""Drawing of all figures: one style, one palette, SVG and PNG that are the same on every machine.
 
-Each controller keeps its colour, marker and line over all figures. The same numbers give the same bytes.
+Each controller has the same colour, marker and line in all figures. The same numbers give the same bytes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating[Any]]
 
 WIDTH, HEIGHT = 4.6, 3.0
-"""inches; 440 pixels, about a phone, so that text keeps its size there."""
+"""inches; 440 pixels, about the width of a phone, where text keeps its size."""
 
 WIDE = 8.6
 """inches; a figure of several panels side by side."""
@@ -39,7 +39,7 @@ INK, GREY, PALE = "#222222", "#6b6b6b", "#dddddd"
 
 STYLE: Any = {
     "svg.hashsalt": "hydro_env",
-    "svg.fonttype": "path",  # letters are outlines: no font is needed where the report is read
+    "svg.fonttype": "path",  # letters are outlines: the reader needs no font
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.labelsize": 9.0,
@@ -72,17 +72,17 @@ STYLE: Any = {
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with its words."""
+    """A figure with title, note and description."""
 
     title: str
     note: str  # how to read it
-    alt: str  # what it shows, for those who cannot see it
+    alt: str  # description for readers who cannot see it
     svg: str
 
 
 @dataclass(frozen=True)
 class Look:
-    """How something looks in every figure: a controller, a leak."""
+    """Colour, marker and line of a controller or a leak in all figures."""
 
     colour: str
     marker: str
@@ -95,13 +95,13 @@ class Look:
 
 
 COLOURS = ("#0072b2", "#d55e00", "#00805c", "#b3508a", "#8a6d00", "#2e8bc0")
-"""After Okabe and Ito, darkened to a contrast of 3 : 1 on white: colour-blind readers can tell them apart."""
+"""After Okabe and Ito, darkened to a contrast of 3 : 1 on white; colour-blind readers can distinguish them."""
 
 MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
 
 
 def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
-    """The look of each controller, by its place."""
+    """The look of each controller, by its position in the list."""
     return {
         name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
         for i, name in enumerate(names)
@@ -109,12 +109,12 @@ def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
 
 
 def controllers_of(evaluation: Evaluation) -> list[str]:
-    """Names of the controllers; the first is the one that the others are compared with."""
+    """Names of the controllers; the first is the baseline of the comparison."""
     return [str(name) for name in evaluation.cases["controller"].unique()]
 
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
-    """What ``paint`` draws on a figure of a size (inches), as files of these kinds (``svg``, ``png``)."""
+    """Files of these kinds (``svg``, ``png``) with the drawing of ``paint`` on a figure of a size (inches)."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
@@ -133,7 +133,7 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
 
 
 def inline(file: bytes, key: str, alt: str) -> str:
-    """The SVG element for a page: its ids start with ``key``, ``alt`` says what it shows."""
+    """The SVG element for a page; its ids start with ``key``, and ``alt`` describes it."""
     svg = file.decode()
     text = re.sub(r'\bid="|url\(#|href="#', lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
     label = f'role="img" aria-label="{escape(alt)}"'
@@ -143,6 +143,17 @@ def inline(file: bytes, key: str, alt: str) -> str:
 def draw(key: str, alt: str, paint: Callable[[Figure], None], height: float = HEIGHT) -> str:
     """The SVG element of a figure of one panel's width."""
     return inline(render(paint, (WIDTH, height), "svg")[0], key, alt)
+
+
+def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
+    """A figure of one panel: what ``paint`` draws, with a legend above."""
+
+    def painted(figure: Figure) -> None:
+        axes = figure.subplots()
+        paint(axes)
+        add_legend(axes)
+
+    return Plot(title, note, alt, draw(key, alt, painted, height))
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -155,7 +166,7 @@ def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], uni
 
 
 def add_legend(axes: Axes) -> None:
-    """Above the axes, where it hides nothing."""
+    """Add a legend above the axes, where it covers no data."""
     handles, labels = axes.get_legend_handles_labels()
     if labels:
         columns = max(min(len(labels), 52 // (max(map(len, labels)) + 6)), 1)
@@ -163,12 +174,12 @@ def add_legend(axes: Axes) -> None:
 
 
 def legend_inside(axes: Axes, **options: Any) -> None:
-    """A legend on a white ground, so that the lines behind it do not disturb."""
+    """Add a legend with a white background, which covers the lines behind it."""
     axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
 
 
 def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = setting) -> None:
-    """Ticks at these values alone, written out."""
+    """Put ticks at these values only, with their labels."""
     axis.set_major_locator(FixedLocator(values))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: labels(value)))
@@ -181,7 +192,7 @@ def log_leak_axis(axes: Axes, levels: Sequence[float], label: str = "leak, l/min
 
 
 def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
-    """Equal steps on the axis for the logarithm of the levels; places of the levels. A leak of zero is drawn left."""
+    """Scale the axis by the logarithm of the levels, with a leak of zero at the left end; returns their places."""
     zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
     places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
     axes.set_xticks(list(places.values()), [setting(level) for level in places])
@@ -209,6 +220,22 @@ def bars(axes: Axes, places: Any, frame: pd.DataFrame, column: str, look: Look, 
         axes.errorbar(places, value, yerr=lengths, **style)
 
 
+def bars_by(
+    axes: Axes,
+    parts: Mapping[str, pd.DataFrame],
+    by: str,
+    values: Sequence[str],
+    column: str,
+    looks: Mapping[str, Look],
+    kind: str,
+) -> None:
+    """Bars of every controller at the place of each value of the column ``by``, those of one value side by side."""
+    width = min(0.2, 0.7 / len(parts)) if kind == "rows" else 0.16
+    for index, (name, part) in enumerate(parts.items()):
+        places = np.array([values.index(str(value)) for value in part[by]]) + dodge(len(parts), index, width)
+        bars(axes, places, part, column, looks[name], name, kind)
+
+
 def dodge(count: int, index: int, width: float) -> float:
-    """How far one of several controllers is drawn beside the place that they share."""
+    """Offset of one of several controllers that share a place on the axis."""
     return width * (index - 0.5 * (count - 1))

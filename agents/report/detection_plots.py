@@ -7,20 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from agents.report.canvas import (
     GREY,
     INK,
     Array,
     Plot,
-    add_legend,
-    bars,
+    bars_by,
     controllers_of,
     description,
-    dodge,
-    draw,
     looks_of,
+    one_panel,
     ticks,
 )
 from agents.report.text import number, setting
@@ -30,7 +27,7 @@ if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_FALSE_ALARMS = 1e-3
-"""Left end of the ROC."""
+"""Lowest false-alarm rate in the ROC."""
 
 POINTS = 350
 """Dots per controller."""
@@ -49,30 +46,24 @@ def _rates(evaluation: Evaluation) -> Plot:
     rates = evaluation.detection_rates
     by_size = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
     frame = rates[(rates["value"] == "healthy") | by_size]
+    frame = frame.assign(**{column: 100.0 * frame[column] for column in ("flagged_share", "low", "high")})
     looks = looks_of(controllers_of(evaluation))
     values = list(dict.fromkeys(str(value) for value in frame["value"]))
     parts = {name: frame[frame["controller"] == name] for name in looks}
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
-        for index, (name, part) in enumerate(parts.items()):
-            places = np.array([values.index(str(value)) for value in part["value"]]) + dodge(len(parts), index, 0.16)
-            percent = part.assign(**{column: 100.0 * part[column] for column in ("flagged_share", "low", "high")})
-            bars(axes, places, percent, "flagged_share", looks[name], name, "points")
+        bars_by(axes, parts, "value", values, "flagged_share", looks, "points")
         axes.set_xticks(range(len(values)), values)
         axes.grid(visible=False, axis="x")
         axes.set_ylim(-2.0, 102.0)
         axes.set_ylabel("flagged, % of episodes")
         axes.set_xlabel("leak, l/min at 100 bar")
-        add_legend(axes)
 
     title = "Flagged episodes by leak size"
-    alt = description(
-        title, {n: list(zip(p["value"], 100.0 * p["flagged_share"], strict=True)) for n, p in parts.items()}, " %"
-    )
+    rows = {name: list(zip(part["value"], part["flagged_share"], strict=True)) for name, part in parts.items()}
     note = "Bars: 95 % interval. Flags on healthy seals (left) are false alarms."
-    return Plot(title, note, alt, draw("rates", alt, paint))
+    return one_panel("rates", title, note, description(title, rows, " %"), paint)
 
 
 def _curve(evaluation: Evaluation, controller: str, name: str) -> tuple[Array, Array]:
@@ -100,8 +91,7 @@ def _operating_point(detection: pd.DataFrame, controller: str, bounds: LeakBound
 def _roc(evaluation: Evaluation) -> Plot:
     looks = looks_of(controllers_of(evaluation))
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         axes.axvline(1e-2, color=GREY, linewidth=0.9, linestyle="--")
         axes.text(1.08e-2, 5.0, "1 %", color=GREY, fontsize=8.5)
         chance = np.geomspace(FEWEST_FALSE_ALARMS, 1.0, 60)
@@ -110,16 +100,15 @@ def _roc(evaluation: Evaluation) -> Plot:
             x, y = _corners(*_curve(evaluation, name, "roc"))
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
-            alarms, found = _operating_point(evaluation.detection, name, evaluation.bounds)
+            alarms, detected = _operating_point(evaluation.detection, name, evaluation.bounds)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
-            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * found, look.marker, **point, clip_on=False)
+            axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * detected, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
         axes.set_xlim(FEWEST_FALSE_ALARMS, 1.0)
         axes.set_xticks([1e-3, 1e-2, 1e-1, 1.0], ["0.1", "1", "10", "100"])
         axes.set_ylim(0.0, 102.0)
         axes.set_xlabel("false alarms, % of healthy episodes")
         axes.set_ylabel("leaks flagged, %")
-        add_legend(axes)
 
     title = "Leaks flagged against false alarms"
     areas = _from_summary(evaluation, "auroc", 3)
@@ -127,12 +116,11 @@ def _roc(evaluation: Evaluation) -> Plot:
         f"All leaks above {setting(evaluation.bounds.leaking_above)} l/min, every threshold (receiver operating "
         f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
     )
-    alt = f"{title}. Area under the curve: {areas}."
-    return Plot(title, note, alt, draw("roc", alt, paint))
+    return one_panel("roc", title, note, f"{title}. Area under the curve: {areas}.", paint)
 
 
 def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
-    """One number of every controller, in words."""
+    """One number of every controller, as text."""
     rows = evaluation.detection_summary
     return ", ".join(
         f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)
@@ -144,8 +132,7 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
     row = evaluation.detection_summary.iloc[0]
     share = float(row["leaking_episodes"] / (row["leaking_episodes"] + row["healthy_episodes"]))
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         axes.axhline(100.0 * share, color=GREY, linewidth=0.8, linestyle=":", label="chance")
         for name, look in looks.items():
             x, y = _curve(evaluation, name, "precision_recall")
@@ -155,7 +142,6 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
         axes.set_ylim(0.0, 102.0)
         axes.set_xlabel("recall: leaks flagged, %")
         axes.set_ylabel("precision: flags that are right, %")
-        add_legend(axes)
 
     title = "How many flags are right"
     areas = _from_summary(evaluation, "average_precision", 3)
@@ -164,7 +150,7 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
         f"flags are right. Average precision: {areas}."
     )
     alt = f"{title}: precision against recall. Average precision: {areas}."
-    return Plot(title, note, alt, draw("precision", alt, paint))
+    return one_panel("precision", title, note, alt, paint)
 
 
 def _size(evaluation: Evaluation) -> Plot:
@@ -174,8 +160,7 @@ def _size(evaluation: Evaluation) -> Plot:
     bottom = min(max(float(leaking["estimated_flow_lpm"].min()), SIZE_TICKS[0]), 0.5 * low)
     top = min(max(float(leaking["estimated_flow_lpm"].max()), 2.0 * high), 50.0)
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         true = np.array([low, high])
         axes.fill_between(true, 0.5 * true, 2.0 * true, color="#ececec", linewidth=0.0, label="factor of 2")
         axes.plot(true, true, color=INK, linewidth=0.9)
@@ -186,17 +171,11 @@ def _size(evaluation: Evaluation) -> Plot:
             estimated = part["estimated_flow_lpm"].clip(bottom, top)
             axes.plot(part["leakage_flow_lpm"], estimated, look.marker, label=name, **dots)
         axes.set(xscale="log", yscale="log", xlim=(low / 1.05, 1.05 * high), ylim=(bottom / 1.1, 1.1 * top))
-        _size_axes(axes)
-        add_legend(axes)
+        for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
+            ticks(axis, SIZE_TICKS)
+            axis.set_label_text(f"{name} leak, l/min")
 
     title = "Estimated against true leak size"
     factors = _from_summary(evaluation, "median_size_error_factor", 2)
     note = f"One dot per leaking episode (thinned). Median factor between the two: {factors}."
-    alt = f"{title}, both logarithmic. {note}"
-    return Plot(title, note, alt, draw("size", alt, paint))
-
-
-def _size_axes(axes: Axes) -> None:
-    for axis, name in ((axes.xaxis, "true"), (axes.yaxis, "estimated")):
-        ticks(axis, SIZE_TICKS)
-        axis.set_label_text(f"{name} leak, l/min")
+    return one_panel("size", title, note, f"{title}, both logarithmic. {note}", paint)

@@ -1,4 +1,4 @@
-"""The findings of an evaluation in sentences; every number and every verdict comes from its tables."""
+"""The findings of an evaluation as sentences; all numbers and verdicts come from its tables."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from agents.evaluation.protocol import Evaluation
 
 FEWEST_PLANTS = 3
-"""Fewer give no intervals: nothing is called better or worse."""
+"""Smallest number of plants for intervals and verdicts."""
 
 FEW_PLANTS = 12
-"""Fewer give rough intervals; the report says so."""
+"""With fewer plants the intervals are rough; the report says so."""
 
 FALSE_ALARM_TARGET = 0.01
-"""For which the threshold of the leakage head was set."""
+"""False-alarm rate for which the threshold of the leakage head was set."""
 
 NEITHER = "no clear difference"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The short of it, and the numbers."""
+    """A summary, and the numbers."""
 
     lead: str
     text: str
@@ -39,7 +39,7 @@ class Finding:
 
 
 def interval_text(interval: Interval, unit: str = "", decimals: int | None = None) -> str:
-    """Value, unit, and the interval in brackets where there is one."""
+    """Value, unit, and the interval in brackets if there is one."""
     if decimals is None:
         decimals = decimals_for(interval.value)
     value, low, high = (number(part, decimals) for part in interval)
@@ -68,7 +68,7 @@ def plants_of(evaluation: Evaluation) -> int:
 
 
 def verdict(interval: Interval, plants: int) -> str:
-    """'wins' where the whole interval of a ratio of errors lies below 1, 'loses' above, else 'no clear difference'."""
+    """'wins' if the whole interval of a ratio of errors lies below 1, 'loses' if above, else 'no clear difference'."""
     if plants < FEWEST_PLANTS or not np.isfinite([interval.low, interval.high]).all():
         return NEITHER
     if interval.high < 1.0:
@@ -88,16 +88,16 @@ def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> I
 
 
 def findings(evaluation: Evaluation) -> list[Finding]:
-    """The findings, in the order in which a person with an axis asks for them."""
-    found = [_leak(evaluation)]
-    found += [_comparison(evaluation, name) for name in controllers_of(evaluation)[1:]]
+    """The findings, in the order of a user's questions."""
+    items = [_leak(evaluation)]
+    items += [_comparison(evaluation, name) for name in controllers_of(evaluation)[1:]]
     if not evaluation.detection_summary.empty:
-        found += [_detection(evaluation), _size(evaluation)]
-    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in found]
+        items += [_detection(evaluation), _size(evaluation)]
+    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
 
 
 def caution(evaluation: Evaluation) -> str:
-    """A warning where there are few plants, else nothing."""
+    """A warning if there are few plants, else an empty text."""
     plants = plants_of(evaluation)
     if plants >= FEW_PLANTS:
         return ""
@@ -106,7 +106,7 @@ def caution(evaluation: Evaluation) -> str:
 
 
 def failures(evaluation: Evaluation) -> str:
-    """How many runs failed under which controller."""
+    """Number of failed runs under each controller, as a sentence."""
     total = evaluation.cases.groupby("controller", sort=False)["failed"].agg(["sum", "count"])
     if float(total["sum"].sum()) == 0.0:
         return "No run failed (end stop or pressure limit)."
@@ -118,7 +118,7 @@ def failures(evaluation: Evaluation) -> str:
 
 
 def _change(ratio: float) -> str:
-    """A ratio of errors in words."""
+    """A ratio of errors as a phrase."""
     if ratio >= 2.0:
         return f"{number(ratio)} times the error"
     return f"{number(100.0 * abs(ratio - 1.0), 0)} % {'more' if ratio > 1.0 else 'less'} error"
@@ -160,13 +160,13 @@ def _leak(evaluation: Evaluation) -> Finding:
 
 
 def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
-    """Where the leak hurts and where it does not, in one sentence."""
+    """References with more error, less error and no clear difference due to the leak, in one sentence."""
     parts: dict[str, list[str]] = {"loses": [], "wins": [], NEITHER: []}
     for family in map(str, cases["family"].unique()):
         interval = growth(cases, base, family)
         parts[verdict(interval, plants)].append(f"{family_name(family)} (× {number(interval.value)})")
     words = {"loses": "more error in", "wins": "less error in", NEITHER: "no clear difference in"}
-    sentence = "; ".join(f"{words[kind]} {listed(found)}" for kind, found in parts.items() if found)
+    sentence = "; ".join(f"{words[kind]} {listed(names)}" for kind, names in parts.items() if names)
     return f"{sentence[0].upper()}{sentence[1:]}."
 
 
@@ -182,7 +182,8 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
         "wins": f"{name} positions better than {base}: {_change(whole.value)}.",
         "loses": f"{name} loses to {base}: {_change(whole.value)}.",
     }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
-    mine, theirs = (_worst_twentieth(evaluation.cases, who) for who in (name, base))
+    errors = evaluation.cases.groupby("controller")["mean_error_mm"]
+    mine, theirs = (conditional_value_at_risk(errors.get_group(who).to_numpy()) for who in (name, base))
     equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
     text = (
         f"Over all runs the mean error of {name} is {interval_text(whole)} times that of {base}; {name} is "
@@ -195,23 +196,19 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
     return Finding(lead, text)
 
 
-def _worst_twentieth(cases: pd.DataFrame, controller: str) -> float:
-    return conditional_value_at_risk(cases[cases["controller"] == controller]["mean_error_mm"].to_numpy())
-
-
 def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
-    """At which levels or families a controller wins, loses, or neither, as a sentence."""
-    found: dict[str, list[str]] = {"wins": [], "loses": [], NEITHER: []}
+    """The levels or families at which a controller wins, loses, or neither, as a sentence."""
+    labels: dict[str, list[str]] = {"wins": [], "loses": [], NEITHER: []}
     for row in frame[frame["group"] == group].to_dict("records"):
         value = str(row["value"])
         label = f"{float(value):g}" if group == "level" else family_name(value)
-        found[verdict(row_interval(row, "ratio"), plants)].append(label)
+        labels[verdict(row_interval(row, "ratio"), plants)].append(label)
     words = {"wins": "wins", "loses": "loses", NEITHER: "shows no clear difference"}
-    kinds = [kind for kind, values in found.items() if values]
-    if len(kinds) == 1 and len(found[kinds[0]]) > 1:
+    kinds = [kind for kind, values in labels.items() if values]
+    if len(kinds) == 1 and len(labels[kinds[0]]) > 1:
         return f"It {words[kinds[0]]} {'at every leak size' if group == 'level' else 'on every kind of reference'}."
     at, unit, what = ("at", " l/min", "By leak size") if group == "level" else ("on", "", "By reference")
-    return f"{what} it " + "; ".join(f"{words[kind]} {at} {listed(found[kind])}{unit}" for kind in kinds) + "."
+    return f"{what} it " + "; ".join(f"{words[kind]} {at} {listed(labels[kind])}{unit}" for kind in kinds) + "."
 
 
 # Noticing the leak --------------------------------------------------------------------------------------------------
@@ -233,16 +230,16 @@ def _detection(evaluation: Evaluation) -> Finding:
     smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
     moderate = f"{evaluation.bounds.moderate_from:g} l/min"
     summary = {str(row["controller"]): row for row in evaluation.detection_summary.to_dict("records")}
-    found = {name: _flagged(evaluation, name, evaluation.bounds.moderate_label) for name in summary}
+    rate = {name: _flagged(evaluation, name, evaluation.bounds.moderate_label) for name in summary}
     alarms = {name: _false_alarms(row) for name, row in summary.items()}
-    if min(found[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
+    if min(rate[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
         lead = f"Leaks from {moderate} can be flagged from one episode of ordinary motion."
-    elif min(found[name].low - alarms[name].high for name in summary) > 0.0:
+    elif min(rate[name].low - alarms[name].high for name in summary) > 0.0:
         lead = f"Leaks from {moderate} can be flagged, but not reliably."
     else:
         lead = f"Leaks from {moderate} cannot be distinguished from healthy seals here."
     parts = [
-        f"Flagged under {name}: {percent(found[name])} of the leaks from {moderate}, "
+        f"Flagged under {name}: {percent(rate[name])} of the leaks from {moderate}, "
         f"{percent(_flagged(evaluation, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
         f"the healthy seals (false alarms); AUROC {number(float(row['auroc']), 3)}."
         for name, row in summary.items()
@@ -251,7 +248,7 @@ def _detection(evaluation: Evaluation) -> Finding:
 
 
 def _alarm_sentence(alarms: dict[str, Interval]) -> str:
-    """Whether the false alarms on test plants keep what validation plants promised."""
+    """Sentence that compares the false alarms on test plants with the target set on validation plants."""
     sentence = f"The threshold was set for {100.0 * FALSE_ALARM_TARGET:g} % false alarms on validation plants"
     above = [name for name, interval in alarms.items() if interval.low > FALSE_ALARM_TARGET]
     return f"{sentence}; on the test plants there are clearly more under {listed(above)}." if above else f"{sentence}."

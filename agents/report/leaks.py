@@ -1,25 +1,25 @@
-"""The leak levels of all pages in l/min at 100 bar, and the look of each: the same leak looks the same everywhere."""
+"""The leak levels of all pages in l/min at 100 bar, and the look of each, the same in all figures."""
 
 from __future__ import annotations
 
 from agents.report.canvas import Look
 
 TIGHT, MODERATE, SEVERE = 0.01, 1.0, 4.0
-"""A new seal; where a moderate leak becomes a severe one; the largest leak of the task."""
+"""A new seal; the bound between moderate and severe; the largest leak of the task."""
 
 LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-"""Enough for a curve over the leak."""
+"""Levels for a curve over the leak."""
 
 FINE_BELOW = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 FINE_ABOVE = (0.01, 0.03, 0.1, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0)
-"""More levels where a result changes fast: among incipient leaks, or among severe ones."""
+"""More levels in a range where a result changes fast: among incipient leaks, or among severe ones."""
 
 LINES = (0.01, 0.3, 1.0, 2.0, 4.0)
-"""One line of a figure each."""
+"""Levels for the lines of a figure."""
 
 FEW_LINES = (0.01, 0.3, 1.0, 4.0)
 SCAN = (0.01, 0.1, 0.3, 1.0, 4.0)
-"""As LINES, where fewer are readable, or where the incipient leak matters more."""
+"""Like LINES, for figures with room for fewer lines, or with more weight on incipient leaks."""
 
 LOOKS = {
     0.01: Look("#14213d", "o", "-"),

@@ -20,12 +20,14 @@ from agents.report.canvas import (
     Plot,
     add_legend,
     bars,
+    bars_by,
     controllers_of,
     description,
     dodge,
     draw,
     level_axis,
     looks_of,
+    one_panel,
     row_axis,
     ticks,
 )
@@ -43,11 +45,12 @@ RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0,
 
 def tracking_plots(evaluation: Evaluation) -> list[Plot]:
     """Errors over leak and by reference, ratios, worst cases."""
+    ratios = (("level", "Ratio of errors by leak size"), ("family", "Ratio of errors by kind of reference"))
     tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
     return [
         _by_level(evaluation, "mean", "Mean error by leak size", "Mean over all runs; bars: 95 % interval."),
         _by_family(evaluation),
-        *_ratio_plots(evaluation),
+        *(_ratio_plot(evaluation, *ratio) for ratio in ratios if not evaluation.ratios.empty),
         _by_level(evaluation, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
         _by_level(evaluation, "worst", "Worst run by leak size", "Mean error of the single worst run."),
     ]
@@ -59,8 +62,7 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
     levels = sorted({float(level) for level in frame["leakage_flow_lpm"]})
     parts = {name: frame[frame["controller"] == name].sort_values("leakage_flow_lpm") for name in looks}
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         places = level_axis(axes, levels)
         for index, (name, part) in enumerate(parts.items()):
             look = looks[name]
@@ -73,7 +75,6 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
         axes.set_ylabel("error, mm")
         axes.margins(x=0.06)  # no marker is cut at the edge
         _error_scale(axes, _ends(frame, column))
-        add_legend(axes)
 
     rows = {
         name: [
@@ -82,8 +83,7 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
         ]
         for name, part in parts.items()
     }
-    alt = description(title, rows, " mm")
-    return Plot(title, note, alt, draw(f"level-{column}", alt, paint))
+    return one_panel(f"level-{column}", title, note, description(title, rows, " mm"), paint)
 
 
 def _by_family(evaluation: Evaluation) -> Plot:
@@ -93,34 +93,26 @@ def _by_family(evaluation: Evaluation) -> Plot:
     labels = [family_name(family) for family in families]
     parts = {name: frame[frame["controller"] == name] for name in looks}
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
-        for index, (name, part) in enumerate(parts.items()):
-            rows = np.array([families.index(str(family)) for family in part["family"]])
-            rows = rows + dodge(len(parts), index, min(0.2, 0.7 / len(parts)))
-            bars(axes, rows, part, "mean", looks[name], name, "rows")
+    def paint(axes: Axes) -> None:
+        bars_by(axes, parts, "family", families, "mean", looks, "rows")
         row_axis(axes, labels)
         axes.set_xlabel("mean error, mm")
         _error_scale(axes, _ends(frame, "mean"), "x")
-        add_legend(axes)
 
-    title = "Mean error by kind of reference"
-    alt = description(
-        title, {name: list(zip(labels, part["mean"], strict=True)) for name, part in parts.items()}, " mm"
-    )
-    note = "Mean over all leak sizes; bars: 95 % interval."
-    return Plot(title, note, alt, draw("family", alt, paint, _height(len(families), len(parts))))
+    title, note = "Mean error by kind of reference", "Mean over all leak sizes; bars: 95 % interval."
+    rows = {name: list(zip(labels, part["mean"], strict=True)) for name, part in parts.items()}
+    return one_panel("family", title, note, description(title, rows, " mm"), paint, _height(len(families), len(parts)))
 
 
 def _ends(frame: pd.DataFrame, column: str) -> Array:
-    """What must be seen of a column: its values, and the intervals of means."""
+    """Values that the scale must show: those of a column, and the intervals of means."""
     columns = ["mean", "low", "high"] if column == "mean" else [column]
     values: Array = frame[columns].to_numpy(dtype=np.float64).ravel()
     return values
 
 
 def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
-    """From zero, unless the values differ so much that only a logarithm shows them."""
+    """Scale an axis from zero, or logarithmically if the values differ by a factor of more than 20."""
     positive = values[values > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         axes.set(**{f"{which}scale": "log"})
@@ -133,15 +125,6 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
 
 
-def _ratio_plots(evaluation: Evaluation) -> list[Plot]:
-    if evaluation.ratios.empty:
-        return []
-    return [
-        _ratio_plot(evaluation, "level", "Ratio of errors by leak size"),
-        _ratio_plot(evaluation, "family", "Ratio of errors by kind of reference"),
-    ]
-
-
 def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
     frame = evaluation.ratios[evaluation.ratios["group"].isin(["all", group])]
     looks = looks_of(controllers_of(evaluation))
@@ -150,30 +133,24 @@ def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
     labels = [_row_label(group, value) for value in values]
     parts = {name: frame[frame["controller"] == name] for name in names}
 
-    def paint(figure: Figure) -> None:
-        axes = figure.subplots()
+    def paint(axes: Axes) -> None:
         axes.axvline(1.0, color=INK, linewidth=1.0)
-        for index, (name, part) in enumerate(parts.items()):
-            rows = np.array([values.index(str(value)) for value in part["value"]]) + dodge(
-                len(names), index, min(0.2, 0.7 / len(names))
-            )
-            bars(axes, rows, part, "ratio", looks[name], name, "rows")
-            if len(names) == 1:
-                text: dict[str, Any] = {"color": looks[name].colour, "va": "center", "fontsize": 8.5}
-                for row, value in zip(rows, part["ratio"], strict=True):
-                    axes.text(1.01, row, number(value), transform=axes.get_yaxis_transform(), **text)
+        bars_by(axes, parts, "value", values, "ratio", looks, "rows")
+        if len(names) == 1:
+            axes.containers[0].set_label("")  # the axis names it: no legend
+            text: dict[str, Any] = {"color": looks[names[0]].colour, "va": "center", "fontsize": 8.5}
+            for row, value in enumerate(frame["ratio"]):
+                axes.text(1.01, row, number(value), transform=axes.get_yaxis_transform(), **text)
         row_axis(axes, labels)
         axes.axhline(0.5, color=PALE, linewidth=0.8)
         _ratio_scale(axes, frame[["ratio", "low", "high"]].to_numpy(dtype=np.float64))
         axes.set_xlabel(f"error of {names[0]} ÷ error of {base}" if len(names) == 1 else f"error ÷ error of {base}")
         axes.set_ylabel("leak, l/min" if group == "level" else "")
-        if len(names) > 1:
-            add_legend(axes)
 
     rows = {name: list(zip(labels, part["ratio"], strict=True)) for name, part in parts.items()}
     alt = description(f"{title}, relative to {base}", rows, "")
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
-    return Plot(title, note, alt, draw(f"ratio-{group}", alt, paint, _height(len(values), len(names))))
+    return one_panel(f"ratio-{group}", title, note, alt, paint, _height(len(values), len(names)))
 
 
 def _row_label(group: str, value: str) -> str:

@@ -1,4 +1,4 @@
-"""The report of an evaluation as one HTML file: sentences first, then figures, tables and how it was measured.
+"""The report of an evaluation as one HTML file: sentences first, then figures, tables and the method.
 
 Every number comes from the tables of the :class:`~agents.evaluation.protocol.Evaluation`.
 """
@@ -39,23 +39,23 @@ class Example:
     reference: Array  # m
     position: dict[str, Array]  # controller → m
     command: dict[str, Array]  # controller → parts of 10 V
-    preview: float = 0.0  # s; how far ahead the observation shows the reference
+    preview: float = 0.0  # s; the observation shows the reference this far ahead
 
 
 @dataclass(frozen=True)
 class StudyRecord:
-    """What a report says besides the evaluation."""
+    """Circumstances of a study for its report."""
 
     title: str
     configuration: str  # YAML text of the study configuration
-    command: str  # command line that made it
+    command: str  # command line of the study
     versions: dict[str, str]  # package → version
     machine: str
     seed: int
     timings: dict[str, float]  # phase → seconds
     training_curve: pd.DataFrame  # see agents.report.training_plots; may be empty
     examples: list[Example]
-    corrects: Mapping[str, str] = field(default_factory=dict)  # controller → the one whose command it corrects
+    corrects: Mapping[str, str] = field(default_factory=dict)  # controller → controller that it corrects
 
 
 def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> None:
@@ -68,7 +68,7 @@ def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> Non
 
 
 def render_report(evaluation: Evaluation, record: StudyRecord) -> str:
-    """The report as HTML. A controller that corrects another is called 'PPO on PID' in it."""
+    """The report as HTML. It calls a controller that corrects another 'PPO on PID'."""
     names = {name: f"{name} on {base}" for name, base in record.corrects.items()}
     evaluation, record = _renamed(evaluation, record, names)
     looks = looks_of(controllers_of(evaluation))
@@ -102,7 +102,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> str:
 
 
 def _renamed(evaluation: Evaluation, record: StudyRecord, names: Mapping[str, str]) -> tuple[Evaluation, StudyRecord]:
-    """The same with other names of controllers."""
+    """Evaluation and record with new names of controllers."""
     if not names:
         return evaluation, record
     tables = {
@@ -144,7 +144,7 @@ def _span(seeds: pd.Series | range) -> str:
 
 
 def _protocol(evaluation: Evaluation) -> list[str]:
-    """How it was measured, as sentences with numbers from the tables."""
+    """The method as sentences, with numbers from the tables."""
     cases = evaluation.cases
     levels = [setting(level) for level in sorted(cases["leakage_flow_lpm"].unique())]
     families = [family_name(str(name)) for name in cases["family"].unique()]
@@ -169,10 +169,10 @@ def _protocol(evaluation: Evaluation) -> list[str]:
 
 
 def _seeds_sentence(evaluation: Evaluation) -> str:
-    """Which seeds were used, and whether they are those kept for the test."""
+    """Sentence about the seeds used, and whether all of them are test seeds."""
     tables = [table["seed"] for table in (evaluation.cases, evaluation.detection) if not table.empty]
     inside = all(min(seeds) >= TEST_SEEDS.start and max(seeds) < TEST_SEEDS.stop for seeds in tables)
-    kept = "so no plant met here took part in training or in setting thresholds"
+    kept = "so no plant used here took part in training or in setting thresholds"
     broken = "but some runs here used seeds outside those kept for the test: they may have been trained on"
     return (
         f"A seed fixes plant, reference and noise. Tracking uses seeds {_span(evaluation.cases['seed'])}; training is "

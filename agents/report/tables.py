@@ -16,7 +16,7 @@ SHOWN: dict[str, tuple[str, str, float]] = {
     "rms_error_mm": ("Root-mean-square error", "mm", 1.0),
     "peak_error_mm": ("Peak error", "mm", 1.0),
     "settling_time_s": ("Settling time, where it settled", "s", 1.0),
-    "unsettled_share": ("Standstills on which it never settled", "%", 100.0),
+    "unsettled_share": ("Standstills without settling", "%", 100.0),
     "overshoot_percent": ("Overshoot of steps", "%", 1.0),
     "steady_state_error_mm": ("Steady-state error", "mm", 1.0),
     "itae_mm_s2": ("Time-weighted error (ITAE)", "mm s²", 1.0),
@@ -24,21 +24,16 @@ SHOWN: dict[str, tuple[str, str, float]] = {
     "valve_travel_per_s": ("Spool travel", "strokes per second", 1.0),
     "failed": ("Failed runs", "%", 100.0),
 }
-"""Name, unit and factor with which a metric is shown."""
+"""Name, displayed unit and factor of each metric."""
 
 
 def _shown(metric: str) -> tuple[str, str, float]:
     return SHOWN.get(metric, (metric, METRICS[metric][0], 1.0))
 
 
-def _group(by: str) -> tuple[str, str]:
-    """Column, and head of the column, of what the rows of a table are."""
-    return ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
-
-
 def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst of every controller."""
-    column, first = _group(by)
+    column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
     table = evaluation.levels if by == "level" else evaluation.families
     table = table[table["metric"] == metric]
     label, unit, factor = _shown(metric)
@@ -60,7 +55,7 @@ def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
 
 
 def metric_tables(evaluation: Evaluation, by: str) -> list[Table]:
-    """All other metrics that have a value, and the failures where there are any."""
+    """All other metrics that have a value, and the failures if there are any."""
     frame = evaluation.levels if by == "level" else evaluation.families
     shown = frame["mean"].notna() & ((frame["metric"] != "failed") | (frame["mean"] > 0.0))
     valued = {str(name) for name in frame[shown]["metric"]} - {"mean_error_mm"}
@@ -125,7 +120,7 @@ SUMMARY: dict[str, tuple[str, float, int, str]] = {
     "healthy_episodes": ("Healthy episodes", 1.0, 0, ""),
     "leaking_episodes": ("Leaking episodes", 1.0, 0, ""),
 }
-"""What the rows of the summary are called, factor, decimals, unit."""
+"""Name, factor, decimals and unit of the rows of the summary."""
 
 
 def _detection_summary(evaluation: Evaluation) -> Table:
@@ -141,7 +136,7 @@ def _detection_summary(evaluation: Evaluation) -> Table:
 
 
 def definitions() -> Table:
-    """What each metric means."""
+    """Definitions of the metrics."""
     rows = []
     for name, (unit, meaning) in METRICS.items():
         rows.append((_shown(name)[0], meaning if unit == "1" else f"{meaning}; {unit}", name))

@@ -1,4 +1,4 @@
-"""Numbers, lists and durations as text, the same on every page; and the templates that pages are made from."""
+"""Numbers, lists and durations as text, the same on all pages; and the templates of pages."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_DECIMALS = 9
 
 
 def number(value: float, decimals: int | None = None, digits: int = 3, signed: bool = False) -> str:
-    """A number with ``digits`` significant digits, or with so many decimals; never an exponent; – for NaN.
+    """A number with ``digits`` significant digits, or with ``decimals`` decimals; never an exponent; – for NaN.
 
     The minus is a minus sign (−), and a zero has no sign; ``signed`` writes the plus of positive numbers.
     """
@@ -25,14 +25,14 @@ def number(value: float, decimals: int | None = None, digits: int = 3, signed: b
 
 
 def decimals_for(size: float, digits: int = 3) -> int:
-    """Decimals that give a number of this size so many significant digits."""
+    """Number of decimals that shows a value of this size with ``digits`` significant digits."""
     if size == 0.0 or not np.isfinite(size):
         return 0
     return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), MOST_DECIMALS)
 
 
 def setting(value: float) -> str:
-    """A number that somebody chose, as short as it can be written: 0.01, 4, −30."""
+    """A chosen number in its shortest form: 0.01, 4, −30."""
     return f"{value:g}".replace("-", "−")
 
 
@@ -47,7 +47,7 @@ def listed(parts: Sequence[str]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as a person says them."""
+    """A duration in seconds, minutes or hours, as text."""
     if seconds < 60.0:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -72,7 +72,7 @@ FAMILY_NAMES = {
 
 
 def family_name(family: str) -> str:
-    """What a person calls a family of references."""
+    """Readable name of a family of references."""
     return FAMILY_NAMES.get(family, family)
 
 
@@ -87,7 +87,7 @@ class Table:
 
 
 def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
-    """Templates of some folders and of this one: of HTML, or of prose, whose line breaks do not matter.
+    """Templates of some folders and of this one: HTML, or prose, in which line breaks do not matter.
 
     Filters: ``n`` is :func:`number`, ``s`` is :func:`setting`.
     """

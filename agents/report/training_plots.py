@@ -13,7 +13,7 @@ from agents.report.canvas import GREY, Plot, add_legend, draw, looks_of
 from agents.report.text import number
 
 LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
-"""Columns of stable-baselines3's log that the training curve calls otherwise."""
+"""Columns of stable-baselines3's log that have other names in the training curve."""
 
 UPDATES = {
     "train/approx_kl": "approximate KL divergence",
@@ -22,15 +22,15 @@ UPDATES = {
     "train/loss": "total loss",
 }
 DISCARDED = 0.05
-"""Part of the training whose values do not set the scale: the untrained policy would flatten the rest."""
+"""First part of the training that does not set the scale: values of the untrained policy would flatten the rest."""
 
 
 def training_plots(curve: pd.DataFrame) -> list[Plot]:
-    """Figures of what a training curve or log has; none without a curve.
+    """Figures of a training curve or log; none without a curve.
 
     Args:
-        curve: ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the columns of
-            stable-baselines3's log; ``controller`` if several were trained.
+        curve: column ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the
+            columns of stable-baselines3's log; ``controller`` if several were trained.
     """
     curve = curve.rename(columns={old: new for old, new in LOG_NAMES.items() if new not in curve})
     if "steps" not in curve or curve.empty:
@@ -59,7 +59,7 @@ def _words(column: str) -> str:
 
 
 def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str], note: str) -> list[Plot]:
-    """A panel per column that has values; no figure without one."""
+    """A panel per column that has values; no figure without such columns."""
     known = {name: words for name, words in columns.items() if name in curve and curve[name].notna().any()}
     if not known:
         return []
@@ -93,7 +93,7 @@ def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str],
 
 
 def _scale(axes: Axes, curve: pd.DataFrame, column: str) -> bool:
-    """Let the values after the first part set the scale; mark earlier ones beyond it. Whether there are any."""
+    """Scale by the values after the first part, and mark earlier ones beyond the scale; whether there are any."""
     late = curve[curve["steps"] > DISCARDED * curve["steps"].max()][column].dropna().to_numpy(dtype=np.float64)
     if len(late) < 2:
         return False

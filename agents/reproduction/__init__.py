@@ -1,1 +1,1 @@
-"""What the paper shows, computed again: one picture and one table per figure, and a page that sets them beside it."""
+"""The figures of the paper, computed again: a picture and a table per figure, and a page that compares them."""

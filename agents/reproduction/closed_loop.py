@@ -1,4 +1,4 @@
-"""Position loops with a proportional controller: the nonlinear plant in one, its largest stable gain, its speed."""
+"""Position loops with a proportional controller: runs of the nonlinear plant, largest stable gain, speed."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ GAIN_MARGIN = 2.0
 """Largest stable gain over the gain used."""
 
 SETTLED_SHARE = 0.02
-"""Part of the final value within which a step response counts as settled."""
+"""Relative deviation from the final value within which a step response counts as settled."""
 
 LONGEST_SETTLING = 10.0
-"""s; what settles later has no settling time."""
+"""s; a response that settles later has no settling time."""
 
 INNER = 1e-3
 """s; sample time of the plant in a loop. Control period and latency are multiples of it."""
 
 
 def loop_at(parameters: PlantParameters, position: float) -> SampledLoop | None:
-    """The linearised loop at a position, or None where it cannot be held."""
+    """The linearised loop at a position, or None if the position cannot be held."""
     try:
         return sampled_loop(parameters, position)
     except HydroError:
@@ -50,7 +50,7 @@ def loop_at(parameters: PlantParameters, position: float) -> SampledLoop | None:
 
 @lru_cache(maxsize=8)
 def sensible_gain(rig: Rig) -> float:
-    """Command (1 = 10 V) per metre: the largest gain stable over the whole reach with a tight seal, over the margin.
+    """Gain (command per metre, 1 = 10 V): the largest stable one over the whole reach with a tight seal, over a margin.
 
     Raises:
         HydroError: no gain is stable, or no gain is too large.
@@ -64,7 +64,7 @@ def sensible_gain(rig: Rig) -> float:
 
 
 def bandwidth(loop: SampledLoop, gain: float) -> float:
-    """Frequency in Hz at which reference to position first falls below 1/√2 of its value at rest; NaN if nowhere."""
+    """Frequency in Hz where the gain from reference to position first falls 3 dB below its value at rest, or NaN."""
     nyquist = 0.5 / loop.control_period
     frequencies = np.geomspace(1e-4, 0.999, 1200) * nyquist
     size = np.abs(loop.response(gain, frequencies)) / loop.final_value(gain)
@@ -77,7 +77,7 @@ def bandwidth(loop: SampledLoop, gain: float) -> float:
 
 
 def settling_time(loop: SampledLoop, gain: float, longest: float = LONGEST_SETTLING) -> float:
-    """Time in s after a small step until the linear loop stays within 2 % of its final value; NaN if not in time."""
+    """Time in s after a small step until the linear loop stays within 2 % of its final value; NaN if too long."""
     response = loop.step_response(gain, round(longest / loop.control_period))
     final = loop.final_value(gain)
     outside = np.flatnonzero(np.abs(response - final) > SETTLED_SHARE * final)
@@ -110,8 +110,8 @@ def closed_loop_run(
         parameters: the plant.
         reference: m, one value per control period, shape (n,).
         control: the controller, called once per control period.
-        start: m; at rest there.
-        deviation: m; the position is put off by it at the start.
+        start: m, initial position, at rest.
+        deviation: m, added to the position at the start.
         latency: s, until a command acts.
         sample_time: s; control period and latency are multiples of it.
 
@@ -143,7 +143,7 @@ def closed_loop_run(
 
 
 def limit_table(rig: Rig, leaks: tuple[float, ...] = FINE_ABOVE) -> pd.DataFrame:
-    """Largest stable gain by law, leak and position, and what the loop does at gains below it.
+    """Largest stable gain by law, leak and position, and the speed of the loop at gains below it.
 
     ``limit_per_m`` in command (1 = 10 V) per metre; ``continuous_limit_per_m`` = 2 ζ ω over the speed per command: no
     sampling, no latency, an ideal valve (Merritt 1967). NaN where the position cannot be held. ``gain_per_m`` is the
@@ -181,14 +181,14 @@ def _continuous_limit(plant: PlantParameters, place: float) -> float:
     try:
         mode = linearise(plant.replace(friction={"model": "none"}), position=place).hydraulic_mode
         return 2.0 * mode.damping_ratio * mode.natural_frequency / speed_per_command(plant, place)
-    except (ArithmeticError, HydroError):  # overdamped, or not to be held
+    except (ArithmeticError, HydroError):  # overdamped, or the position cannot be held
         return math.nan
 
 
 def achievable(table: pd.DataFrame) -> pd.DataFrame:
     """Per law and leak, with one gain for the whole reach: the worst bandwidth, settling time and velocity gain.
 
-    Over the positions that can be held with every leak, so that all leaks are judged at the same places.
+    Only positions that can be held with every leak count: all leaks are compared at the same positions.
     """
     held = table.groupby("position_mm")["limit_per_m"].transform(lambda limits: limits.notna().all())
     judged = table[held] if held.any() else table

@@ -1,4 +1,4 @@
-"""The numbers and choices that the sentences of a figure need (words/*.j2), and the short tables of the page."""
+"""The numbers and choices for the sentences of a figure (words/*.j2), and the short tables of the page."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from agents.reproduction.variations import CHANGE, LEAK_NAME, unused_parameters
 Facts = dict[str, Any]
 """Names in a template → values; ``summary`` is a table for the page."""
 
-SAME = 0.03
-"""Relative change of a measure of speed that counts as none."""
+NEGLIGIBLE_CHANGE = 0.03
+"""Relative change of a measure of speed that counts as no change."""
 
 
 def displacement_facts(rig: Rig, table: pd.DataFrame) -> Facts:
@@ -156,7 +156,7 @@ def closed_bode_facts(rig: Rig, table: pd.DataFrame) -> Facts:
 
 
 def stability_facts(rig: Rig, table: pd.DataFrame) -> Facts:
-    """The limits with a new and a worn seal, and the speed that they allow."""
+    """The largest stable gains with a new and a worn seal, and the speeds that they allow."""
     summary = achievable(table)
     new, worn = (summary[summary["law"] == "laminar"].iloc[row] for row in (0, -1))
     throttle = summary[summary["law"] == "throttle"]["limit_per_m"]
@@ -188,8 +188,8 @@ def stability_facts(rig: Rig, table: pd.DataFrame) -> Facts:
         "single": by_place["last"] / by_place["first"],
         "rule": laminar.groupby("leak_lpm")["continuous_limit_per_m"].min(),
         "settling": [_seconds(row["settling_s"]) for row in (new, worn)],
-        "better": {name: ratio for name, ratio in ratios.items() if ratio > 1.0 + SAME},
-        "worse": {name: ratio for name, ratio in ratios.items() if ratio < 1.0 - SAME},
+        "better": {name: ratio for name, ratio in ratios.items() if ratio > 1.0 + NEGLIGIBLE_CHANGE},
+        "worse": {name: ratio for name, ratio in ratios.items() if ratio < 1.0 - NEGLIGIBLE_CHANGE},
         "places": PLACES,
         "points": len(table),
         "absent": int(table["limit_per_m"].isna().sum()),
@@ -220,18 +220,18 @@ def energy_facts(rig: Rig, table: pd.DataFrame) -> Facts:
 
 
 def sensitivity_facts(rig: Rig, table: pd.DataFrame) -> Facts:
-    """The three largest effects on each result, and what was varied otherwise or left out."""
+    """The three largest effects on each result, and the parameters with other variations or none."""
     grid, own = effects(table), table[table["parameter"] != LEAK_NAME]
-    told = []
+    results = []
     for result in RESULTS:
         part = own[own["result"] == result.name].head(3)
         if len(part):
             listed = [(_named(row.parameter), row.effect_percent) for row in part.itertuples()]
             row = {"words": result.words, "unit": result.unit, "normal": part["normal"].iloc[0], "effects": listed}
-            told.append(row)
+            results.append(row)
     special = [row for row in own.drop_duplicates("parameter").itertuples() if not is_scaled(row.value, row.low_value)]
     return {
-        "results": told,
+        "results": results,
         "idle": [_named(name) for name in grid.index[grid.max(axis=1) < 1.0]],
         "unused": [_named(name) for name in unused_parameters(rig)],
         "missing": [result.words for result in RESULTS if result.name not in grid.columns],

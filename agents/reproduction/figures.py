@@ -1,4 +1,4 @@
-"""The figures of the page: how each is computed, drawn and put into words."""
+"""The figures of the page: computation, drawing and sentences of each."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ FIGURES = (
 
 
 class Words(NamedTuple):
-    """What the page says about a figure."""
+    """Sentences of the page about a figure."""
 
     paper: str  # what the paper says, in other words
     how: str  # how it was computed here

@@ -34,7 +34,7 @@ WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}
 
 BINS = 8
 FEWEST = 10
-"""Samples that a bin of pressure differences needs."""
+"""Smallest number of samples in a bin of pressure differences."""
 
 
 @lru_cache(maxsize=4)
@@ -43,7 +43,7 @@ def force_rate_table(
 ) -> pd.DataFrame:
     """The four terms over time for each leak, their sum, and dF/dt from the two chambers (23) as a check.
 
-    ``orifice``: gain of a throttle besides, m³/(s √Pa).
+    ``orifice``: gain of an additional throttle, m³/(s √Pa).
     """
     parts = []
     for leak in leaks:

@@ -30,8 +30,8 @@ FREQUENCIES = np.geomspace(1e-3, 0.999, 500) * NYQUIST
 def map_table(rig: Rig) -> pd.DataFrame:
     """Natural frequency (Hz) and damping ratio at rest; laminar leak, no friction, no spring, with null leakage.
 
-    Without the spring the whole stroke can be held. NaN where the linearised axis does not oscillate, or where the
-    leak is more than the supply can feed.
+    Without the spring the whole stroke can be held. NaN if the linearised axis does not oscillate, or if the supply
+    cannot feed the leak.
 
     Raises:
         ArithmeticError: the axis is overdamped everywhere.
@@ -108,7 +108,7 @@ def closed_bode_table(rig: Rig) -> pd.DataFrame:
 
 
 def closed_bode_summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Per leak what the table repeats, and the hump beyond the bandwidth, where the oil column oscillates.
+    """One row per leak with the repeated columns, and the second peak above the bandwidth, due to the oil column.
 
     ``hump_hz`` and ``hump`` (its gain) are NaN where there is none; ``has_peak``: whether any gain exceeds the gain at
     rest.

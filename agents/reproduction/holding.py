@@ -1,4 +1,4 @@
-"""What a leak costs at rest and in motion: the error of P, PI and PID while holding, and the supply's power."""
+"""Costs of a leak at rest and in motion: the error of P, PI and PID while holding, and the power of the supply."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_env import HydroError, PlantParameters, equilibrium, simulate
 
 DURATION = 6.0  # s
 JUDGED = 0.5  # s at the end
-LEAST = 1e-3  # mm; errors below are none
+SMALLEST_ERROR = 1e-3  # mm; errors below are none
 
 CYCLE = ((0.25, 1.0), (0.25, None), (0.25, -1.0), (0.25, None))
 """s (times Rig.stretch) and parts of Rig.voltage; None holds the start."""
@@ -39,8 +39,8 @@ def controllers(rig: Rig) -> dict[str, Gains]:
 def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[float, float]:
     """Mean error (m) and mean command (V) at the end of a hold that begins in balance at the target, u = 0.
 
-    The position is read without noise; the command is computed every 5 ms and acts at once. The integral part waits
-    while the command is at its limit.
+    The position has no noise; the command is computed every 5 ms and acts at once. The integral part stops while the
+    command is at its limit.
     """
     integral, before = 0.0, target
 
@@ -63,10 +63,10 @@ def holding_table(rig: Rig, leaks: tuple[float, ...] = LEVELS) -> pd.DataFrame:
     """Error in mm and command in V of each controller and leak; the rig as assumed, throttle in parallel.
 
     Raises:
-        HydroError: the axis holds without a pressure difference, so that nothing leaks.
+        HydroError: the axis holds without a pressure difference, and nothing leaks.
     """
     _, voltage = equilibrium(with_leak(rig.parameters, SEVERE, "throttle"), rig.hold)
-    if 1e3 * abs(voltage) < LEAST * FULL_COMMAND * rig.holding_gain:
+    if 1e3 * abs(voltage) < SMALLEST_ERROR * FULL_COMMAND * rig.holding_gain:
         raise HydroError("no force asks for a pressure difference while it holds, so that no oil leaks")
     rows = []
     for leak in leaks:

@@ -15,10 +15,10 @@ from hydro_env import equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 
 MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
-"""s and parts of Rig.voltage: two moves out and one back, a stop after each. All times here are times Rig.stretch."""
+"""s and parts of Rig.voltage: two moves out and one back, a stop after each. Rig.stretch scales all times here."""
 
 HELD = 0.1
-"""s; so long the start is held first."""
+"""s; the start is held this long first."""
 
 FIRST_STOP = 0.35
 """s; the first command to stop."""
@@ -41,7 +41,7 @@ def start_stop_voltage(rig: Rig, holding: float) -> NDArray[np.float64]:
 def displacement_table(rig: Rig) -> pd.DataFrame:
     """Recorded and true displacement over time for each leak; throttle in parallel, open loop.
 
-    ``friction``: whether the seals rub; False alone where the rig has none. Every run has the same noise and bias.
+    ``friction``: whether there is friction; only False if the rig has none. Every run has the same noise and bias.
     """
     base, parts = rig.parameters, []
     for friction in (True, False) if rig.has_friction else (False,):
@@ -86,7 +86,7 @@ def displacement_summary(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFr
 
 
 def start_stop_reference(rig: Rig) -> NDArray[np.float64]:
-    """Set positions in m, one per control period: ramps at the speed that the open-loop command asks for, and stops."""
+    """Reference positions in m, one per control period: ramps at the speed of the open-loop command, and stops."""
     positions, place = [np.full(_periods(rig, SETTLE_FIRST + HELD), rig.start)], rig.start
     for duration, share in MOVES:
         steps = np.arange(1, _periods(rig, duration) + 1)

@@ -29,14 +29,15 @@ TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 def leak_lines(
     axes: Axes, table: pd.DataFrame, x: str, y: str, leaks: Sequence[float] = LEAKS, unit: float = 1.0, **options: Any
 ) -> None:
-    """A line per leak: column ``y`` times ``unit`` over column ``x``."""
+    """A line per leak: column ``y`` times ``unit`` over column ``x``; with a ``markersize``, the leak's marker too."""
     for leak in leaks:
-        part = table[table["leak_lpm"] == leak]
-        axes.plot(part[x], unit * part[y], label=flow(leak), **(LOOKS[leak].stroke | options))
+        part, look = table[table["leak_lpm"] == leak], LOOKS[leak]
+        marker = look.marker if "markersize" in options else ""
+        axes.plot(part[x], unit * part[y], label=flow(leak), marker=marker, **look.stroke, **options)
 
 
 def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
-    """The whole move, and what follows the first stop, enlarged, with and without friction."""
+    """The whole move, and the time after the first stop enlarged, with and without friction."""
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
     frictions = [bool(friction) for friction in table["friction"].unique()]
     whole, panels = parts[0].subplots(), parts[1].subplots(1, len(frictions), sharey=True, squeeze=False)[0]
@@ -170,8 +171,7 @@ def paint_share(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     drawn = table.assign(middle_bar=middle, percent=100.0 * table["leakage_share"])
     for axes, law in zip(panels, LAWS, strict=True):
         part = drawn[drawn["law"] == law]
-        for leak in FEW_LINES:
-            leak_lines(axes, part, "middle_bar", "percent", (leak,), marker=LOOKS[leak].marker, markersize=4.0)
+        leak_lines(axes, part, "middle_bar", "percent", FEW_LINES, markersize=4.0)
         axes.set(yscale="log", xlabel="size of the pressure difference, bar")
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_title(SHORT_LAWS[law])

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from agents.report.canvas import GREY, INK, legend_inside, log_leak_axis, looks_of, ticks
-from agents.report.leaks import FINE_ABOVE, LEVELS, LOOKS, SCAN
+from agents.report.leaks import FINE_ABOVE, LEVELS, SCAN
 from agents.report.text import number, setting
 from agents.reproduction.closed_loop import GAIN_MARGIN
 from agents.reproduction.frequency import NYQUIST
@@ -187,8 +187,7 @@ def paint_friction_scan(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     positive = [100 * share for share in FRICTION_SHARES if share > 0.0]
     zero = 0.5 * positive[0]
     drawn = table.assign(percent=np.maximum(100 * table["friction_share"], zero))
-    for leak in SCAN:
-        leak_lines(axes, drawn, "percent", "settling_s", (leak,), marker=LOOKS[leak].marker, markersize=4)
+    leak_lines(axes, drawn, "percent", "settling_s", SCAN, markersize=4)
     axes.set(xscale="log", yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
     ticks(axes.xaxis, [zero, *positive], lambda value: "0" if value == zero else setting(value))
     low, high = axes.get_ylim()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,20 +15,20 @@ from agents.reproduction.closed_loop import bandwidth, sensible_gain
 from agents.reproduction.force_rate import force_rate_table, shares
 from agents.reproduction.holding import cycle_energy, holding_power
 from agents.reproduction.moves import FIRST_STOP, HELD
-from agents.reproduction.rig import Law, Rig, quick_stop, rubbing, simplified, with_leak
+from agents.reproduction.rig import Law, Rig, quick_stop, simplified, with_friction_share, with_leak
 from agents.reproduction.settling import healthy_frequency, settling_of
 from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.plant.linearisation import Mode, linearise
 
 LEAK = 0.3
-"""l/min at 100 bar; of all results that do not name another."""
+"""l/min at 100 bar; leak of all results that name no other."""
 
 FRICTION_SHARE = 0.02
-"""Friction of the settling times, in parts of what is assumed: little enough that the axis still swings."""
+"""Friction of the settling times relative to the assumed friction; small enough for the axis to oscillate."""
 
 
 class Setting(NamedTuple):
-    """What stays the same while a plant is varied."""
+    """Settings that do not change while a plant is varied."""
 
     rig: Rig
     frequency: float  # rad/s, of the oscillation whose settling is judged
@@ -49,7 +50,7 @@ def setting_of(rig: Rig) -> Setting:
 
 
 def _leaking(plant: PlantParameters, flow: float, law: Law = "laminar") -> PlantParameters:
-    """The leak of a result, beside the orifice that the plant may have."""
+    """The plant with the leak of a result, in addition to its own orifice."""
     leaking = with_leak(plant, flow, law)
     extra = plant.leakage.orifice_gain
     return leaking.replace(leakage={"orifice_gain": leaking.leakage.orifice_gain + extra}) if extra else leaking
@@ -57,7 +58,7 @@ def _leaking(plant: PlantParameters, flow: float, law: Law = "laminar") -> Plant
 
 def _settling(plant: PlantParameters, at: Setting, factor: float, leak: float = LEAK) -> float:
     run = quick_stop(_leaking(rubbing(plant, FRICTION_SHARE), factor * leak), at.rig)
-    return settling_of(run, at.frequency, at.rig.stretch).clean
+    return settling_of(run, at.frequency, at.rig.stretch).clean_s
 
 
 def _settling_ratio(plant: PlantParameters, at: Setting, factor: float) -> float:
@@ -78,7 +79,7 @@ def _move(plant: PlantParameters, at: Setting, factor: float) -> float:
 
 
 def _share(plant: PlantParameters, at: Setting, factor: float) -> float:
-    varied = at.rig.with_parameters(plant)
+    varied = replace(at.rig, parameters=plant)
     table = force_rate_table(varied, "laminar", (factor * LEAK,), plant.leakage.orifice_gain)
     windows = shares(table, at.rig.stretch).set_index("window")
     return 100.0 * float(windows.loc["stop", "leakage_share"])
@@ -89,7 +90,7 @@ def _loop(plant: PlantParameters, at: Setting, factor: float) -> SampledLoop:
 
 
 def _held_error(plant: PlantParameters, at: Setting, factor: float) -> float:
-    """Where the command of a proportional controller is the one that the place asks for; friction left out."""
+    """Error at which the command of a proportional controller holds the position, without friction."""
     leaking, hold = _leaking(plant, factor * MODERATE, "throttle"), at.rig.hold
     gain = FULL_COMMAND * at.rig.holding_gain
 

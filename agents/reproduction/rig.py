@@ -1,4 +1,4 @@
-"""The rig that the figures are computed for, its leaks, and its quick stop."""
+"""The rig of the figures, its leaks, and its quick stop."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LAWS: dict[Law, str] = {"laminar": "laminar leak (10)", "throttle": "throttle in
 SHORT_LAWS: dict[Law, str] = {"laminar": "Laminar leak", "throttle": "Throttle in parallel"}
 
 SLOWEST = 65.0
-"""Hz; an axis that oscillates slower is given more time."""
+"""Hz; an axis that oscillates more slowly gets more time."""
 
 LONGEST_STRETCH = 20.0
 """Longest durations, in those for the paper's rig: beyond it the figures would take minutes."""
@@ -41,7 +41,7 @@ HOLDING_SPEED = 3.0
 class Rig:
     """A plant with the places and commands of its moves; the defaults are those of the paper's rig.
 
-    All that :func:`own_rig` chooses for another rig is here; no figure has a place or a duration of its own.
+    It holds all choices of :func:`own_rig` for another rig; no figure has positions or durations of its own.
     """
 
     parameters: PlantParameters = field(default_factory=PlantParameters)
@@ -63,13 +63,9 @@ class Rig:
 
     @property
     def has_friction(self) -> bool:
-        """Whether the seals and guides rub at all."""
+        """Whether the rig has dry friction."""
         friction = self.parameters.friction
         return friction.model != "none" and max(friction.coulomb_force, friction.breakaway_force) > 0.0
-
-    def with_parameters(self, parameters: PlantParameters) -> Rig:
-        """The same places and commands with another plant."""
-        return replace(self, parameters=parameters)
 
     def count(self, seconds: float) -> int:
         """Samples of a duration (s)."""
@@ -142,7 +138,7 @@ def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> Pl
     return parameters.replace(**changes)
 
 
-def rubbing(base: PlantParameters, share: float) -> PlantParameters:
+def with_friction_share(base: PlantParameters, share: float) -> PlantParameters:
     """The plant with its friction forces times ``share``."""
     if share == 0.0:  # no model takes forces of zero
         return base.replace(friction={"model": "none"})
@@ -157,8 +153,8 @@ STOP_WATCH = 3.0  # s, after that; times Rig.stretch
 def quick_stop(parameters: PlantParameters, rig: Rig) -> Trajectory:
     """Extend from the rig's start, then 0 V. Time 0 of the result is the command to stop.
 
-    On the paper's rig it ends near +15 mm, where the spring balances nearly equal pressures in both chambers: little
-    oil leaks there, and hardly any drift adds to the oscillation.
+    On the paper's rig the stop ends near +15 mm, where the pressures in both chambers are nearly equal: little oil
+    leaks there, and the oscillation hardly drifts.
     """
     before, after = rig.count(STOP_DRIVE * rig.stretch), rig.count(STOP_WATCH * rig.stretch)
     voltage = np.concatenate([np.full(before, rig.voltage), np.zeros(after)])

@@ -12,7 +12,7 @@ from agents.reproduction.variations import CHANGE, LEAK_NAME, Variation, leak_va
 from hydro_env import HydroError, PlantParameters
 
 LEAST = 1e-9
-"""Results smaller than this are zero: nothing relative can be said of them."""
+"""A smaller result counts as zero and has no relative change."""
 
 COLUMNS = ("value", "low_value", "high_value")
 
@@ -71,7 +71,7 @@ def effects(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def is_scaled(value: str, low: str) -> bool:
-    """Whether the lower value of a variation is the usual part of the assumed one."""
+    """Whether a variation has the usual relative size."""
     try:
         return abs(float(low) / float(value) - (1 - CHANGE)) < 1e-3
     except (ValueError, ZeroDivisionError):

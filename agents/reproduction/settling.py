@@ -1,4 +1,4 @@
-"""Fig. 13: settling time after a quick stop against leakage resistance, and how much friction hides its trend."""
+"""Fig. 13: settling time after a quick stop over the leak, and the friction that hides its trend."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from agents.report.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
-from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, rubbing, simplified, with_leak
+from agents.reproduction.rig import LAWS, Law, Rig, quick_stop, simplified, with_friction_share, with_leak
 from agents.reproduction.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
@@ -19,7 +19,7 @@ FRICTION_MODELS = ("none", "stribeck", "lugre")
 """``friction.model`` of each column of the figure; one more entry is one more column."""
 
 FRICTION_SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Friction of the scan, in parts of what is assumed."""
+"""Friction of the scan relative to the assumed friction."""
 
 METHODS = {"clean_s": "noise-free", "signal_s": "accelerometer", "theory_s": "linear theory"}
 NOISE_SEEDS = range(5)
@@ -29,14 +29,14 @@ FIRST_SWINGS = 0.05  # s after the stop command. All three times Rig.stretch
 
 
 class Settling(NamedTuple):
-    """Settling of one quick stop, seconds from the command to stop."""
+    """Settling of one quick stop, by the columns of its table; seconds from the command to stop."""
 
-    clean: float  # of the noise-free acceleration
-    naive: float  # last |a| above the level, drift and all
-    theory: float  # linear theory; NaN with friction
-    frequency: float  # rad/s of the linearised axis; NaN where it does not oscillate
-    damping: float
-    start: float  # m/s², largest swing after the stop
+    clean_s: float  # of the noise-free acceleration
+    theory_s: float  # linear theory; NaN with friction
+    naive_s: float  # last |a| above the level, drift and all
+    natural_frequency_rad_s: float  # of the linearised axis; NaN where it does not oscillate
+    damping_ratio: float
+    first_swing_m_s2: float  # largest after the stop
 
 
 def friction_words(model: str) -> str:
@@ -63,7 +63,7 @@ def _possible(base: PlantParameters, model: str) -> bool:
 def oscillation_mode(run: Trajectory, stretch: float = 1.0) -> Mode | None:
     """The mode of the axis without friction, linearised at the mean state of the first 0.1 s after the stop.
 
-    Friction is left out: at rest its smooth sign is so steep that the linear axis would not oscillate at all.
+    Friction is left out: at rest the slope of its smooth sign would suppress any oscillation of the linear axis.
     """
     window = (run.time >= stretch * RING_DOWN[0]) & (run.time <= stretch * RING_DOWN[1])
     state = run.states[window].mean(axis=0)
@@ -88,8 +88,8 @@ def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.
         theory = float(time[first]) + math.log(max(float(swing[first]) / SETTLED, 1.0)) / decay
     return Settling(
         last_above(time, swing),
-        last_above(time, np.abs(acceleration)),
         theory,
+        last_above(time, np.abs(acceleration)),
         mode.natural_frequency if mode else math.nan,
         mode.damping_ratio if mode else math.nan,
         float(swing[first]),
@@ -106,7 +106,7 @@ def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int,
 
 
 def healthy_frequency(rig: Rig) -> float:
-    """Oscillation frequency in rad/s with a tight seal: where all detectors look.
+    """Oscillation frequency in rad/s with a tight seal; all detectors use it.
 
     Raises:
         ArithmeticError: the axis does not oscillate.
@@ -135,7 +135,7 @@ def settling_table(rig: Rig, leaks: tuple[float, ...] = FINE_BELOW) -> pd.DataFr
 
 
 def need_a_swing(settling_time: float | str | bool) -> None:
-    """Raise where the stop of the tight axis without friction is too gentle for a settling time.
+    """Raise an error if the stop of the tight axis without friction is too gentle for a settling time.
 
     Raises:
         HydroError: there is nothing to settle.
@@ -157,15 +157,11 @@ def _row(rig: Rig, plant: PlantParameters, law: Law, leak: float, frequency: flo
         "law": law,
         "leak_lpm": leak,
         "resistance_pa_s_m3": resistance_from_flow(leak),
-        "clean_s": settling.clean,
+        "clean_s": settling.clean_s,
         "signal_s": float(np.median(from_signal)),
         "signal_low_s": min(from_signal),
         "signal_high_s": max(from_signal),
-        "theory_s": settling.theory,
-        "naive_s": settling.naive,
-        "natural_frequency_rad_s": settling.frequency,
-        "damping_ratio": settling.damping,
-        "first_swing_m_s2": settling.start,
+        **settling._asdict(),
     }
 
 
@@ -176,7 +172,7 @@ def chosen(table: pd.DataFrame, law: str, model: str, underlap: bool) -> pd.Data
 
 
 def trends(table: pd.DataFrame) -> pd.DataFrame:
-    """One row per friction model, valve, law and method: does settling fall at every step from leak to leak?
+    """One row per friction model, valve, law and method: whether settling falls at every step from leak to leak.
 
     ``ratio``: settling with the tight seal over settling at the largest leak; ``falls``: at every step.
     """
@@ -208,7 +204,7 @@ def friction_scan_table(
     for leak in leaks:
         for share in shares:
             run = quick_stop(with_leak(rubbing(rig.parameters, share), leak, "laminar"), rig)
-            time = settling_of(run, frequency, rig.stretch).clean
+            time = settling_of(run, frequency, rig.stretch).clean_s
             rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
             need_a_swing(rows[0]["settling_s"])
     return pd.DataFrame(rows)

@@ -1,4 +1,4 @@
-"""What the sentences about settling need: Fig. 13 and the scan of friction."""
+"""Facts for the sentences about settling: Fig. 13 and the scan of friction."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from agents.reproduction.signals import (
 )
 
 CLEAR_TREND = 1.5
-"""Settling with a tight seal over settling with a moderate leak, above which a trend is clear."""
+"""A trend is clear above this ratio of settling with a tight seal to settling with a moderate leak."""
 
 CLEAR_FACTOR = 2.0
 """The same for the scan of friction."""
 
-NOTICEABLE = 0.9
-"""Settling with null leakage over settling without, below which the valve's own damping is mentioned."""
+NULL_LEAKAGE_RATIO = 0.9
+"""Below this ratio of settling with to settling without null leakage, the page mentions the damping of the valve."""
 
 
 def settling_facts(rig: Rig, table: pd.DataFrame) -> Facts:
-    """Trends of the settling times, errors of theory and accelerometer, and where the paper's trend does not appear."""
+    """Trends of the settling times, errors of theory and accelerometer, and cases without the paper's trend."""
     summary = trends(table)
     clean = summary[summary["method"] == "clean_s"]
     throttle = clean[(clean["law"] == "throttle") & (clean["friction"] != "none")]
@@ -81,7 +81,7 @@ def _theory(table: pd.DataFrame, law: Law) -> Facts:
 
 
 def _hidden(table: pd.DataFrame, row: pd.Series) -> Facts:
-    """What friction does to the trend of one model, beside the settling times without friction."""
+    """Effect of friction on the trend of one model, and the settling times without friction."""
     part = chosen(table, "throttle", "none", bool(row["valve_null_leakage"]))
     first, moderate = (float(part["clean_s"].loc[leak]) for leak in (TIGHT, MODERATE))
     return _with_words(row) | {
@@ -95,18 +95,18 @@ def _hidden(table: pd.DataFrame, row: pd.Series) -> Facts:
 
 
 def _null_leakage(table: pd.DataFrame) -> Facts | None:
-    """Settling without friction in both valves, where the null leakage of the valve makes a difference."""
+    """Settling without friction with both valves, if the null leakage of the valve makes a difference."""
     if not table["valve_null_leakage"].any():
         return None
     times = {name: chosen(table, "laminar", "none", name == "null")["clean_s"] for name in ("lapped", "null")}
-    if times["null"].loc[TIGHT] >= NOTICEABLE * times["lapped"].loc[TIGHT]:
+    if times["null"].loc[TIGHT] >= NULL_LEAKAGE_RATIO * times["lapped"].loc[TIGHT]:
         return None
     ends = {"first": TIGHT, "moderate": MODERATE}
     return {f"{name}_{end}": part.loc[leak] for name, part in times.items() for end, leak in ends.items()}
 
 
 def _rise(table: pd.DataFrame, row: pd.Series) -> Facts:
-    """Where the settling time rises most from one leak to the next."""
+    """The two neighbouring leaks between which the settling time rises most."""
     times = chosen(table, row["law"], row["friction"], row["valve_null_leakage"])["clean_s"]
     steps = times.diff()
     leak = steps.idxmax()
@@ -117,7 +117,7 @@ def _rise(table: pd.DataFrame, row: pd.Series) -> Facts:
 
 
 def _settling_summary(table: pd.DataFrame, summary: pd.DataFrame) -> Table:
-    """Every combination: settling times over the leaks, and whether they fall as the paper says."""
+    """All combinations: settling times over the leaks, and whether they fall as in the paper."""
     leaks, rows = [leak for leak in LEVELS if leak in set(table["leak_lpm"]) - {0.03}], []
     for _, row in summary.iterrows():
         times = chosen(table, row["law"], row["friction"], row["valve_null_leakage"])[row["method"]]

@@ -1,4 +1,4 @@
-"""The signals that the rig records, with noise and 16-bit steps, and the settling time of an oscillation in them."""
+"""The recorded signals of the rig, with noise and 16-bit steps, and the settling time of an oscillation in them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def accelerometer_noise() -> float:
 
 
 def recorded(true: Array, sensor: Sensor, generator: np.random.Generator) -> Array:
-    """What the acquisition stores: bias (drawn once), noise, range, 16-bit steps; as in the environment."""
+    """The signal that the acquisition stores: bias (drawn once), noise, range, 16-bit steps; as in the environment."""
     bias = sensor.bias * generator.uniform(-1.0, 1.0)
     value = np.clip(true + bias + sensor.noise * generator.standard_normal(true.shape), sensor.low, sensor.high)
     if sensor.resolution > 0.0:
@@ -42,7 +42,7 @@ def recorded(true: Array, sensor: Sensor, generator: np.random.Generator) -> Arr
 
 
 def recorded_acceleration(true: Array, sample_time: float, generator: np.random.Generator) -> Array:
-    """What the acquisition stores of the accelerometer: range, 400 Hz low-pass, noise, 16-bit steps; m/s²."""
+    """The stored signal of the accelerometer: range, 400 Hz low-pass, noise, 16-bit steps; m/s²."""
     pole = math.exp(-2 * math.pi * ACCELEROMETER_BANDWIDTH * sample_time)
     start = [pole * float(true[0])]
     smooth, _ = lfilter([1 - pole], [1, -pole], np.clip(true, -ACCELEROMETER_RANGE, ACCELEROMETER_RANGE), zi=start)
@@ -54,7 +54,7 @@ def recorded_acceleration(true: Array, sample_time: float, generator: np.random.
 
 
 def drift(values: Array, sample_time: float, frequency: float) -> Array:
-    """The mean over one period of the oscillation (``frequency`` in rad/s): what is not oscillation."""
+    """The drift: the mean over one period of the oscillation (``frequency`` in rad/s)."""
     width = max(round(2 * np.pi / frequency / sample_time), 1)
     before = width // 2
     padded = np.pad(values, (before, width - 1 - before), mode="edge")
@@ -64,9 +64,9 @@ def drift(values: Array, sample_time: float, frequency: float) -> Array:
 
 
 def swing_envelope(time: Array, values: Array, frequency: float) -> Array:
-    """Envelope of what oscillates in ``values`` at about ``frequency`` (rad/s), without the drift.
+    """Envelope of the oscillation in ``values`` at about ``frequency`` (rad/s), without the drift.
 
-    Between its peaks |values| is interpolated in the logarithm; after the last peak it stays at that peak.
+    The logarithm of |values| is interpolated between its peaks; after the last peak the envelope is constant.
     """
     size = np.abs(values - drift(values, float(time[1] - time[0]), frequency))
     peaks = np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:])) + 1
@@ -77,7 +77,7 @@ def swing_envelope(time: Array, values: Array, frequency: float) -> Array:
 
 
 def last_above(time: Array, values: Array, level: float = SETTLED) -> float:
-    """Last time at which ``values`` exceeds ``level``; 0 where it never does."""
+    """Last time at which ``values`` exceeds ``level``; 0 if it never does."""
     above = np.flatnonzero(values > level)
     return float(time[above[-1]]) if len(above) else 0.0
 
@@ -85,8 +85,8 @@ def last_above(time: Array, values: Array, level: float = SETTLED) -> float:
 def band_envelope(values: Array, sample_time: float, frequency: float, width: float = 0.3) -> Array:
     """Envelope of the part of a noisy signal within ``frequency`` (rad/s) × (1 ± width).
 
-    A band-pass of second order run forwards and backwards (no delay), then the size of the analytic signal. White
-    noise loses the share of its power that lies outside the band.
+    The signal passes a second-order band-pass forwards and backwards (no delay); the envelope is the magnitude of its
+    analytic signal. White noise loses its power outside the band.
     """
     hertz = frequency / (2 * np.pi)
     band: Any = butter(2, [hertz * (1 - width), hertz * (1 + width)], "bandpass", fs=1 / sample_time, output="sos")

@@ -12,7 +12,7 @@ from hydro_env.plant.parts.friction import FrictionModel
 
 CHANGE = 0.2
 FORCE_SHARE = 0.02
-"""External force, zero as assumed, in parts of the force limit."""
+"""Variation of the external force (assumed to be zero), relative to the force limit."""
 
 EXTERNAL_LEAKS = (0.1, 1.0)
 """l/min at 100 bar past the rod seal; assumed tight, randomised over these."""
@@ -24,7 +24,7 @@ LEAK_NAME = "leakage.internal_resistance"
 
 
 class Variation(NamedTuple):
-    """One assumed parameter, and the two plants with another value of it; ``None`` where that is not possible."""
+    """One assumed parameter, and the two plants with other values of it; ``None`` if a value is not possible."""
 
     name: str  # group.field
     value: str
@@ -85,7 +85,7 @@ def variations(rig: Rig) -> list[Variation]:
 
 
 def _other_values(base: PlantParameters, name: str, value: Any) -> tuple[Any, Any]:
-    """The lower and the higher value of a parameter; None twice where nobody has said what else it might be."""
+    """The lower and the higher value of a parameter; None twice if no other value is known."""
     scaled = isinstance(value, float) and 0.0 < value < math.inf
     around = ((1 - CHANGE) * value, (1 + CHANGE) * value) if scaled else (None, None)
     if name == "load.external_force":
@@ -106,7 +106,7 @@ def _other_values(base: PlantParameters, name: str, value: Any) -> tuple[Any, An
 
 
 def leak_variation(leak: float) -> Variation:
-    """The internal leak ±20 %, as a yardstick; its plants are made where the leak is set."""
+    """The internal leak ±20 %, for comparison; the functions that set the leak make its plants."""
     value, low, high = (f"{resistance_from_flow(factor * leak):.4g}" for factor in (1.0, 1 + CHANGE, 1 - CHANGE))
     return Variation(LEAK_NAME, value, low, high, None, None)
 

@@ -1,1 +1,1 @@
-"""One rig without any controller: an open-loop run, and the figures that an engineer works out by hand."""
+"""One rig without a controller: an open-loop run, and the figures of a calculation by hand."""

@@ -1,4 +1,4 @@
-"""What an engineer works out by hand for a rig."""
+"""The figures that an engineer calculates by hand for a rig."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hydro_env.plant.analysis import (
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
-from hydro_env.plant.probe import ENOUGH, PERIOD, probe
+from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
 from hydro_env.units import LITRE_PER_MINUTE
@@ -39,12 +39,12 @@ class Row(NamedTuple):
 
     group: str
     quantity: str
-    at: str  # the condition under which it holds
-    value: float | str  # words where there is no number
+    at: str  # its condition
+    value: float | str  # words if there is no number
     unit: str
 
     def text(self, digits: int) -> str:
-        """The value, with so many digits."""
+        """The value with a number of significant digits."""
         return self.value if isinstance(self.value, str) else f"{self.value:.{digits}g}"
 
 
@@ -52,7 +52,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
     """All figures of a rig, in the units of practice.
 
     Raises:
-        ConfigurationError: the rig cannot work; one line says which figure is impossible.
+        ConfigurationError: the rig cannot work; one line names the impossible figure.
     """
     refuse_unworkable(parameters, source)
     place = resting_place(parameters)
@@ -67,7 +67,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
 
 
 def resting_place(parameters: PlantParameters) -> float:
-    """Position in m at which to examine a rig: mid-stroke if it can be held, otherwise the middle of those that can.
+    """Position in m at which to examine a rig: mid-stroke if it can be held, else the middle one of those that can be.
 
     Raises:
         HydroError: none of the positions tried can be held.
@@ -78,7 +78,7 @@ def resting_place(parameters: PlantParameters) -> float:
         return middle
     held = [place for place in np.linspace(low, high, 41).tolist() if _can_be_held(parameters, place)]
     if not held:
-        equilibrium(parameters, middle)  # raises, and says why
+        equilibrium(parameters, middle)  # raises the error with the reason
     return float(held[len(held) // 2])
 
 
@@ -213,7 +213,7 @@ def _integration(parameters: PlantParameters, place: float) -> list[Row]:
     except HydroError as error:
         return [*rows, Row("integration", "inner steps", run, str(error), "")]
     estimate = f"estimated error ({_words(done.state)})"
-    enough = "yes" if done.error <= ENOUGH else "no"
+    enough = "yes" if done.error <= ALLOWED_ERROR else "no"
     period = f"{1e3 * PERIOD:g} ms"
     return [
         *rows,
@@ -221,7 +221,7 @@ def _integration(parameters: PlantParameters, place: float) -> list[Row]:
         Row("integration", f"inner steps in {period}, most", run, float(done.most_steps), "1"),
         Row("integration", "mean inner step", run, 1e3 * PERIOD / done.mean_steps, "ms"),
         Row("integration", estimate, f"tolerance {TOLERANCE:g}", done.error, "of its range"),
-        Row("integration", "is the inner step small enough", f"error ≤ {ENOUGH:g}", enough, ""),
+        Row("integration", "is the inner step small enough", f"error ≤ {ALLOWED_ERROR:g}", enough, ""),
     ]
 
 
@@ -236,7 +236,7 @@ def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
 def _figure(
     compute: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float
 ) -> float | str:
-    """A figure, or in words why there is none."""
+    """A figure, or the reason why there is none."""
     try:
         value = compute(parameters, place)
         return value if math.isfinite(value) else "unlimited"
@@ -251,7 +251,7 @@ def _damping(parameters: PlantParameters, place: float) -> float:
 
 
 def _rule_of_thumb(parameters: PlantParameters, place: float) -> float:
-    """2 ζ ω over the mean no-load speed: continuous loop, ideal valve, symmetric cylinder (Merritt 1967)."""
+    """2 ζ ω divided by the mean no-load speed: continuous loop, ideal valve, symmetric cylinder (Merritt 1967)."""
     mode = linearise(parameters.replace(friction={"model": "none"}), position=place).hydraulic_mode
     return 4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters))
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from pathlib import Path
 
+import pandas as pd
 from rich.table import Table
 
 from agents.rigs.check import BAR, Row, check_rig
@@ -25,7 +24,7 @@ NOTE = (
 
 
 def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> list[Path]:
-    """Print the table of a rig; with a folder write ``check.csv`` and ``check.md`` too. See ``hydro check-rig --help``.
+    """Print the table of a rig; write ``check.csv`` and ``check.md`` into a folder if one is given.
 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the folder cannot be used.
@@ -70,11 +69,8 @@ def _table(rows: list[Row], title: str) -> Table:
 
 def check_csv(rows: list[Row]) -> str:
     """All figures with nine digits, one per line."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(Row._fields)
-    writer.writerows([row.group, row.quantity, row.at, row.text(9), row.unit] for row in rows)
-    return text.getvalue()
+    text: str = pd.DataFrame([row._replace(value=row.text(9)) for row in rows]).to_csv(index=False, lineterminator="\n")
+    return text
 
 
 def check_markdown(rows: list[Row], title: str) -> str:

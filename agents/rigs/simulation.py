@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -58,7 +57,8 @@ def read_voltage(path: Path) -> NDArray[np.float64]:
     """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
     Raises:
-        ConfigurationError: no table of numbers (:func:`agents.recordings.table.read_table`), or beyond ±10 V.
+        ConfigurationError: the file is no table of numbers (:func:`agents.recordings.table.read_table`), or a voltage
+            is beyond ±10 V.
     """
     table = read_table(path)
     names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
@@ -83,10 +83,10 @@ def simulate_to_folder(
     position: float | None,
     overwrite: bool,
 ) -> list[str]:
-    """Run and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
+    """Simulate and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
 
     Returns:
-        Lines for the user: the start, the voltage that acts, and the files.
+        Lines for the user: the start, the range of the voltage, and the files.
 
     Raises:
         ConfigurationError: an argument is impossible, or the folder cannot be used.
@@ -121,47 +121,31 @@ def simulate_to_folder(
             raise ConfigurationError(f"{given}: would be replaced by the results; take another --output")
     with output_folder(folder, "simulate", FILES, overwrite=overwrite):
         write_text(folder / CSV_FILE, trajectory_csv(run))
-        write_whole(folder / PICTURE_FILE, trajectory_picture(run))
+        (picture,) = render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")
+        write_whole(folder / PICTURE_FILE, picture)
         parameters.to_yaml(folder / RIG_FILE)
-    told = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
+    range_line = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
     if input_file is None:
-        told += f" ({holding:.3g} V hold the start, --voltage {voltage:g} V acts on top)"
-    return [f"start: {1e3 * position:g} mm from mid-stroke", told, *(str(folder / name) for name in FILES)]
+        range_line += f" ({holding:.3g} V hold the start, plus --voltage {voltage:g} V)"
+    return [f"start: {1e3 * position:g} mm from mid-stroke", range_line, *(str(folder / name) for name in FILES)]
 
 
 def trajectory_csv(run: Trajectory) -> str:
     """All quantities in SI; the first line names each with its unit."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([f"{name} [{TRAJECTORY_UNITS[name]}]" for name in TRAJECTORY_NAMES])
-    for row in np.column_stack([run[name] for name in TRAJECTORY_NAMES]):
-        writer.writerow([f"{value:.9g}" for value in row])
-    return text.getvalue()
-
-
-def trajectory_picture(run: Trajectory) -> bytes:
-    """A PNG of :func:`paint_trajectory`."""
-    return render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")[0]
+    table = pd.DataFrame({f"{name} [{TRAJECTORY_UNITS[name]}]": run[name] for name in TRAJECTORY_NAMES})
+    text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text
 
 
 def paint_trajectory(figure: Figure, run: Trajectory) -> None:
     """Command and spool, position, pressures, flows, acceleration over time."""
     axes = figure.subplots(5, 1, sharex=True)
     flow = 1.0 / LITRE_PER_MINUTE
+    pressures = {"a (bore)": run.pressure_a, "b (rod)": run.pressure_b, "supply": run.supply_pressure}
     panels = [
         ("valve, %", [("command", 10 * run.voltage), ("spool", 100 * run.spool_position)]),
         ("position, mm", [("position", 1e3 * run.position)]),
-        (
-            "pressure, bar",
-            [
-                (label, run[name] / 1e5)
-                for label, name in (
-                    ("a (bore)", "pressure_a"),
-                    ("b (rod)", "pressure_b"),
-                    ("supply", "supply_pressure"),
-                )
-            ],
-        ),
+        ("pressure, bar", [(name, pressure / 1e5) for name, pressure in pressures.items()]),
         (
             "flow, l/min",
             [("into a", flow * run.flow_a), ("out of b", flow * run.flow_b), ("leakage a→b", flow * run.leakage_flow)],
@@ -173,7 +157,7 @@ def paint_trajectory(figure: Figure, run: Trajectory) -> None:
             axis.plot(run.time, values, label=name, linewidth=1.2, **look.stroke)
         axis.set_ylabel(label)
         if len(lines) > 1:
-            # Above the panel: inside, it would lie over one of the lines.
+            # Above the panel: inside it would cover a line.
             axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
     axes[-1].set_xlabel("time, s")
     figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)

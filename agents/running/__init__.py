@@ -1,1 +1,1 @@
-"""What everything above needs: cases and their seeds, weights on disk, folders, progress on the console."""
+"""Services for the rooms above: cases and their seeds, weights on disk, folders, progress on the console."""

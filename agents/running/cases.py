@@ -1,4 +1,4 @@
-"""Runs a controller on a list of independent episodes and returns what happened."""
+"""Runs a controller on a list of independent episodes and returns their trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class ControllerError(ConfigurationError):
 
 @dataclass(frozen=True)
 class Cases:
-    """A list of N independent episodes: what is fixed in each. All arrays (N,)."""
+    """A list of N independent episodes, each with its seed, leak and reference family. All arrays (N,)."""
 
     seeds: NDArray[np.int64]
     leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
@@ -38,7 +38,7 @@ class Cases:
         return Cases(self.seeds[first:last], leak, families)
 
     def describe(self, case: int) -> str:
-        """What is fixed in one case, for messages."""
+        """Seed, reference and leak of one case, for messages."""
         parts = [f"seed {self.seeds[case]}"]
         if self.families is not None:
             parts.append(f"reference {self.families[case]}")
@@ -58,7 +58,7 @@ class Rollout:
     time: NDArray[np.float64]  # (T,), s
     position: NDArray[np.float32]  # (N, T), m, true
     reference: NDArray[np.float32]  # (N, T), m
-    command: NDArray[np.float32]  # (N, T), that acted, −1…1
+    command: NDArray[np.float32]  # (N, T), as limited, −1…1
     spool: NDArray[np.float32]  # (N, T), true
     reward: NDArray[np.float32]  # (N, T)
     failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
@@ -80,8 +80,8 @@ def run_cases(
 
     Args:
         config: the task.
-        controller: acts on the observations.
-        cases: what is fixed; the rest is drawn from each case's seed.
+        controller: the controller.
+        cases: the episodes; all that they do not fix is drawn from each case's seed.
         signal_columns: columns of the observation to keep.
         states: keep positions, commands and so on as well.
         chunk: number of cases that run together; does not change results.
@@ -107,7 +107,7 @@ def run_cases(
 
 def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
     count, steps = len(cases), config.steps
-    # NEXT_STEP: the last sample of an episode is seen before its axis restarts.
+    # NEXT_STEP shows the last sample of an episode before its axis restarts.
     env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
     options: dict[str, Any] = {}
     if cases.leakage_flow_lpm is not None:
@@ -157,14 +157,14 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
 
 
 def check_predict(controller: Any) -> None:
-    """Check that something can act at all.
+    """Check that an object is a controller.
 
     Raises:
-        ControllerError: it has no method ``predict``, or is a class.
+        ControllerError: the object has no method ``predict``, or is a class.
     """
     what = type(controller).__name__
     if isinstance(controller, type):
-        raise ControllerError(f"{controller.__name__} is a class; a controller is an object of it")
+        raise ControllerError(f"{controller.__name__} is a class; a controller must be an instance of it")
     if not callable(getattr(controller, "predict", None)):
         raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
 
@@ -178,7 +178,7 @@ def _act(
     cases: Cases,
     time: float,
 ) -> tuple[NDArray[Any], Any]:
-    """Ask for commands (N, 1) and check them; an axis that has failed gets 0."""
+    """Commands (N, 1) of the controller, checked; an axis that has failed gets 0."""
     when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
     answer: Any
     try:
@@ -190,12 +190,12 @@ def _act(
     needed = (len(cases), 1)
     try:
         action = np.asarray(answer[0], dtype=np.float64)
-        found = f"of shape {action.shape}"
+        kind = f"of shape {action.shape}"
     except (TypeError, ValueError, RuntimeError):
-        action, found = np.zeros(0), f"that are no numbers ({type(answer[0]).__name__})"
+        action, kind = np.zeros(0), f"that are no numbers ({type(answer[0]).__name__})"
     if action.shape != needed:
         raise ControllerError(
-            f"{when}: predict returned commands {found} for observations of shape "
+            f"{when}: predict returned commands {kind} for observations of shape "
             f"{observation.shape}; needed is {needed}"
         )
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))

@@ -1,4 +1,4 @@
-"""What a person sees while long work runs: a progress bar on a terminal, sparse lines elsewhere."""
+"""Progress of long work on the console: a bar on a terminal, occasional lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SECONDS_BETWEEN_LINES = 10.0
 
 
 class PlainConsole(Console):
-    """A console that prints what it is given: no markup (a path may hold brackets), no emoji, no colour of numbers."""
+    """A console that prints text unchanged: no markup (a path may hold brackets), no emoji, no coloured numbers."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
     def on_broken_pipe(self) -> None:
-        """Leave it to who prints: Rich would end the program."""
+        """Let the caller handle it: Rich would end the program."""
         raise BrokenPipeError
 
     def lines(self, *parts: Any, **options: Any) -> None:
-        """Print, unless nobody listens any more (a closed pipe, a full disk): work must not end for that."""
+        """Print; after a failed write (a closed pipe, a full disk) stay silent, and let the work continue."""
         try:
             self.print(*parts, **options)
         except OSError:
@@ -37,7 +37,7 @@ class PlainConsole(Console):
 
 
 def discard_output() -> None:
-    """After a failed write to standard output: drop what its buffer still holds, or it fails again at the end."""
+    """Drop the buffer of standard output after a failed write; it would fail again when the program ends."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -76,7 +76,7 @@ class ProgressDisplay:
             self._bars.stop()
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
-        """Say how far a phase is; call it with ``done = 0`` before the work, so that something is seen at once."""
+        """Show the progress of a phase; call it with ``done = 0`` before the work, to show the phase at once."""
         if self._bars is not None:
             if phase not in self._tasks:
                 self._tasks[phase] = self._bars.add_task(phase, total=total, note=note)
@@ -90,10 +90,10 @@ class ProgressDisplay:
             self.say(f"{phase}: {share} ({done:,} of {total:,}) {note}".rstrip())
 
     def say(self, text: str) -> None:
-        """A line of its own."""
+        """Print a separate line."""
         self.console.lines(text, soft_wrap=True)
 
 
 def _rest_of_the_line() -> Column:
-    """A column that gives way to the others: notes are cut before the bar is."""
+    """A column that shrinks before the others: a narrow terminal cuts the note, not the bar."""
     return Column(ratio=1, no_wrap=True, overflow="ellipsis")

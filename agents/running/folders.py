@@ -1,4 +1,4 @@
-"""Folders: where configuration files and shipped weights lie, and where results may go."""
+"""Folders of configuration files, shipped weights and results."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ def pretrained_folder() -> Path:
 def output_folder(
     folder: Path, job: str, writes: Sequence[str], *, resume: bool | None = None, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Claim a folder for the files that a command writes; no file of anybody else's is ever replaced.
+    """Claim a folder for the files that a command writes; it never replaces a file that it did not write.
 
-    The folder's manifest (``.hydro.json``) lists each file and the command that wrote it. A command may replace only
-    its own files, and only when asked. While the block runs, no other process can claim the folder; the lock ends
-    with the process, however that ends. A block that writes nothing leaves nothing behind.
+    The folder's manifest (``.hydro.json``) lists each file and the command that wrote it. A command replaces only its
+    own files, and only on request. While the block runs, no other process can claim the folder; the lock ends with the
+    process. A block that writes nothing leaves nothing behind.
 
     Args:
-        folder: for the results; made where it does not exist.
+        folder: for the results; created if it does not exist.
         job: the command, as in ``hydro <job>``.
         writes: names of all files that the block may write, relative to the folder; ``*`` stands for any characters.
-        resume: whether to go on with what is there; ``None`` for a command that cannot.
+        resume: whether to continue earlier results; ``None`` for a command that cannot.
         overwrite: whether to remove the earlier results of this command first.
 
     Yields:
@@ -76,8 +76,8 @@ def output_folder(
                     f"{folder}: holds results already ({present[0]}); {go_on}--overwrite replaces them, "
                     "--output takes another folder"
                 )
-            # Written before any result is, so that files of a killed command are known as ours; this also shows at
-            # once, and not after hours of work, whether the folder can be written.
+            # The manifest comes before any result: it identifies the files of a killed command, and a folder that
+            # cannot be written shows at once instead of after hours of work.
             claimed = owners | dict.fromkeys(writes, job)
             _write_manifest(folder, claimed)
             try:
@@ -88,11 +88,11 @@ def output_folder(
                 stop.add_note(_what_stays(folder, resume, _present(folder, writes)))
                 raise
             finally:
-                with suppress(ConfigurationError):  # a full disk: the list from above names the same files
+                with suppress(ConfigurationError):  # a full disk: the manifest from above names the same files
                     _write_manifest(folder, {name: _owner(name, claimed) for name in _present(folder, claimed)})
     finally:
         for path in made:
-            with suppress(OSError):  # holds results, as it should
+            with suppress(OSError):  # not empty: it holds results
                 path.rmdir()
 
 
@@ -154,14 +154,14 @@ def _write_manifest(folder: Path, owners: Mapping[str, str]) -> None:
 
 
 def _present(folder: Path, names: Sequence[str] | Mapping[str, str]) -> list[str]:
-    """Names of what exists; a dangling link counts."""
-    found: dict[str, None] = {}
+    """Names of the files that exist; a dangling link counts."""
+    existing: dict[str, None] = {}
     for name in names:
         if "*" in name:
-            found |= dict.fromkeys(sorted(path.relative_to(folder).as_posix() for path in folder.glob(name)))
+            existing |= dict.fromkeys(sorted(path.relative_to(folder).as_posix() for path in folder.glob(name)))
         elif os.path.lexists(folder / name):
-            found[name] = None
-    return list(found)
+            existing[name] = None
+    return list(existing)
 
 
 def _refuse_foreign(folder: Path, job: str, writes: Sequence[str], owners: Mapping[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""What a run depends on besides its settings: versions of packages, and the machine."""
+"""Circumstances of a run besides its settings: versions of packages, and the machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The memory of a torch optimiser as named arrays, for checkpoints."""
+"""The state of a torch optimiser as named arrays, for checkpoints."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PREFIX = "optimiser."
 
 
 def optimiser_tensors(optimiser: Any) -> dict[str, NDArray[Any]]:
-    """The memory of a torch optimiser as arrays, ``optimiser.<parameter>.<name>``; none before its first step."""
+    """The state of a torch optimiser as arrays, ``optimiser.<parameter>.<name>``; none before its first step."""
     return {
         f"{PREFIX}{index}.{name}": np.array(value.detach().cpu().numpy())
         for index, entry in optimiser.state_dict()["state"].items()
@@ -23,7 +23,7 @@ def optimiser_tensors(optimiser: Any) -> dict[str, NDArray[Any]]:
 
 
 def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
-    """Put back what :func:`optimiser_tensors` took from an Adam optimiser of the same parameters.
+    """Restore the arrays of :func:`optimiser_tensors` into an Adam optimiser of the same parameters.
 
     Raises:
         ConfigurationError: the arrays are not those of such an optimiser; ``where`` names the file.

@@ -1,6 +1,6 @@
-"""Which seeds belong to training, validation and test.
+"""Seeds of training, validation and test.
 
-A seed fixes plant, reference and noise, so that the sets of all three are disjoint.
+A seed fixes plant, reference and noise; disjoint ranges of seeds keep the three sets apart.
 """
 
 from __future__ import annotations
@@ -8,4 +8,4 @@ from __future__ import annotations
 TRAINING_SEEDS = range(0, 1_000_000)
 VALIDATION_SEEDS = range(1_000_000, 2_000_000)
 TEST_SEEDS = range(2_000_000, 3_000_000)
-"""Nothing is chosen by results on these; only the evaluation uses them."""
+"""Only the evaluation uses these; no choice is made by results on them."""

@@ -22,7 +22,7 @@ from hydro_env.files import Group, write_whole
 Tensors = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 1
 LARGEST_FILE = 2**31
-"""Bytes; more in a file of weights or a checkpoint must be a mistake."""
+"""Largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake."""
 
 _DESCRIPTION, _DIGEST = "description", "digest"
 
@@ -58,8 +58,8 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
     """Write ``path``.safetensors and ``path``.json, each whole or not at all.
 
     Args:
-        path: without suffix (a suffix ``.safetensors`` or ``.json`` is taken off; any other dot belongs to the name).
-        kind: what the weights are of; ``load_weights`` checks it.
+        path: without suffix (a suffix ``.safetensors`` or ``.json`` is removed; any other dot belongs to the name).
+        kind: kind of the weights; ``load_weights`` checks it.
         tensors: arrays by name.
         settings: everything else that inference needs, as JSON.
 
@@ -77,7 +77,7 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
     """Read weights and settings.
 
     Raises:
-        ConfigurationError: a file is missing, unreadable, damaged, or of something else.
+        ConfigurationError: a file is missing, unreadable, damaged, or of another kind.
     """
     weights, description = weight_files(path)
     settings = _described(_content(description), kind, description)
@@ -85,10 +85,10 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
 
 
 def weight_files(path: str | Path) -> tuple[Path, Path]:
-    """The file of tensors and the file of settings that belong to a name.
+    """The file of tensors and the file of settings of a name.
 
     Raises:
-        ConfigurationError: the path has no name, as ``.`` or ``/``.
+        ConfigurationError: the path has no file name, such as ``.`` or ``/``.
     """
     path = Path(path)
     name = path.name.removesuffix(".safetensors").removesuffix(".json") if path.name else ""
@@ -98,7 +98,7 @@ def weight_files(path: str | Path) -> tuple[Path, Path]:
 
 
 def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mapping[str, Any]) -> None:
-    """Write arrays and their description (JSON) as one safetensors file, so that they cannot come apart.
+    """Write arrays and their description (JSON) into one safetensors file, which keeps them together.
 
     Raises:
         ConfigurationError: the folder cannot be written.
@@ -125,18 +125,18 @@ def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool =
     """Check that arrays have the names, shapes and kinds of number of the ``wanted`` ones.
 
     Raises:
-        ConfigurationError: one is missing, of another shape or kind, or (with ``finite``) holds NaN or infinity.
+        ConfigurationError: one is missing, has another shape or kind, or (with ``finite``) holds NaN or infinity.
     """
     for name, like in wanted.items():
         if name not in tensors:
             raise ConfigurationError(f"{where}: holds no tensor '{name}'")
-        found = tensors[name]
-        if found.shape != like.shape or found.dtype != like.dtype:
+        array = tensors[name]
+        if array.shape != like.shape or array.dtype != like.dtype:
             raise ConfigurationError(
-                f"{where}: tensor '{name}' holds {found.dtype} of shape {found.shape}, "
+                f"{where}: tensor '{name}' holds {array.dtype} of shape {array.shape}, "
                 f"needed is {like.dtype} of shape {like.shape}"
             )
-        if finite and not np.isfinite(found).all():
+        if finite and not np.isfinite(array).all():
             raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
 
 

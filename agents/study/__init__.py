@@ -1,1 +1,1 @@
-"""A study: which controllers are trained and compared, how it runs, and how it resumes."""
+"""A study: its settings, the training and comparison of its controllers, and its resumption."""

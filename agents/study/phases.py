@@ -1,4 +1,4 @@
-"""Which phases of a study are done, so that a study that was stopped can go on."""
+"""Record of the finished phases of a study, with which an interrupted study can resume."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Result = TypeVar("Result")
 
 
 class Phases:
-    """Which phases of a study are done and how long they took, kept in ``state.json``.
+    """Finished phases of a study and their durations, stored in ``state.json``.
 
     Args:
-        folder: of the study; the state of an earlier session there is read.
+        folder: folder of the study; the state of an earlier session is read from it.
 
     Raises:
         ConfigurationError: the state is damaged.
@@ -41,7 +41,7 @@ class Phases:
                 raise ConfigurationError(f"{self.file}: is not the state of a study; --overwrite begins anew") from None
 
     def run(self, name: str, work: Callable[[], Result]) -> Result:
-        """Do a phase, and add its duration to the time of earlier sessions."""
+        """Run a phase, and add its duration to the time of earlier sessions."""
         began = time.monotonic()
         try:
             result = work()

@@ -1,4 +1,4 @@
-"""What an evaluation leaves: tables, report, example episodes, and the main figures on the console."""
+"""Results of an evaluation: tables, report, example episodes, and the main figures on the console."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def evaluate_study(
     phases: Phases | None = None,
     training_curve: pd.DataFrame | None = None,
 ) -> Evaluation:
-    """Evaluate controllers; tables and report go into the folder.
+    """Evaluate controllers; write tables and report into the folder.
 
-    A controller that fails is named on the standard error stream; the others' results are written.
+    A message on standard error names a controller that fails; the results of the others are written.
     """
 
     def work() -> Evaluation:
@@ -103,7 +103,7 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
-    """The main figures as tables on the console."""
+    """Print the main figures as tables on the console."""
     names = list(evaluation.cases["controller"].unique())
     ratios = evaluation.ratios
 
@@ -123,7 +123,7 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     table.add_row("all", *means, *(ratio(name, "all") for name in names[1:]))
     if len(names) > 1:
         equal = (ratio(name, "equal_weight") for name in names[1:])
-        table.add_row("all, references weighing the same", *[""] * len(names), *equal)
+        table.add_row("all, equal weights of references", *[""] * len(names), *equal)
     display.console.lines(table)
     if evaluation.detection_summary.empty:
         return

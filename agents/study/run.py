@@ -1,6 +1,6 @@
-"""The main job: train the controllers and the leakage head of a study, compare the controllers, write the report.
+"""Runs a study: train the controllers and the leakage head, compare the controllers, write the report.
 
-Each phase leaves its result in the output folder, so that a study that was stopped can be resumed.
+Each phase writes its result into the output folder; an interrupted study can therefore resume.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from hydro_env.files import read_yaml, write_yaml
 CONFIG_FILE = "study.yaml"
 HEAD_PHASE = "train leakage head"
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
-"""What trained weights depend on; the rest of a study may change when it is resumed."""
+"""Settings that trained weights depend on; the others may change when a study resumes."""
 
 
 def run_study(
@@ -51,18 +51,18 @@ def run_study(
     overwrite: bool = False,
     command: str = "hydro study",
 ) -> Evaluation:
-    """Run all phases; with ``resume`` those that are done with the same settings are not repeated.
+    """Run all phases; ``resume`` skips those that are finished.
 
     Raises:
-        ConfigurationError: settings do not fit each other, the folder cannot be used, or its results are of other
+        ConfigurationError: settings do not fit each other, the folder cannot be used, or its results have other
             settings.
-        KeyboardInterrupt: Ctrl-C; what was done so far stays and can be resumed.
+        KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
     study.check()
     below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
     writes = [CONFIG_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
     with output_folder(folder, "study", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
-        _note_settings(study, folder, seed)
+        _write_settings(study, folder, seed)
         _try_out(study)
         phases = Phases(folder)
         controllers: dict[str, Controller] = {}
@@ -92,8 +92,8 @@ def run_study(
     return evaluation
 
 
-def _note_settings(study: StudySettings, folder: Path, seed: int) -> None:
-    """Write the settings into the folder; what is there must have been trained with the same."""
+def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
+    """Write the settings into the folder; its earlier results must have been trained with the same."""
     described: dict[str, Any] = {**study.model_dump(mode="json"), "seed": seed}
     file = folder / CONFIG_FILE
     if file.exists():
@@ -110,7 +110,7 @@ def _try_out(study: StudySettings) -> None:
     """Run each controller that needs no training for two episodes, before hours of training.
 
     Raises:
-        ConfigurationError: one cannot act; the message names it.
+        ConfigurationError: a controller fails; the message names it.
     """
     cases = Cases(np.array([VALIDATION_SEEDS.stop - 2, VALIDATION_SEEDS.stop - 1]))
     for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:

@@ -1,4 +1,4 @@
-"""What a study says: the task, the controllers, the training of the leakage head, and the size of the evaluation."""
+"""Settings of a study: the task, the controllers, the training of the leakage head, the size of the evaluation."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
 class ControllerEntry(Group):
     """One controller of a study."""
 
-    kind: str = Field(description="pid, ppo, or module:attribute for a controller or trainer of your own")
+    kind: str = Field(description="pid, ppo, or module:attribute for your own controller or trainer")
     settings: dict[str, Any] = Field(
-        default_factory=dict, description="of the controller or its training; or the path of a YAML file"
+        default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
 
     @cached_property
     def trainer(self) -> Trainer | None:
-        """What trains it; ``None`` for a controller that needs no training.
+        """Its trainer; ``None`` for a controller that needs no training.
 
         Raises:
             ConfigurationError: no such kind.
@@ -41,8 +41,8 @@ class ControllerEntry(Group):
         if self.kind in CONTROLLERS:
             return None
         if ":" in self.kind:
-            found = imported(self.kind)
-            return trainer(self.kind) if hasattr(found, "train") and hasattr(found, "load") else None
+            given = imported(self.kind)
+            return trainer(self.kind) if hasattr(given, "train") and hasattr(given, "load") else None
         if self.kind not in TRAINERS:
             known = ", ".join([*CONTROLLERS, *TRAINERS])
             raise ConfigurationError(f"kind = '{self.kind}': unknown; known: {known}, or 'module:attribute'")
@@ -50,13 +50,13 @@ class ControllerEntry(Group):
 
 
 class StudySettings(Group):
-    """A study: the task, the controllers, what is trained and how it is judged. ``configs/studies`` holds some."""
+    """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
 
-    seed: int = Field(0, ge=0, le=2**32 - 1, description="of everything that is drawn; --seed overrides")
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
     title: str = "A servo axis that leaks: PID, PPO and the leakage head"
     task: TaskConfig = Field(default_factory=TaskConfig)
     controllers: dict[Name, ControllerEntry] = Field(
-        min_length=1, description="by name; the others are compared with the first"
+        min_length=1, description="by name; the first one is the baseline of the comparison"
     )
     leakage_head: HeadTrainingSettings = Field(default_factory=HeadTrainingSettings)
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
@@ -104,11 +104,11 @@ class StudySettings(Group):
         return study
 
     def check(self, source: str = "study", sources: Mapping[str, str] | None = None) -> None:
-        """Check before any work what would otherwise fail after hours.
+        """Check everything that would otherwise fail after hours of work.
 
         Args:
             source: for messages.
-            sources: files from which the settings of controllers came, by name.
+            sources: files with the settings of controllers, by name.
 
         Raises:
             ConfigurationError: a controller cannot be made, settings do not fit each other, or the episodes are too
@@ -117,10 +117,10 @@ class StudySettings(Group):
         for name, entry in self.controllers.items():
             where = (sources or {}).get(name, f"{source}: controllers.{name}")
             try:
-                found = entry.trainer
+                trainer = entry.trainer
             except ConfigurationError as error:
                 raise ConfigurationError(f"{source}: controllers.{name}: {error}") from error
-            if found is None:
+            if trainer is None:
                 try:
                     opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
                 except ConfigurationError as error:
@@ -128,7 +128,7 @@ class StudySettings(Group):
                 if entry.corrects is not None:
                     raise ConfigurationError(f"{source}: controllers.{name}: corrects: only a trained one can correct")
             else:
-                settings = validate(found.settings, entry.settings, where)
+                settings = validate(trainer.settings, entry.settings, where)
                 if getattr(settings, "residual", False) and entry.corrects is None:
                     raise ConfigurationError(
                         f"{source}: controllers.{name}: is trained as a correction (residual: true): give 'corrects: "
@@ -148,12 +148,12 @@ class StudySettings(Group):
         """Settings of the training of a controller.
 
         Raises:
-            ConfigurationError: it is not trained, or its settings are wrong.
+            ConfigurationError: the controller needs no training, or its settings are wrong.
         """
-        found = self.controllers[name].trainer
-        if found is None:
+        trainer = self.controllers[name].trainer
+        if trainer is None:
             raise ConfigurationError(f"controllers.{name}: is not trained")
-        return validate(found.settings, self.controllers[name].settings, f"controllers.{name}")
+        return validate(trainer.settings, self.controllers[name].settings, f"controllers.{name}")
 
     @property
     def trained(self) -> list[str]:
@@ -164,12 +164,12 @@ class StudySettings(Group):
         """All controllers ready to act, without any training.
 
         Args:
-            agents: controllers that are added or replace those of the study, as texts that
-                :func:`~agents.evaluation.opponents.opponent` understands. A trained controller that is not among them
-                takes the shipped weights.
+            agents: additional controllers, or replacements of those of the study, as texts that
+                :func:`~agents.evaluation.opponents.opponent` understands. Any other trained controller takes the
+                shipped weights.
 
         Raises:
-            ConfigurationError: one cannot be made or has no weights.
+            ConfigurationError: a controller cannot be made or has no weights.
         """
         controllers: dict[str, Controller] = {}
         for name, entry in self.controllers.items():

@@ -21,7 +21,7 @@ HEAD_WEIGHTS = "leakage_head"
 CHECKPOINTS = "checkpoint*"
 HEAD_CHECKPOINTS = "head_checkpoint*"
 TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
-"""What the training of a controller writes; the checkpoints of a trainer begin with ``checkpoint``."""
+"""Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
 
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
@@ -36,21 +36,21 @@ def train_controller(
     display: ProgressDisplay,
     settings: Group | None = None,
 ) -> Controller:
-    """Train one controller of a study; weights, checkpoints and log go into the folder.
+    """Train one controller of a study; write weights, checkpoints and log into the folder.
 
     Args:
         study: the study.
-        name: of the controller.
+        name: name of the controller.
         folder: for its files.
-        seed: of everything that is drawn.
-        resume: go on from the checkpoint in the folder.
+        seed: seed of all random numbers.
+        resume: continue from the checkpoint in the folder.
         base: the controller that it corrects.
-        display: for the progress.
-        settings: of the training, instead of the study's.
+        display: shows the progress.
+        settings: settings of the training, instead of the study's.
 
     Raises:
         ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
-        KeyboardInterrupt: Ctrl-C; the trainer has kept a checkpoint.
+        KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
     """
     settings = settings if settings is not None else study.training_settings(name)
     trainer = study.controllers[name].trainer
@@ -73,15 +73,13 @@ def train_controller(
 
 
 def read_curve(folder: Path) -> pd.DataFrame:
-    """The log of a training; empty where there is none. Columns: see :mod:`agents.learning.progress`.
+    """The log of a training; empty if there is none. Columns: see :mod:`agents.learning.progress`.
 
     Raises:
         ConfigurationError: the file is damaged.
     """
     file = folder / PROGRESS_FILE
-    curve = pd.DataFrame(read_progress(file) if file.exists() else [])
-    names = {"time/total_timesteps": "steps", "time/time_elapsed": "seconds", "rollout/mean_reward": "mean_reward"}
-    return curve.rename(columns=names)
+    return pd.DataFrame(read_progress(file) if file.exists() else [])
 
 
 def train_leakage_head(
@@ -92,7 +90,7 @@ def train_leakage_head(
     controllers: Sequence[Controller],
     display: ProgressDisplay,
 ) -> LeakageHead:
-    """Train the leakage head on episodes under each controller; its weights go into the folder."""
+    """Train the leakage head on episodes under each controller; write its weights into the folder."""
 
     def report(phase: str, done: int, total: int, loss: float) -> None:
         display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")

@@ -1,4 +1,4 @@
-"""What an engineer computes by hand: natural frequency, damping, speed and force limits, the terms of dF/dt."""
+"""Formulas for calculations by hand: natural frequency, stiffness, speed and force limits, the terms of dF/dt."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> Chamb
 def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) -> float:
     """Stiffness in N/m of both closed oil columns and the spring: β (A_a²/V_a + A_b²/V_b) + k (Merritt 1967).
 
-    β is that of oil without free air. Holds for short times: over long ones the seal and the valve let oil pass.
+    β is that of oil without free air. Valid for short times only: seal and valve leak.
     """
     c = plant_coefficients(parameters)
     volumes = chamber_volumes(parameters, position)
@@ -49,7 +49,7 @@ def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) ->
 def softest_position(parameters: PlantParameters) -> float:
     """Position in m where the natural frequency with closed ports is lowest (Jelali & Kroll 2003).
 
-    There A_a³/V_a² = A_b³/V_b²; the end of the stroke where that lies outside.
+    There A_a³/V_a² = A_b³/V_b²; if that position lies outside the stroke, the nearer end of the stroke.
     """
     c = plant_coefficients(parameters)
     ratio = (c.area_a / c.area_b) ** 1.5
@@ -64,7 +64,7 @@ def leak_at_test_pressure(parameters: PlantParameters) -> float:
 
 
 class ForceLimits(NamedTuple):
-    """Largest steady forces on the load at full pressure, N; positive where the supply pushes that way."""
+    """Largest steady forces on the load at full pressure, N; positive if the supply can push in that direction."""
 
     extending: float
     retracting: float
@@ -94,7 +94,7 @@ def closed_port_natural_frequency(parameters: PlantParameters, position: float =
 
 
 class SpeedLimits(NamedTuple):
-    """Steady speeds at full valve opening, m/s, both positive; 0 where the force does not suffice."""
+    """Steady speeds at full valve opening, m/s, both positive; 0 if the force does not suffice."""
 
     extending: float
     retracting: float

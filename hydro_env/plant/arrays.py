@@ -52,7 +52,7 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     Pressures balance the forces of (17); the spool stands a little off centre so that the flows of (12), (13) vanish.
 
     Raises:
-        HydroError: ``parameters`` or ``position`` is of another kind, or the supply cannot hold that position.
+        HydroError: ``parameters`` or ``position`` has the wrong type, or the supply cannot hold that position.
     """
     if not isinstance(parameters, PlantParameters):
         raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")

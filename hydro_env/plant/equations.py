@@ -1,10 +1,9 @@
 """The right-hand side of the servo axis, put together from its parts: the page to read beside the paper.
 
-Each part (``parts``) holds its own parameters, coefficients and laws; every line here names the equation in Kovari
-(2015) that it stands for. The corrections of the printed equations are listed in docs/model.md. The functions work on
-plain numbers. Numba compiles them for the fast kernel; called from Python they serve the reference solver and the
-linearisation. Apart from the coefficients everything is algebraic (no exp, tanh, pow), so that the compiler can
-vectorise it. SI units, gauge pressures.
+Each part (``parts``) holds its own parameters, coefficients and laws; every line here names its equation in Kovari
+(2015). docs/model.md lists the corrections of the printed equations. The functions take plain numbers. Numba compiles
+them for the fast kernel; the reference solver and the linearisation call them from Python. All but the coefficients
+are algebraic (no exp, tanh, pow), which lets the compiler vectorise them. SI units, gauge pressures.
 """
 
 from __future__ import annotations
@@ -54,7 +53,7 @@ _Weights = named_tuple("_Weights", [f"{name}_weight" for name in State._fields],
 _PartCoefficients = named_tuple("_PartCoefficients", _part_fields, __name__)
 
 Coefficients = named_tuple("Coefficients", [*_part_fields, *_Weights._fields], __name__)
-"""What the right-hand side needs, computed once per plant: the coefficients of all parts, and the error weights."""
+"""Constants of the right-hand side, computed once per plant: the coefficients of all parts, and the error weights."""
 
 _join_parts = tuple_joiner(_PartCoefficients, _PARTS)
 _join_weights = tuple_joiner(Coefficients, (_PartCoefficients, State))
@@ -76,7 +75,7 @@ def coefficients(p):
 
 @inline
 def chamber_net_flows(s, edges, c):
-    """Oil in m³/s that is left to raise the pressure of each chamber; the right-hand sides of (12), (13)."""
+    """Net oil flow in m³/s that raises the pressure of each chamber; the right-hand sides of (12), (13)."""
     leakage = internal_leakage(s.pressure_a, s.pressure_b, c)  # (10)
     flow_a = edges.supply_to_a - edges.a_to_tank  # (2)
     flow_b = edges.b_to_tank - edges.supply_to_b  # (3)
@@ -130,9 +129,9 @@ def command_changed(s, c, voltage):
 
 @inline
 def hold_limits(s, c):
-    """State with its hard limits held exactly: spool stroke and slew, vapour pressure.
+    """State clipped to its hard limits: spool stroke and slew, vapour pressure.
 
-    The derivative stops at these limits; a step passes them by a fraction of itself, which this takes back.
+    The derivative stops at these limits, but a step overshoots them a little; this removes the overshoot.
     """
     spool, spool_velocity = spool_within_limits(s, c)
     return _within_limits(
@@ -141,7 +140,7 @@ def hold_limits(s, c):
 
 
 SHORTEST_TO_KINK = 1e-6
-"""s; kinks are met no more exactly than this."""
+"""s; kinks are located no more exactly than this."""
 
 
 @inline

@@ -1,7 +1,7 @@
 """The state at rest that holds a position: pressures, supply, and the small spool offset that balances the flows.
 
-Two unknowns, the pressure of chamber a and the spool position, make the net flows of both chambers vanish. The flows
-are those of the right-hand side (``equations``), so that another valve or another leak needs nothing here.
+Two unknowns, the pressure of chamber a and the spool position, must make the net flows of both chambers vanish. The
+flows come from the right-hand side (``equations``): another valve or leak needs no change here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from hydro_env.plant.parts.valve import edge_flows, holding_command
 from hydro_env.plant.states import State
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12
-"""At rest a zero-lapped valve counts as opened by a millionth: without any flow no pressure would follow."""
+"""A zero-lapped valve counts as open by a millionth at rest; without any flow the pressures would be undetermined."""
 
 _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
@@ -26,10 +26,10 @@ _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
 
 
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
-    """``find_root(low, high, arguments)`` of a monotone function: regula falsi (Illinois), secured by bisection.
+    """``find_root(low, high, arguments)`` of a monotone function: regula falsi (Illinois) with safeguarding bisection.
 
-    Where the function does not change its sign, the end at which it is closer to zero. It ends when it moves by no more
-    than ``tolerance``; the roots in the flow law are exact to 4e-14, so that less is noise.
+    If the function does not change its sign, the result is the end where it is closer to zero. The search stops when
+    it moves by no more than ``tolerance``; the flow law has errors of 4e-14, so a smaller change is noise.
     """
 
     @inline
@@ -61,7 +61,7 @@ def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., An
 
 @inline
 def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
-    """State at rest whose pressures balance the forces, as far as flows depend on it."""
+    """State at rest whose pressures balance the forces; the states that no flow depends on are left at a constant."""
     return State(
         position=position,
         velocity=0.0,
@@ -78,7 +78,7 @@ def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
 
 @inline
 def _net_flow_a(spool_position, arguments):
-    """Oil that chamber a gains; it rises with the spool position."""
+    """Net flow into chamber a; it rises with the spool position."""
     position, pressure_a, supply_pressure, c = arguments
     s = _at_rest(position, pressure_a, spool_position, supply_pressure, c)
     return chamber_net_flows(s, edge_flows(s, c), c)[0]
@@ -89,7 +89,7 @@ _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
 
 @inline
 def _net_flow_b(pressure_a, arguments):
-    """Oil that chamber b gains while chamber a is balanced; it falls as the pressure of chamber a rises."""
+    """Net flow into chamber b while chamber a is balanced; it falls as the pressure of chamber a rises."""
     position, supply_pressure, c = arguments
     spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c))
     s = _at_rest(position, pressure_a, spool, supply_pressure, c)
@@ -101,7 +101,7 @@ _balanced_pressure = _root_of(_net_flow_b, tolerance=1e-5)
 
 @inline
 def _balance(position, supply_pressure, c):
-    """Pressure of chamber a and spool position at which both net flows vanish, and whether there are such values."""
+    """Pressure of chamber a and spool position at which both net flows vanish, and whether such values exist."""
     force, tank = holding_force(position, c), c.tank_pressure
     # Both pressures stay between tank and supply.
     edge = 1e-9 * (supply_pressure - tank)
@@ -116,7 +116,7 @@ def _balance(position, supply_pressure, c):
 
 @inline
 def equilibrium_state(position, p, c):
-    """State at rest at ``position`` (m), the voltage (V) that holds it, and whether there is one.
+    """State at rest at ``position`` (m), the voltage (V) that holds it, and whether the position can be held.
 
     Without pump or relief valve nothing holds the supply pressure: it starts at its setting; all other states are at
     rest.
@@ -131,16 +131,16 @@ def equilibrium_state(position, p, c):
     """
     resting = _with_underlap(c, max(c.underlap_squared, _SMALLEST_UNDERLAP_SQUARED))
     supply_pressure = c.relief_pressure
-    pressure_a, spool, found = 0.0, 0.0, False
+    pressure_a, spool, balanced = 0.0, 0.0, False
     for _ in range(_SUPPLY_ITERATIONS):
-        # The null flow of the valve hardly depends on the supply pressure: this converges at once.
-        pressure_a, spool, found = _balance(position, supply_pressure, resting)
+        # The null flow of the valve hardly depends on the supply pressure: a few iterations suffice.
+        pressure_a, spool, balanced = _balance(position, supply_pressure, resting)
         edges = edge_flows(_at_rest(position, pressure_a, spool, supply_pressure, resting), resting)
         before = supply_pressure
         supply_pressure = regulated_pressure(edges.supply_to_a + edges.supply_to_b, c)
-        if not found or supply_pressure < c.relief_pressure or abs(supply_pressure - before) < 1e-6:
+        if not balanced or supply_pressure < c.relief_pressure or abs(supply_pressure - before) < 1e-6:
             break
-    found = found and supply_pressure >= c.relief_pressure  # else the pump cannot feed even the null flow
+    balanced = balanced and supply_pressure >= c.relief_pressure  # else the pump cannot feed even the null flow
     coil_current, voltage = holding_command(spool, c)
     state = State(
         position=position,
@@ -154,4 +154,4 @@ def equilibrium_state(position, p, c):
         gas_volume=gas_volume_at(supply_pressure, p),
         bristle_deflection=0.0,
     )
-    return state, voltage, found
+    return state, voltage, balanced

@@ -3,9 +3,9 @@
 The method is the Runge–Kutta pair of order 5(4) of Tsitouras (2011). Every step of every plant is as long as its
 error estimate allows (:data:`TOLERANCE`), and ends at the next kink of the solution if that comes first.
 
-``LANES`` plants are worked on at a time, each in one lane of the vector instructions that the loops over lanes become;
-a lane whose plant has come to the end of its time takes the next plant. No operation mixes lanes, so a plant's numbers
-do not depend on its neighbours, on how many there are, or on threads.
+The kernel works on ``LANES`` plants at a time: loops over lanes become vector instructions, and each plant fills one
+lane. When a plant reaches its end time, its lane takes the next plant. No operation mixes lanes, so a plant's numbers
+depend neither on its neighbours, nor on their number, nor on threads.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
 
 GROUPS = 2
-"""Groups of lanes that take turns, so that one calculates while another waits for its roots and divisions."""
+"""Groups of lanes that take turns: one calculates while another waits for its roots and divisions."""
 
 TOLERANCE = 1e-6
-"""Largest estimated error of a step, in parts of each state's size (the weights in ``states``)."""
+"""Largest estimated error of a step, relative to each state's size (the weights in ``states``)."""
 
 MAXIMUM_STEP = 2e-3
 """s; no step is longer."""
 
 MOST_STEPS_PER_PERIOD = 50_000.0
-"""Inner steps of one call after which a plant is given up: it stays where it is, and ``peaks`` shows the number."""
+"""Budget of inner steps per call; a plant that exceeds it stays where it is, and ``peaks`` holds the number."""
 
 FIRST_STEP = 1e-3 / 3
 """s; tried first in each hold interval."""
@@ -52,7 +52,7 @@ STABLE_PRODUCT = 3.2
 """h·|λ| up to which the method is stable for rates with at least a quarter of their size as damping."""
 
 SHORTEST_STEP = 1e-8
-"""s; accepted whatever its error, so that the integration always ends."""
+"""s; a step this short is accepted whatever its error: the integration always ends."""
 
 STAGES = (
     (0.161,),
@@ -78,7 +78,7 @@ ERROR = (
 N_COEFFICIENTS = len(Coefficients._fields)
 N_PEAKS = 3
 PEAK_PRESSURE, IMPACT_SPEED, STEPS = range(N_PEAKS)
-"""What an integration notes: highest chamber pressure (Pa), fastest meeting of an end stop (m/s), inner steps."""
+"""Columns of ``peaks``: highest chamber pressure (Pa), highest speed at an end stop (m/s), number of inner steps."""
 
 
 class Plants(NamedTuple):
@@ -94,8 +94,8 @@ class Accuracy(NamedTuple):
     """How finely to integrate."""
 
     maximum_step: float = MAXIMUM_STEP  # s, longest inner step
-    tolerance: float = TOLERANCE  # of a step's estimated error; infinity for steps of fixed length
-    most_steps: float = MOST_STEPS_PER_PERIOD  # after which a plant is given up
+    tolerance: float = TOLERANCE  # largest estimated error of a step; infinity for steps of fixed length
+    most_steps: float = MOST_STEPS_PER_PERIOD  # budget of inner steps per call
 
 
 # Working memory of a group of lanes: rows of LANES numbers.
@@ -136,7 +136,7 @@ def _row(name: str) -> str:
 
 
 def _sum(weights: Sequence[float], names: Sequence[str]) -> str:
-    """Step times a weighted sum of rows, as text: numba compiles no loop over a changing number of terms as quickly."""
+    """Step times a weighted sum of rows, as text; numba compiles loops over a changing number of terms more slowly."""
     terms = [f"{weight!r} * {_row(name)}" for weight, name in zip(weights, names, strict=True)]
     return f"work[{_STEP} + lane] * ({' + '.join(terms)})"
 
@@ -156,7 +156,7 @@ _estimate_error = lane_function(
 
 @inline
 def _choose_step(work):
-    """Each lane's next step: as proposed, but no further than the interval's end or the next kink."""
+    """Set each lane's next step: as proposed, but no further than the end of the interval or the next kink."""
     for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = min(work[_PROPOSED + lane], remaining)
@@ -168,7 +168,7 @@ def _choose_step(work):
 
 
 @inline
-def _judge(work, strictness, accuracy):
+def _accept_or_repeat(work, strictness, accuracy):
     """Accept or repeat each lane's step by its estimated error, and propose the next one."""
     _estimate_error(work)
     for lane in range(LANES):
@@ -181,21 +181,21 @@ def _judge(work, strictness, accuracy):
         new = hold_limits(trial, c)
         other = hold_limits(_difference(trial, _read_error(work, lane)), c)
         error = strictness * _weighted_maximum(_difference(new, other), _read_weights(work, lane))
-        fits = error <= 1.0
+        within_tolerance = error <= 1.0
         moving = remaining > 0.0
-        accepted = moving and (fits or step <= SHORTEST_STEP)
+        accepted = moving and (within_tolerance or step <= SHORTEST_STEP)
         # err^(-3/16), near the -1/5 of theory, needs square roots alone.
         root = math.sqrt(math.sqrt(math.sqrt(math.sqrt(max(error, 1e-12)))))
         factor = min(max(0.9 / (root * root * root), 0.2), 4.0) if error < 1e300 else 0.2
         grown = min(step * factor, accuracy.maximum_step)
-        # A step that a kink or the end cut short says nothing against the proposed one.
-        work[_PROPOSED + lane] = max(grown, proposed) if fits and step < proposed else grown
+        # A step that a kink or the interval's end cut short is no reason to shorten the next one.
+        work[_PROPOSED + lane] = max(grown, proposed) if within_tolerance and step < proposed else grown
         left = remaining - step if accepted else remaining
-        broken = accepted and not error < 1e300  # the caller finds the state that is no number
+        broken = accepted and not error < 1e300  # the caller detects the NaN
         given_up = work[_STEP_COUNT + lane] > accuracy.most_steps
         work[_REMAINING + lane] = 0.0 if broken or given_up or left <= 1e-12 else left
         work[_REPEATED + lane] = 1.0 if moving and not accepted and not given_up else 0.0
-        # Peaks: of pressure over all steps, of speed where an end stop has just been met.
+        # Peak pressure over all steps; peak speed on entering an end stop.
         highest = max(new.pressure_a, new.pressure_b) if accepted else -1e300
         work[_PRESSURE_PEAK + lane] = max(work[_PRESSURE_PEAK + lane], highest)
         beyond = accepted and abs(new.position) > c.end_stop_position
@@ -223,13 +223,13 @@ def _build(sources: int) -> Callable[..., None]:
             plants: :class:`Plants`.
             durations: (intervals,), s.
             accuracy: :class:`Accuracy`.
-            first: of the half-open range of plants to advance.
-            last: the end of that range.
+            first: start of the half-open range of plants to advance.
+            last: end of that range.
         """
         assert sources >= 0  # keys numba's cache
         state, coefficients, voltage, peaks = plants
         groups = min(GROUPS, -(-(last - first) // LANES))
-        # Aligned to cache lines: a vector that lies across two costs twice.
+        # Aligned to cache lines: a vector across two lines costs twice.
         room = np.empty(groups * _ROWS * LANES + LANES)
         room = room[(-(room.ctypes.data // 8)) % LANES :]
         room[:] = 0.0
@@ -243,7 +243,7 @@ def _build(sources: int) -> Callable[..., None]:
         active = 0
         begun = True
         while begun or active > 0:
-            # Lanes that have come to the end of their interval: the next interval, or the next plant.
+            # Lanes at the end of their interval take the next interval, or the next plant.
             begun = False
             again = False
             for group in range(groups):
@@ -279,7 +279,7 @@ def _build(sources: int) -> Callable[..., None]:
                         if durations[interval] > 0.0:
                             _begin_interval(work, lane, voltage[plant, interval], durations[interval], first_step)
                             again = True
-            # The first stage is the last one of the step before, unless a lane has begun or repeats its step.
+            # The first stage equals the last stage of the previous step, unless a lane begins or repeats a step.
             for stage in range(0 if again else 1, 7):
                 for group in range(groups):
                     work = room[group * _ROWS * LANES :]
@@ -306,7 +306,7 @@ def _build(sources: int) -> Callable[..., None]:
                         s = hold_limits(_read_trial(work, lane), c)
                         _write_derivative(work, lane, derivatives(s, c, work[_VOLTAGE + lane]))
             for group in range(groups):
-                _judge(room[group * _ROWS * LANES :], strictness, accuracy)
+                _accept_or_repeat(room[group * _ROWS * LANES :], strictness, accuracy)
 
     return integrate
 
@@ -314,4 +314,4 @@ def _build(sources: int) -> Callable[..., None]:
 _integrate = _build(SOURCES)
 integrate = compiled(_integrate)
 integrate_part = inline(_integrate)
-"""The same as a part of another kernel."""
+"""The same function, to be merged into another kernel."""

@@ -1,7 +1,7 @@
 """Kinks of the solution: where a part meets or leaves a limit, its derivative jumps.
 
-A Runge–Kutta step across such a point loses its order, and its error estimate does not always notice. Each part says
-when its next kink comes; the integrator ends a step there.
+A Runge–Kutta step across such a point loses its order, and its error estimate does not always notice. Each part
+predicts its next kink; the integrator ends a step there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ GRAZING = 0.3
 def time_to_cover(distance, rate, change):
     """First time t > 0 with rate t + change t²/2 = distance (≥ 0), s; :data:`FAR` if there is none.
 
-    If the motion turns just short of the limit, the turning time: the extrapolation may be off by that much.
+    If the motion turns just short of the limit, this is the turning time: the extrapolation may be off by that much.
     """
     under_root = rate * rate + 2.0 * change * distance
     divisor = rate + math.sqrt(max(under_root, 0.0))

@@ -1,4 +1,4 @@
-"""The axis linearised at a state: matrices, modes, and a state space that control libraries take as it is."""
+"""The axis linearised at a state: matrices, modes, and a state space in the form that control libraries use."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ AXIS_STATES = ("position", "velocity", "pressure_a", "pressure_b", "supply_press
 INPUT_UNITS = {"voltage": "V", "external_force": "N"}
 
 IDEAL_RATE = 1e5
-"""1/s; rate at which an ideal part of the valve follows in a linearisation, where it must have one."""
+"""1/s; an ideal part of the valve follows its command at this rate in a linearisation."""
 
 NO_RATE = 1e-6
-"""1/s; an effect of one state on another below this rate, both in parts of their typical size, counts as none."""
+"""1/s; a smaller effect of one state on another, both relative to their typical sizes, counts as none."""
 
 
 class Mode(NamedTuple):
@@ -38,9 +38,9 @@ class Mode(NamedTuple):
 
 
 class StateSpace(NamedTuple):
-    """dx/dt = A x + B u, y = C x + D u, of deviations; names and units say what x, u and y are.
+    """dx/dt = A x + B u, y = C x + D u, of deviations; with names and units of x, u and y.
 
-    ``scipy.signal.StateSpace(*space.matrices)`` and ``control.ss(*space.matrices, **space.names)`` take it as it is.
+    Use it as ``scipy.signal.StateSpace(*space.matrices)`` or ``control.ss(*space.matrices, **space.names)``.
     """
 
     A: Array  # (n, n)
@@ -75,10 +75,10 @@ class Linearisation:
 
     @property
     def active_states(self) -> tuple[str, ...]:
-        """States that move and act on another one (or are the position); the others would be poles at zero.
+        """States that move and act on another state, and the position; all others would add poles at zero.
 
-        At rest the gas volume acts on nothing; a constant supply pressure and the bristles of a friction law without
-        them do not move.
+        At rest the gas volume acts on nothing. A constant supply pressure does not move, nor does the bristle
+        deflection without LuGre friction.
         """
         rates = np.abs(self.a) * TYPICAL_SIZE / TYPICAL_SIZE[:, None]
         moves = rates.max(axis=1) + np.abs(self.b) / TYPICAL_SIZE > NO_RATE
@@ -87,7 +87,9 @@ class Linearisation:
         return tuple(name for name, active in zip(STATE_NAMES, moves & acts, strict=True) if active)
 
     def state_space(self, outputs: Sequence[str] = ("position",), inputs: Sequence[str] = ("voltage",)) -> StateSpace:
-        """The active states alone, with the outputs (names of states) and inputs (``voltage``, ``external_force``).
+        """State space of the active states, with chosen outputs (names of states) and inputs.
+
+        Inputs are ``voltage`` and ``external_force``.
 
         Raises:
             HydroError: an unknown output or input, or a state that is not active.
@@ -117,10 +119,10 @@ class Linearisation:
 
     @property
     def hydraulic_mode(self) -> Mode:
-        """The oscillation of the mass on the oil columns: of position, velocity and pressures, the fastest pair.
+        """Oscillation of the mass on the oil columns: the fastest complex pair of position, velocity and pressures.
 
-        The axis does not act back on the valve, so that these states have eigenvalues of their own. Dry friction at
-        standstill is part of the linearisation; the damping of a moving axis is that with ``friction.model: none``.
+        The axis does not act back on the valve; these states therefore have eigenvalues of their own. A linearisation
+        at standstill includes dry friction; use ``friction.model: none`` for the damping of a moving axis.
 
         Raises:
             ArithmeticError: no oscillation.
@@ -144,13 +146,13 @@ def linearise(
 
     Args:
         parameters: the plant.
-        state: where, as values in the order of :data:`STATE_NAMES` or by name; ``None`` is the equilibrium at
-            ``position`` (m).
-        voltage: V; ``None`` is the one that holds the equilibrium (0 with a given state).
+        state: operating point, as values in the order of :data:`STATE_NAMES` or by name; ``None`` is the equilibrium
+            at ``position`` (m).
+        voltage: V; ``None`` is the voltage that holds the equilibrium (0 with a given state).
         position: m, used without ``state``.
 
     Raises:
-        HydroError: a state that is incomplete or of another shape, or a position that cannot be held.
+        HydroError: an incomplete state, a state of the wrong shape, or a position that cannot be held.
     """
     holding = 0.0
     if state is None:
@@ -207,6 +209,6 @@ def _make_ideal(a: Array, b: Array, at: Array, c: Array, voltage: float) -> None
 
 
 def fastest_eigenvalue(parameters: PlantParameters, state: State | Array, voltage: float = 0.0) -> float:
-    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state; ideal parts of the valve have none."""
-    found = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
-    return float(found[np.abs(found - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())
+    """|λ| in 1/s of the fastest eigenvalue of the linearisation at a state, without ideal parts of the valve."""
+    magnitudes = np.abs(np.linalg.eigvals(linearise(parameters, state, voltage).a))
+    return float(magnitudes[np.abs(magnitudes - IDEAL_RATE) > 1e-6 * IDEAL_RATE].max())

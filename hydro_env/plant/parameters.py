@@ -99,7 +99,7 @@ MODEL_CODES: dict[str, tuple[str, ...]] = {
     for path, info in _fields().items()
     if isinstance(info.annotation, type) and issubclass(info.annotation, StrEnum)
 }
-"""Fields that are a choice; in a parameter vector they stand as the index of the choice."""
+"""Choices of each field that names a model; a parameter vector holds the index of the choice."""
 
 Physical = named_tuple("Physical", (path.replace(".", "_") for path in PARAMETER_PATHS), __name__)
 """The parameters of :class:`PlantParameters` as ``group_field``, for compiled code."""

@@ -1,4 +1,4 @@
-"""How finely the integrator works on one rig, and how exactly: a short lively run at two tolerances."""
+"""Inner steps and error of the integrator on one rig, from a short violent run at two tolerances."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from hydro_env.plant.states import EMPHASIS, STATE_NAMES
 Array = NDArray[np.float64]
 
 PERIOD = 5e-3
-"""s; each voltage is held for whole periods, over which steps are counted."""
+"""s; each voltage is held for whole periods, and steps are counted per period."""
 
 HELD = (8, 8, 4, 4, 4, 4, 2, 2, 2, 2)
-"""Periods for which +10 V and −10 V act in turn: 0.2 s in all."""
+"""Numbers of periods for which +10 V and −10 V act in turn: 0.2 s in all."""
 
-TIGHTER = 1e-3
-"""Tolerance of the run that counts as exact, in parts of the one judged."""
+EXACT_TOLERANCE = 1e-3
+"""Tolerance of the run that counts as exact, relative to that of the tested run."""
 
-ENOUGH = 1e-4
-"""Error of any state, in parts of its range, up to which the inner step is small enough."""
+ALLOWED_ERROR = 1e-4
+"""Largest allowed error of any state, relative to its range."""
 
 LEAST_RANGE = 0.01
-"""A state that hardly moves counts as ranging over this part of its full scale."""
+"""Smallest range of a state, relative to its full scale."""
 
 
 class Probe(NamedTuple):
-    """What the integrator did."""
+    """Work and error of the integrator."""
 
-    mean_steps: float  # in PERIOD, repeated ones included
+    mean_steps: float  # per PERIOD, repeated ones included
     most_steps: int
-    error: float  # largest of any state, in parts of its range
-    state: str  # whose error that is
+    error: float  # largest of any state, relative to its range
+    state: str  # the state with that error
 
 
 def state_ranges(parameters: PlantParameters, states: Array) -> Array:
@@ -49,16 +49,16 @@ def state_ranges(parameters: PlantParameters, states: Array) -> Array:
 
 
 def probe(parameters: PlantParameters, position: float = 0.0, tolerance: float = TOLERANCE) -> Probe:
-    """Full voltage to and fro for 0.2 s from rest at a position (m), with ``tolerance`` and a thousandth of it.
+    """Apply ±10 V in turn for 0.2 s from rest at a position (m), with ``tolerance`` and a thousandth of it.
 
     Raises:
         HydroError: the position cannot be held.
-        InvalidStateError: a state becomes no number.
+        InvalidStateError: a state becomes NaN.
     """
     steps, states = _run(parameters, position, tolerance)
-    _, exact = _run(parameters, position, TIGHTER * tolerance)
+    _, exact = _run(parameters, position, EXACT_TOLERANCE * tolerance)
     if not (np.isfinite(states).all() and np.isfinite(exact).all()):
-        raise InvalidStateError("a state becomes no number under full voltage")
+        raise InvalidStateError("a state becomes NaN under full voltage")
     errors = np.abs(states - exact).max(axis=0) / state_ranges(parameters, exact)
     worst = int(np.argmax(errors))
     return Probe(float(steps.mean()), int(steps.max()), float(errors[worst]), STATE_NAMES[worst])

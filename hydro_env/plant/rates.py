@@ -1,4 +1,4 @@
-"""How fast the parts of an axis act: upper estimates, from which a stable inner step follows."""
+"""Upper estimates of how fast the parts of an axis act; they give a stable inner step."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The reference solver: SciPy's implicit Radau IIA at tight tolerance on the same right-hand side.
 
-It shares nothing with the fast integrator but the equations. Limits are treated in another way too: the solver stops
-where one is met or left (by root finding on its own interpolant). Between those events a held quantity has zero rate,
-and a free one is not limited, so that it never integrates over a jump.
+It shares only the equations with the fast integrator, and treats limits differently: it stops where the solution
+meets or leaves a limit (by root finding on its own interpolant). Between these events a held quantity has zero rate
+and a free one is not limited; the solver never integrates over a jump.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
     STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 _NEAR = 1e-12
-"""Distance from a limit, in parts of it, that counts as being on it."""
+"""Relative distance from a limit that counts as being on it."""
 
 _OFF = 1e-10
-"""The same, of a limit that has just been left: enough not to meet it again at once."""
+"""Relative distance to a limit that the solution has just left; it does not meet the limit again at once."""
 
 _MOST_EVENTS = 100
 
@@ -102,20 +102,20 @@ class _Plant:
             rate[_SPOOL] = y[_SPOOL_VELOCITY]
             rate[_SPOOL_VELOCITY] = spool_pull(State(*y), self.limits)
         for row in (_PRESSURE_A, _PRESSURE_B):
-            if y[row] <= VAPOUR_PRESSURE:  # what the oil would do were it not cavitating
+            if y[row] <= VAPOUR_PRESSURE:  # the rate without cavitation
                 above = y.copy()
                 above[row] = VAPOUR_PRESSURE + 1.0
                 rate[row] = derivative_array(above, self.free, voltage)[row]
         return rate
 
     def held(self, y: Array, voltage: float) -> Held:
-        """Which limits hold a state: it is there, and is pulled further."""
+        """The limits that hold a state: it has reached them and its rate points beyond them."""
         rate = self.free_rate(y, voltage)
         vapour = [
             int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (_PRESSURE_A, _PRESSURE_B)
         ]
         slew = stroke = 0
-        if self.limits.ideal_spool:  # it stands at the command, limit or not
+        if self.limits.ideal_spool:  # it equals the command at all times
             return Held(slew, stroke, *vapour)
         if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
             side = int(np.sign(y[_SPOOL_VELOCITY]))
@@ -139,7 +139,7 @@ class _Plant:
         return rate
 
     def events(self, voltage: float, held: Held) -> list[Any]:
-        """Functions that fall through zero where a limit is met (free) or left (held); order of :class:`Held`."""
+        """Functions that fall through zero where a state meets or leaves a limit; order of :class:`Held`."""
         c = self.limits
 
         def slew(_: float, y: Array) -> float:
@@ -166,7 +166,7 @@ class _Plant:
         return functions
 
     def put_on_limit(self, y: Array, met: NDArray[np.intp], held: Held) -> Array:
-        """The state exactly on the limits that have just been met, and a trifle off those that have been left."""
+        """The state moved exactly onto the limits that it has just met, and slightly off those that it has left."""
         y = y.copy()
         for event, row, limit in ((0, _SPOOL_VELOCITY, self.limits.slew_limit), (1, _SPOOL, 1.0)):
             if event in met:

@@ -1,4 +1,4 @@
-"""Open-loop runs of one plant: the fast integrator, and the tight-tolerance reference solver beside it."""
+"""Open-loop runs of one plant, with the fast integrator or the reference solver of tight tolerance."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ LONGEST_PERIOD = 0.02
 class Trajectory:
     """A simulated run: n held inputs give n + 1 samples.
 
-    ``time`` (s), ``voltage`` (V; the input that acts from each sample on, the last one repeated), and by name every
-    state (:data:`STATE_NAMES`) and every derived quantity (:data:`DERIVED_NAMES`), each of shape (n + 1,):
-    ``trajectory.position`` or ``trajectory["position"]``; units in :data:`TRAJECTORY_UNITS`.
+    ``time`` (s), ``voltage`` (V; the input that acts from each sample on, the last one repeated), every state
+    (:data:`STATE_NAMES`) and every derived quantity (:data:`DERIVED_NAMES`) have shape (n + 1,). Read them by name:
+    ``trajectory.position`` or ``trajectory["position"]``. :data:`TRAJECTORY_UNITS` lists the units.
     """
 
     parameters: PlantParameters
@@ -104,12 +104,12 @@ def simulate(
         parameters: the plant.
         voltage: commands to the valve drive, shape (n,), V, within ±10 V.
         sample_time: duration of each input, s.
-        initial_state: values by state name (SI); states that are absent take their value of the equilibrium at the
-            given position. ``None`` is the equilibrium that holds position 0.
+        initial_state: values by state name (SI); absent states take their equilibrium value at the given position.
+            ``None`` is the equilibrium at position 0.
         method: ``"fast"``, the integrator of the environment (Tsitouras 5(4), see ``plant/kernel.py``), or
-            ``"radau"``, SciPy's implicit Radau IIA solver at ``relative_tolerance``, started anew at every change of
-            the input and wherever the solution has a kink.
-        tolerance: of ``"fast"``: largest estimated error of an inner step, in parts of each state's size;
+            ``"radau"``, SciPy's implicit Radau IIA solver at ``relative_tolerance``, restarted at every change of
+            the input and at every kink of the solution.
+        tolerance: of ``"fast"``: largest estimated error of an inner step, relative to each state's size;
             infinity for steps of fixed length.
         maximum_step: longest inner step of ``"fast"``, s.
         relative_tolerance: of ``"radau"``.
@@ -119,7 +119,7 @@ def simulate(
 
     Raises:
         HydroError: impossible input, unknown state name or method, or a start that cannot be held.
-        InvalidStateError: a state left the range in which the model is valid; says which, when and its value.
+        InvalidStateError: a state left the range in which the model is valid; the message gives state, time and value.
     """
     if not isinstance(parameters, PlantParameters):
         raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")

@@ -1,7 +1,7 @@
-"""The states of one axis: the one place that says which there are, in which unit, how large, and within which range.
+"""The states of one axis: this table alone lists their names, units, typical sizes and valid ranges.
 
-Everything else that depends on the list of states derives from here: names and units, the layout of arrays, error
-weights of the integrator, valid ranges, trajectories, tests. SI units, gauge pressures.
+All else follows from the table: the layout of arrays, the error weights of the integrator, trajectories, tests.
+SI units, gauge pressures.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ ATMOSPHERIC_PRESSURE = 101_325.0
 """Pa; the zero of gauge pressures."""
 
 VAPOUR_PRESSURE = -0.9e5
-"""Pa, gauge; a chamber cavitates at this pressure, which then falls no further."""
+"""Pa, gauge; a chamber cavitates at this pressure, and its pressure falls no further."""
 
 
 class StateInfo(NamedTuple):
-    """What is known about a state besides its name."""
+    """Unit, typical size and error weight of a state."""
 
     unit: str
-    typical: float  # size to which absolute tolerances and finite differences relate
-    emphasis: float = 1.0  # weight of its error in the integrator, in parts of its full scale
+    typical: float  # size; absolute tolerances and finite differences are parts of it
+    emphasis: float = 1.0  # weight of its error in the integrator, relative to its full scale
 
 
 class State(NamedTuple):
@@ -38,9 +38,9 @@ class State(NamedTuple):
     velocity: Annotated[float, StateInfo("m/s", 0.1, emphasis=3.0)]
     pressure_a: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]  # bore side
     pressure_b: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]  # rod side
-    # The spool stands at 1 with the valve fully open; + opens P to A.
+    # At 1 the valve is fully open; + opens P to A.
     spool_position: Annotated[float, StateInfo("1", 1.0)]
-    # Errors of spool speed and current die out within milliseconds.
+    # Errors of spool speed and current decay within milliseconds.
     spool_velocity: Annotated[float, StateInfo("1/s", 10.0, emphasis=0.1)]
     coil_current: Annotated[float, StateInfo("A", 1.0, emphasis=0.1)]
     supply_pressure: Annotated[float, StateInfo("Pa", 1e6, emphasis=3.0)]
@@ -65,7 +65,7 @@ first_outside = tuple_first(State, "not (lowest.{name} <= s.{name} <= highest.{n
 
 @inline
 def error_weights(p, c):
-    """What multiplies an error of each state in the integrator: emphasis over full scale, as a :class:`State`.
+    """Weight of each state's error in the integrator: emphasis divided by full scale, as a :class:`State`.
 
     Full scale: half the stroke, speed without load, supply pressure, slew limit, current at 10 V, volume of the
     accumulator, deflection at breakaway.
@@ -93,8 +93,8 @@ def error_weights(p, c):
 def valid_range(c):
     """Lowest and highest state for which the model holds, two :class:`State`.
 
-    Pressures end where a steel cylinder does (2000 bar); the accumulator must hold gas and oil; the piston may press
-    into an end stop by half of what the dead volume allows.
+    A steel cylinder withstands no more than 2000 bar; the accumulator must hold gas and oil; the piston may enter an
+    end stop by half the depth that the dead volume allows.
 
     Args:
         c: coefficients of the plant (:class:`~hydro_env.plant.equations.Coefficients`).

@@ -1,4 +1,4 @@
-"""Can this rig work at all? The figures that make one impossible, each answered with one line."""
+"""Checks that a rig can work at all; each impossible figure is answered with one line."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.units import LITRE_PER_MINUTE
 
 LEAST_TRAVEL = 1e-3
-"""m; a rig that cannot move this far from where its spring is free is no servo axis."""
+"""m; a rig must be able to move this far from the free length of its spring."""
 
 LEAST_OPENING = 0.01
-"""Spool position that 10 V must reach."""
+"""Smallest allowed spool position at 10 V."""
 
 MOST_STEPS = 4000
-"""Inner steps in 5 ms beyond which the rig's own numbers are at fault."""
+"""Largest allowed number of inner steps in 5 ms."""
 
 STEPS_PERIOD = 5e-3
-"""s; the period over which steps are counted."""
+"""s; steps are counted over this period."""
 
 CAUSES = {
     "chamber_a": "cylinder.dead_volume, valve.transition_pressure or a leak: the oil of chamber a relaxes",
@@ -44,17 +44,17 @@ LUGRE_CAUSES = {
     "friction": "friction.bristle_stiffness for this coulomb_force, or bristle_damping for this load.mass: it brakes",
     "oil_column": "friction.bristle_stiffness on this load.mass: they swing",
 }
-"""What is at fault instead with LuGre friction."""
+"""Causes that replace those above with LuGre friction."""
 
 PLACES = 5
-"""Positions over the reach of which at least one must be held."""
+"""Number of positions tried over the reachable range; the axis must be able to hold one of them."""
 
 
 class InnerStep(NamedTuple):
-    """How finely the integrator must work to be stable, whatever its accuracy."""
+    """Inner step that keeps the integrator stable, whatever its accuracy."""
 
     rate: float  # 1/s, upper estimate of the fastest |λ|
-    cause: str  # field of :class:`~hydro_env.plant.equations.Rates`
+    cause: str  # field of :class:`~hydro_env.plant.rates.Rates`
     steps: int  # in STEPS_PERIOD
     step: float  # s, no longer than the integrator's longest
 
@@ -65,18 +65,18 @@ class InnerStep(NamedTuple):
 
 
 def inner_step(parameters: PlantParameters, position: float = 0.0) -> InnerStep:
-    """Fastest rate, what causes it, and the longest stable inner step at a position (m).
+    """Fastest rate, its cause, and the longest stable inner step at a position (m).
 
-    The integrator's method is stable to h·|λ| = 3.2; no step is longer than 2 ms. Most steps are shorter, by the
-    tolerance of the integration (:mod:`hydro_env.plant.probe`). LuGre friction relaxes the faster, the faster the
-    piston slides: it is judged at the speed without load.
+    The integration method is stable to h·|λ| = 3.2; no step is longer than 2 ms. The tolerance makes most steps
+    shorter (:mod:`hydro_env.plant.probe`). LuGre friction relaxes faster at a higher speed: its rate is taken at the
+    speed without load.
     """
     still = State(**dict.fromkeys(STATE_NAMES, 0.0))
     lugre = parameters.friction.model == FrictionModel.LUGRE
     at = still._replace(position=float(position), velocity=max(speed_limits(parameters)) if lugre else 0.0)
-    found = rates(at, plant_coefficients(parameters))
-    cause = max(Rates._fields, key=lambda name: getattr(found, name))
-    rate = float(getattr(found, cause))
+    estimates = rates(at, plant_coefficients(parameters))
+    cause = max(Rates._fields, key=lambda name: getattr(estimates, name))
+    rate = float(getattr(estimates, cause))
     steps = max(
         math.ceil(STEPS_PERIOD / MAXIMUM_STEP - 1e-9), math.ceil(min(STEPS_PERIOD * rate / STABLE_PRODUCT, 1e15))
     )
@@ -84,19 +84,19 @@ def inner_step(parameters: PlantParameters, position: float = 0.0) -> InnerStep:
 
 
 def shortest_inner_step(parameters: PlantParameters) -> InnerStep:
-    """:func:`inner_step` where it is shortest: mid-stroke or one of the ends."""
+    """:func:`inner_step` at the position where it is shortest: mid-stroke or one of the ends."""
     half = 0.5 * parameters.cylinder.stroke
-    return max((inner_step(parameters, position) for position in (0.0, -half, half)), key=lambda found: found.rate)
+    return max((inner_step(parameters, position) for position in (0.0, -half, half)), key=lambda step: step.rate)
 
 
 def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
-    """Refuse a rig that no command can move, that rests nowhere, or that no reasonable step can integrate.
+    """Refuse a rig that no command can move, that cannot rest anywhere, or that needs unreasonably short steps.
 
-    What is impossible by itself (a rod that fills the bore, a supply below tank, an accumulator that stays empty)
-    :class:`~hydro_env.plant.parameters.PlantParameters` has refused already.
+    :class:`~hydro_env.plant.parameters.PlantParameters` itself refuses figures that contradict each other (a rod that
+    fills the bore, a supply below tank, an accumulator that stays empty).
 
     Raises:
-        ConfigurationError: one line with the figure that is impossible and its limit.
+        ConfigurationError: one line with the impossible figure and its limit.
     """
     load, supply = parameters.load, parameters.supply
     out, back = force_limits(parameters)
@@ -141,7 +141,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
 
 
 def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
-    """A valve that 10 V hardly opens, a coil that they burn, a relief valve that hardly relieves."""
+    """Refuse a valve that 10 V hardly open, too large a coil current, and too flat a relief valve."""
     valve, supply = parameters.valve, parameters.supply
     current = 10.0 * valve.amplifier_gain / valve.coil_resistance
     limits = dict(zip(STATE_NAMES, zip(*valid_ranges(parameters), strict=True), strict=True))
@@ -166,7 +166,7 @@ def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
 
 
 def _rest(parameters: PlantParameters) -> dict[str, float] | None:
-    """The first state at rest that is found over the reach."""
+    """A state at rest within the reachable range, or None."""
     low, high = (0.9 * end for end in reachable_range(parameters))
     for number in range(PLACES):
         try:
@@ -181,7 +181,7 @@ def _can_rest(parameters: PlantParameters) -> bool:
 
 
 def _why_no_rest(parameters: PlantParameters) -> str:
-    """The figure for which no position can be held, and its limit."""
+    """Message that names the figure because of which no position can be held, and its limit."""
     supply, leakage = parameters.supply, parameters.leakage
     fed = _rest(parameters.replace(supply={"model": "constant"}))
     if fed is not None:
@@ -201,7 +201,7 @@ def _why_no_rest(parameters: PlantParameters) -> str:
         limit = _leak_limit(parameters, name, getattr(leakage, name))
         return (
             f"leakage.{name} = {getattr(leakage, name):.3g} {unit}: more oil leaks than the valve feeds from "
-            f"{supply.pressure / 1e5:g} bar, so that no position can be held; it must be {bound} {limit:.2g}"
+            f"{supply.pressure / 1e5:g} bar, and no position can be held; it must be {bound} {limit:.2g}"
         )
     return "no position can be held: leaks, forces and supply pressure do not fit together"
 

@@ -1,1 +1,1 @@
-"""What is asked of the axis: references, sensors, leakage, randomisation, reward, end of an episode."""
+"""The task of the axis: references, sensors, leakage, randomisation, reward, end of an episode."""

@@ -1,7 +1,7 @@
-"""What is asked of the axis, as data: timing, leakage, randomisation, references, sensors, reward, end of episode.
+"""The task as data: timing, leakage, randomisation, references, sensors, reward, end of episode.
 
-A YAML file and a keyword of the environment say the same thing and are validated here. SI units, except leakage,
-which is given as practice does: litres per minute at 100 bar across the piston.
+The same classes validate a YAML file and the keywords of the environment. SI units, except leakage, which follows
+practice: litres per minute at 100 bar across the piston.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
@@ -23,13 +23,13 @@ LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
 
 LEAKAGE_LIMIT = 20.0
-"""l/min at 100 bar; more would be no seal at all."""
+"""l/min at 100 bar; beyond this there is no seal at all."""
 
 Range = tuple[Number, Number]
 
 
 def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
-    """A pair of rising numbers with its unit and the bounds outside of which it must be a mistake."""
+    """A pair of rising numbers with its unit and its allowed range; a value outside must be a mistake."""
     return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})
 
 
@@ -77,7 +77,7 @@ class LeakageDraw(TaskGroup):
 
 
 class References(TaskGroup):
-    """Which references are asked for, within what force and speed of each plant allow."""
+    """The references, within the force and the speed of each plant."""
 
     weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
         default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
@@ -134,7 +134,7 @@ def _current_loop(span: float) -> float:
 
 
 class Sensors(Group):
-    """What the rig measures (Table 1 of the paper; noise and bias from data sheets of the class)."""
+    """The measured signals (Table 1 of the paper; noise and bias from data sheets of this class of transducers)."""
 
     enabled: bool = Field(True, description="false: exact signals, for tests and teaching")
     position: Sensor = Sensor(noise=30e-6, bias=80e-6, resolution=_current_loop(0.4), low=-0.2, high=0.2)
@@ -147,7 +147,7 @@ class Sensors(Group):
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, values: Any) -> Any:
-        """A sensor of which only some fields are given keeps its default for the others."""
+        """Fill the missing fields of a sensor with its defaults."""
         if not isinstance(values, Mapping):
             return values
         return {
@@ -163,11 +163,11 @@ CHANNELS = tuple(name for name, info in Sensors.model_fields.items() if info.ann
 
 
 class Reward(Group):
-    """Weights of the named reward terms (all terms are costs, so that their sum is at most zero).
+    """Weights of the named reward terms; all terms are costs, and the reward is at most zero.
 
     ``tracking``: −weight · min(|error| / error_scale, error_limit). ``effort``: −weight · (change of command)².
-    ``failure``: paid once when the axis fails; with the default it equals the worst tracking cost held for ever at a
-    discount of 0.98, so that failing never pays.
+    ``failure``: paid once when the axis fails. The default equals the worst tracking cost forever at a discount of
+    0.98; failing therefore never pays.
     """
 
     tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
@@ -178,14 +178,14 @@ class Reward(Group):
 
 
 class Failure(Group):
-    """What ends an episode as a physical failure (``terminated``)."""
+    """Limits whose violation ends an episode as a physical failure (``terminated``)."""
 
     end_stop_speed: Number = quantity(0.05, "m/s", "an end stop met faster than this", 0.0, 100.0)
     pressure_rating: Number = quantity(250e5, "Pa", "paper, Table 1; of valve and cylinder", 1e5, 2e8)
 
 
 class Disturbance(TaskGroup):
-    """External force besides the plant's own: none by default."""
+    """External force in addition to the plant's own; none by default."""
 
     kind: Literal["none", "step", "pulse", "sine"] = "none"
     force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
@@ -195,7 +195,7 @@ class Disturbance(TaskGroup):
 
 
 class TaskConfig(TaskGroup):
-    """The whole task; every field may be given to ``gym.make("ServoHydraulic-v0", ...)`` or stand in a YAML file."""
+    """The whole task; every field is a keyword of ``gym.make("ServoHydraulic-v0", ...)`` and a key of a YAML file."""
 
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
     command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
@@ -204,7 +204,9 @@ class TaskConfig(TaskGroup):
         1e-6, "1", "largest estimated error of an inner step, in parts of each state's size", 1e-12, 1e-2
     )
     maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
-    plant: PlantParameters = Field(default_factory=PlantParameters, description="the rig around which is drawn")
+    plant: PlantParameters = Field(
+        default_factory=PlantParameters, description="the nominal rig, which randomisation varies"
+    )
     randomisation: dict[str, Distribution] = Field(default_factory=default_randomisation)
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)
     references: References = Field(default_factory=References)
@@ -235,7 +237,7 @@ class TaskConfig(TaskGroup):
 
     @property
     def preview_samples(self) -> tuple[int, ...]:
-        """How many control periods ahead each preview looks."""
+        """Number of control periods by which each preview looks ahead."""
         return tuple(max(round(time / self.control_period), 1) for time in self.references.preview_times)
 
     @classmethod
@@ -253,22 +255,29 @@ class TaskConfig(TaskGroup):
 
 
 def task_config(config: TaskConfig | Mapping[str, Any] | str | Path | None, **overrides: Any) -> TaskConfig:
-    """A task from a file, a mapping or nothing, with single fields overridden; what the environments accept.
+    """A task from a file, a mapping or nothing, with single fields overridden; the argument of the environments.
 
     Raises:
         ConfigurationError: unreadable file, unknown key, or an impossible value.
     """
-    if isinstance(config, TaskConfig):
-        return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
-    if isinstance(config, str | Path):
-        return TaskConfig.from_yaml(config, **overrides)
-    if config is not None and not isinstance(config, Mapping):
+    if config is not None and not isinstance(config, TaskConfig | Mapping | str | Path):
         raise ConfigurationError(f"task: config = {config!r}: must be a YAML file, a mapping or a TaskConfig")
-    return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+    try:
+        if isinstance(config, str | Path):
+            return TaskConfig.from_yaml(config, **overrides)
+        if isinstance(config, TaskConfig):
+            return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
+        return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+    except UnknownKeyError as error:
+        unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
+        if unknown is None:
+            raise
+        # Libraries leave a keyword out and try again where the message refuses it in Python's words.
+        raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` with ``changes`` laid over it, group by group.
+    """``base`` updated by ``changes``, group by group.
 
     ``references.weights`` and ``randomisation`` are replaced as a whole.
     """

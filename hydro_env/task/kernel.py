@@ -1,6 +1,6 @@
-"""Episodes of many axes in compiled code: how one begins, and what one control period does to it.
+"""Episodes of many axes in compiled code: their beginning, and one control period.
 
-All draws come from counted random numbers, so that an axis' episode depends on its own root and episode number alone.
+All draws come from counter-based random numbers: an axis' episode depends only on its own root and episode number.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ FULL_VOLTAGE = 10.0
 """V of a command of 1."""
 
 MOST_DRAWS = 200
-"""Draws of a plant, its leak and its initial position, of which one must be able to begin."""
+"""Largest number of draws of a plant, its leak and its initial position until an episode can begin."""
 
 PREVIOUS, NEW = range(COMMANDS)
-"""Columns of the voltage: the previous command acts for the latency, the new one for the rest of the period."""
+"""Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period."""
 
 _FAMILY_NUMBER = 1_000_000
-"""The number of the reference's key that chooses the family; beyond those that shape a reference."""
+"""Index of the reference key's number that chooses the family; beyond those that shape a reference."""
 
 
 @inline
@@ -101,7 +101,7 @@ def _draw_family(key, fixed, weights):
 
 @inline
 def _reaches(row, c, f):
-    """Whether the supply holds each position of a user's reference against spring and external force."""
+    """Whether the supply can hold each position of a user's reference against spring and external force."""
     reaches = True
     for sample_number in range(row.shape[0]):
         spring = c.spring_stiffness * row[sample_number] + c.external_force
@@ -112,7 +112,7 @@ def _reaches(row, c, f):
 
 @inline
 def _failure(s, peaks, c, settings):
-    """Why an axis has failed in this period; the last reason that holds."""
+    """Index of the failure in this period; if several occur, the last one checked."""
     failure = NO_FAILURE
     if peaks[IMPACT_SPEED] > settings.failure.end_stop_speed:
         failure = HIT_END_STOP
@@ -157,7 +157,7 @@ def _build(sources):
                 draw_leak(row, source_key(drawn, episode, LEAKAGE), fixed.leakage_flow_lpm[axis], settings)
                 set_leak(row, coefficient[axis], 0.0, settings)
 
-                # A user's reference starts where it says.
+                # A user's reference sets its own start.
                 f = feasible(c, settings.references)
                 place = between(
                     source_key(drawn, episode, INITIAL_STATE),

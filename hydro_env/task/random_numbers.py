@@ -1,9 +1,9 @@
-"""Random numbers for compiled code: counted, not drawn in sequence.
+"""Counter-based random numbers for compiled code.
 
-Each axis gets one 64-bit root from its Gymnasium generator (``np_random``) when it is seeded. A key per episode and
-source (plant, leakage, initial state, reference, noise, disturbance) is mixed from it, and the n-th number of a key is
-a function of key and n alone. So one source's draws never shift another's, the noise of a step does not depend on how
-many axes there are, and nothing has to be stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
+Seeding gives each axis one 64-bit root from its Gymnasium generator (``np_random``). The root is mixed into a key per
+episode and source (plant, leakage, initial state, reference, noise, disturbance); the n-th number of a key is a
+function of key and n alone. Hence one source's draws never shift another's, the noise of a step does not depend on the
+number of axes, and nothing has to be stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def normal_pair(key, index):
 def noise_pair(key, step, pair):
     """Normal numbers of the channels ``2 pair`` and ``2 pair + 1`` at a step.
 
-    The first two pairs share the key of the noise; each further one has a key of its own, so that a channel more
-    leaves the noise of the others as it is.
+    The first two pairs share the key of the noise; each further pair has its own key: an additional channel does not
+    change the noise of the others.
     """
     if pair < _PAIRS_OF_KEY:
         return normal_pair(key, _PAIRS_OF_KEY * step + pair)

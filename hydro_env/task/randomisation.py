@@ -1,4 +1,4 @@
-"""How the parameters of the plant are drawn in each episode."""
+"""Distributions of the plant's parameters, drawn in each episode."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
 
 
 class Distribution(Group):
-    """How one parameter is drawn in each episode: uniformly or log-uniformly between two bounds.
+    """Distribution of one parameter: uniform or log-uniform between two bounds.
 
-    ``times`` multiplies the draw by another parameter; with ``otherwise_probability`` the value is ``otherwise``.
+    ``times`` multiplies the draw by another parameter. The value is ``otherwise`` with ``otherwise_probability``.
     """
 
     uniform: tuple[Number, Number] | None = None
@@ -51,7 +51,7 @@ class Distribution(Group):
 
 
 def default_randomisation() -> dict[str, Distribution]:
-    """The assumed parameters over the ranges of published rigs (docs/model.md, section 3)."""
+    """Distributions of the assumed parameters over the ranges of published rigs (docs/model.md, section 3)."""
     return {
         "cylinder.dead_volume": Distribution(uniform=(20e-6, 60e-6)),
         "valve.rated_flow": Distribution(uniform=(0.9 * 10e-3 / 60, 1.1 * 10e-3 / 60)),
@@ -73,7 +73,7 @@ def default_randomisation() -> dict[str, Distribution]:
 
 
 def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameters) -> None:
-    """Every value that may be drawn must be a valid parameter.
+    """Check that every possible draw is a valid parameter.
 
     Raises:
         ValueError: a path is no number of the plant, or a draw may lie outside its bounds.

@@ -1,4 +1,4 @@
-"""What compiled code keeps of each axis: its record, by name, and its arrays."""
+"""The data of each axis in compiled code: a record with named fields, and arrays."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ RECORD = np.dtype(
         ("noise_key", "u8"),
     ]
 )
-"""What an axis carries through its episode."""
+"""State of an axis during its episode, besides the state of its plant."""
 
 SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])
-"""Where an axis' random numbers come from: its root, and the number of its episode."""
+"""Source of an axis' random numbers: its root, and the number of its episode."""
 
 
 COMMANDS = 2
-"""In a control period: the previous command, which acts for the latency, and the new one for the rest."""
+"""Commands in a control period: the previous one acts during the latency, the new one during the rest."""
 
 FIRST_COEFFICIENT = N_STATES
 FIRST_VOLTAGE = FIRST_COEFFICIENT + N_COEFFICIENTS
@@ -61,7 +61,7 @@ FIRST_PEAK = FIRST_VOLTAGE + COMMANDS
 PLANT_COLUMNS = FIRST_PEAK + N_PEAKS
 """Columns of the integrator's array: state, coefficients, voltages and peaks of an axis, in one row.
 
-One array rather than four: handing an array to compiled code takes a tenth of a microsecond.
+It is one array rather than four because passing an array to compiled code takes a tenth of a microsecond.
 """
 
 
@@ -75,16 +75,16 @@ class AxisArrays(NamedTuple):
 
 
 class Chances(NamedTuple):
-    """What the episodes of N axes are drawn from."""
+    """Seeds and distributions of the episodes of N axes."""
 
     seeds: NDArray[Any]  # (N,), SEEDS
-    plant: NDArray[np.float64]  # (parameters,), around which is drawn
+    plant: NDArray[np.float64]  # (parameters,), nominal values
     draws: NDArray[Any]  # (drawn parameters,), DRAW
     family_weights: NDArray[np.float64]  # (families,)
 
 
 class Fixed(NamedTuple):
-    """What the caller has fixed in the next episode of N axes; NaN, or family −1, is drawn."""
+    """Values that the caller has fixed in the next episode of N axes; NaN, or family −1, means drawn."""
 
     parameters: NDArray[np.float64]  # (N, parameters)
     leakage_flow_lpm: NDArray[np.float64]  # (N,), l/min at 100 bar
@@ -102,13 +102,13 @@ FAILURES = (
     "initial position cannot be held",
     "reference beyond the force of the supply",
 )
-"""What may end an episode; the last two refuse to begin one."""
+"""Reasons that end an episode; the last two prevent its beginning."""
 
 NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
 OVER_BUDGET, CANNOT_BE_HELD, CANNOT_BE_REACHED = range(len(FAILURES) - 3, len(FAILURES))
 
 
 def table(count: int, kind: np.dtype[Any]) -> NDArray[Any]:
-    """Rows of zeros whose fields compiled code reads and writes by name, also where nothing is compiled."""
+    """Rows of zeros with fields that kernels access by name, also when numba's compiler is switched off."""
     rows = np.zeros(count, kind)
     return rows.view(np.recarray) if numba().config.DISABLE_JIT else rows

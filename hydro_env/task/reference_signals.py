@@ -1,8 +1,8 @@
-"""The references that are asked of the axis, one row of samples per episode.
+"""The references of the axis, one row of samples per episode.
 
-Every family starts at the axis' initial position and stays inside the range, speed and acceleration of
-:class:`Feasible`, which is computed from the healthy plant. Steps alone ask for more speed than there is, and ramps
-and start–stop runs change their speed abruptly: that is their purpose.
+Every family starts at the axis' initial position and stays inside the range, speed and acceleration of the healthy
+plant (:class:`Feasible`). There are two intended exceptions: steps exceed the speed, and ramps and start–stop runs
+change their speed abruptly.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hydro_env.task.random_numbers import between, log_between, uniform
 
 
 class Feasible(NamedTuple):
-    """What a plant allows references to ask for."""
+    """Limits that a plant sets to references."""
 
     low: float  # m
     high: float  # m
@@ -54,7 +54,7 @@ def feasible(c, limits):
 
 @inline
 def _speed_limit(start, end, f, limits):
-    """Speed in m/s that a stretch between two positions allows in both directions."""
+    """Largest speed in m/s between two positions, valid in both directions."""
     out = f.force_out - f.stiffness * max(start, end) - f.external_force
     back = f.force_in + f.stiffness * min(start, end) + f.external_force
     return limits.speed_share * f.speed_per_root_force * math.sqrt(max(min(out, back), 1.0))
@@ -136,7 +136,7 @@ def fill_ramp(row, key, start, period, f, limits):
 
 @inline
 def _inwards(start, f):
-    """0, or ±1 where an end of the range is so near that oscillations swing to the inner side only."""
+    """±1 if an end of the range is so near that oscillations can swing to the inner side only, else 0."""
     near = 0.1 * (f.high - f.low)
     if f.high - start < near:
         return -1.0
@@ -167,7 +167,7 @@ def _swing(time, frequency, inwards):
 
 @inline
 def fill_sine(row, key, start, period, f, limits):
-    """One sine about the initial position, or beside it where an end of the range is near."""
+    """One sine about the initial position, or on its inner side if an end of the range is near."""
     frequency = log_between(key, 0, limits.frequency_range[0], limits.frequency_range[1])
     inwards = _inwards(start, f)
     amplitude = _largest_sine(start, inwards, frequency, f, limits) * between(key, 1, 0.4, 1.0)
@@ -221,10 +221,10 @@ FAMILIES = {
     "multi_sine": fill_multi_sine,
     "start_stop": fill_start_stop,
 }
-"""The function that writes each kind of reference; a further one is appended here."""
+"""The function that writes each family of references; append a new one at the end."""
 
 REFERENCE_FAMILIES = (*FAMILIES, "user")
-"""Kinds of reference; ``user`` is an array of the user's own."""
+"""Families of references; ``user`` is an array given by the user."""
 
 USER_FAMILY = REFERENCE_FAMILIES.index("user")
 

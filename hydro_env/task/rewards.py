@@ -1,6 +1,6 @@
 """The terms of the reward: each is a cost of at least zero, and the reward is minus their sum.
 
-A further term is a field of :class:`Costs` with its expression in :func:`costs`, and a weight in
+To add a term, add a field to :class:`Costs`, its expression to :func:`costs`, and a weight to
 :class:`~hydro_env.task.configuration.Reward`.
 """
 
@@ -12,7 +12,7 @@ from hydro_env.compiling import inline
 
 
 class Costs(NamedTuple):
-    """What a control period costs, term by term."""
+    """Costs of a control period, term by term."""
 
     tracking: float
     effort: float
@@ -29,7 +29,7 @@ def costs(row, change, failed, weights):
 
     Args:
         row: record of the axis (:data:`~hydro_env.task.record.RECORD`).
-        change: of the command since the period before.
+        change: change of the command since the previous period.
         failed: whether the axis has failed.
         weights: group ``reward`` of the task.
     """

@@ -1,4 +1,4 @@
-"""What changes during an episode: the leak past the piston, and the external force."""
+"""Schedules of an episode: the leak past the piston, and the external force."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _orifice_gain = inline(orifice_gain_from_flow)
 
 @inline
 def draw_leak(row, key, fixed, settings):
-    """Healthy or faulty, and when the change begins; ``fixed`` in l/min at 100 bar replaces the draw if not NaN."""
+    """Draw the leak, healthy or faulty, and the start of its change; ``fixed`` (l/min at 100 bar) replaces the draw."""
     leakage = settings.leakage
     healthy = log_between(key, 0, leakage.healthy_range[0], leakage.healthy_range[1])
     faulty = log_between(key, 1, leakage.faulty_range[0], leakage.faulty_range[1])
@@ -57,7 +57,7 @@ def _leak_flow(row, time, settings):
 
 @inline
 def set_leak(row, coefficient, time, settings):
-    """The leak at a time, s, into the record and the coefficients of the plant."""
+    """Write the leak at a time, s, into the record and the coefficients of the plant."""
     flow = _leak_flow(row, time, settings)
     row.leak_flow = flow
     row.leak_class = 0.0
@@ -70,7 +70,7 @@ def set_leak(row, coefficient, time, settings):
 
 @inline
 def draw_force(row, key, settings):
-    """Amplitude, start and frequency of the disturbance of an episode."""
+    """Draw amplitude, start and frequency of the disturbance of an episode."""
     disturbance = settings.disturbance
     if disturbance.kind == _NONE:
         return
@@ -83,7 +83,7 @@ def draw_force(row, key, settings):
 
 @inline
 def _external_force(row, time, settings):
-    """External force in N of the configured disturbance, besides the plant's own."""
+    """External force in N: the plant's own plus the disturbance."""
     after = time - row.force_start_time
     if after < 0.0:
         return row.force_base
@@ -97,7 +97,7 @@ def _external_force(row, time, settings):
 
 @inline
 def follow_schedules(row, coefficient, settings):
-    """Leak and external force of the control period that begins."""
+    """Set leak and external force for the control period that begins."""
     time = row.step * settings.control_period
     if settings.leakage.schedule != _CONSTANT:
         set_leak(row, coefficient, time, settings)

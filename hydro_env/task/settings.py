@@ -1,4 +1,4 @@
-"""A task as numbers for compiled code: the fields of the configuration under the names that they have there."""
+"""A task as numbers for compiled code, under the names of the configuration's fields."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from hydro_env.task.configuration import CHANNELS, Sensor, TaskConfig
 from hydro_env.task.record import table
 
 ERROR_INTEGRAL_TIME = 0.5
-"""s; time constant with which the observed integral of the error leaks."""
+"""s; time constant of the observed leaky integral of the error."""
 
 ERROR_INTEGRAL_LIMIT = 0.010
-"""m s; where the observed integral saturates."""
+"""m s; the observed integral saturates here."""
 
 
 def _kind_of(annotation: Any) -> Any:
-    """How a field of the configuration is stored: a number, a choice as its index, a group; None where it is not."""
+    """Type that stores a field of the configuration: a number, the index of a choice, a group; None if not stored."""
     if isinstance(annotation, type) and issubclass(annotation, Group):
         return None if annotation is PlantParameters else _kind_of_group(annotation)
     if annotation is float:
@@ -49,7 +49,7 @@ def _values_of(settings: Group, kind: np.dtype[Any]) -> tuple[Any, ...]:
 
 
 def choice(group: type[Group], field: str, value: str) -> int:
-    """The number under which compiled code knows one choice of a field."""
+    """Index of a choice of a field, by which compiled code identifies it."""
     return get_args(group.model_fields[field].annotation).index(value)
 
 
@@ -68,7 +68,7 @@ _DERIVED = np.dtype(
     ]
 )
 SETTINGS = np.dtype(_TASK.descr + _DERIVED.descr)
-"""Every number, choice and range of :class:`TaskConfig`, and what follows from them."""
+"""Every number, choice and range of :class:`TaskConfig`, and derived values."""
 
 
 def settings_of(config: TaskConfig) -> NDArray[Any]:
@@ -78,7 +78,7 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
     rise = sensors.pressure_rise_time / math.log(9.0) if sensors.enabled else 0.0
     derived = {
         "steps": config.steps,
-        # A flow that was given as a resistance is rounded, and may exceed the bound of its class by that.
+        # Conversion from a resistance rounds a flow; it may exceed the bound of its class by that.
         "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
         "durations": (config.command_latency, period - config.command_latency),
         "channels": [_values_of(getattr(sensors, channel), _SENSOR) for channel in CHANNELS],
@@ -107,7 +107,7 @@ DRAW = np.dtype(
         ("otherwise_probability", "f8"),
     ]
 )
-"""How one parameter of the plant is drawn."""
+"""Distribution of one parameter of the plant."""
 
 
 def draws_of(config: TaskConfig) -> NDArray[Any]:

@@ -1,7 +1,7 @@
-"""What the rig measures, and the observation that is made of it.
+"""The measured signals, and the observation made of them.
 
-A further measured signal is a ``Sensor`` in :class:`~hydro_env.task.configuration.Sensors`, its true value in
-:func:`sample`, and its row and value in :func:`_entries` and :func:`write_observation`.
+To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.configuration.Sensors`, its true value to
+:func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
 )
 
 _BIAS = 1_000_000_000
-"""First number of the noise's key that serves a bias; far beyond those of the steps."""
+"""Index of the first bias among the numbers of the noise key; far beyond those of the steps."""
 
 Signals = named_tuple("Signals", CHANNELS, __name__)
 """One value per measured signal."""
@@ -48,7 +48,7 @@ Entries = named_tuple("Entries", [name for name, *_ in _entries(1.0)], __name__)
 """One value per entry of the observation besides the previews, which follow the first."""
 
 LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8")])
-"""Of one entry: SI per 1, largest absolute value in the observation, and for a preview the periods ahead."""
+"""One entry: SI units per 1, largest absolute value in the observation, and for a preview the periods ahead."""
 
 
 def observation_layout(
@@ -73,7 +73,7 @@ def layout_of(config: TaskConfig) -> NDArray[Any]:
 
 @inline
 def draw_biases(row, settings):
-    """Constant error of each sensor in this episode."""
+    """Draw the constant error of each sensor for this episode."""
     for channel in range(len(CHANNELS)):
         row.bias[channel] = settings.channels[channel].bias * between(row.noise_key, _BIAS + channel, -1.0, 1.0)
 
@@ -85,7 +85,7 @@ def _quantised(value, resolution):
 
 @inline
 def _reading(true, bias, noise, sensor):
-    """What the acquisition reads: bias and noise added, limited to the range, in 16-bit steps."""
+    """Value that the acquisition reads: bias and noise added, limited to the range, in 16-bit steps."""
     value = min(max(true + bias + sensor.noise * noise, sensor.low), sensor.high)
     return min(max(sensor.low + _quantised(value - sensor.low, sensor.resolution), sensor.low), sensor.high)
 
@@ -107,14 +107,15 @@ def sample(row, s, settings):
         pressure_b=row.sensed_b,
         spool_position=s.spool_position,
     )
-    step = np.int64(row.step)
-    for channel in range(len(CHANNELS)):
-        if settings.sensors.enabled:
-            first, second = noise_pair(row.noise_key, step, channel // 2)
-            noise = first if channel % 2 == 0 else second
-            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise, settings.channels[channel])
-        else:
+    if not settings.sensors.enabled:
+        for channel in range(len(CHANNELS)):
             row.measured[channel] = signals[channel]
+        return
+    for first in range(0, len(CHANNELS), 2):
+        noise = noise_pair(row.noise_key, np.int64(row.step), first // 2)
+        for channel in range(first, min(first + 2, len(CHANNELS))):
+            sensor = settings.channels[channel]
+            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise[channel - first], sensor)
 
 
 @inline

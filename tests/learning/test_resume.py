@@ -133,7 +133,7 @@ def changed(tensors, name, value):
         (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
         (lambda t, d: (changed(t, "episodes", np.full((3, 2), np.nan)), d), "'episodes' holds values that are not"),
         (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),
-        (lambda t, d: (changed(t, "axes.env.record", ~t["axes.env.record"]), d), "env.record: holds no state"),
+        (lambda t, d: (changed(t, "axes.env.record", ~t["axes.env.record"]), d), "env.record: holds no possible state"),
         (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
         (lambda t, d: (changed(t, "axes.slot", np.array(40)), d), "slot = 40: must be within 0 to 36"),
         (lambda t, d: (changed(t, "axes.slot", np.array(-1)), d), "slot = -1: must be within 0 to 36"),

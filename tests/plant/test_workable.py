@@ -20,7 +20,7 @@ from hydro_env.plant.analysis import (
 )
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import STABLE_PRODUCT
-from hydro_env.plant.probe import ENOUGH, HELD, PERIOD, probe, state_ranges
+from hydro_env.plant.probe import ALLOWED_ERROR, HELD, PERIOD, probe, state_ranges
 from hydro_env.plant.rates import rates
 from hydro_env.plant.simulate import valid_ranges
 from hydro_env.plant.states import State
@@ -130,7 +130,7 @@ def test_lugre_friction_is_judged_at_speed():
 def test_the_probe_of_shipped_rigs(path):
     rig = PlantParameters.from_yaml(path)
     found = probe(rig)
-    assert found.error < 0.2 * ENOUGH
+    assert found.error < 0.2 * ALLOWED_ERROR
     assert 5.0 < found.mean_steps < found.most_steps < 100
     assert probe(rig, tolerance=1e-3).error > 10.0 * found.error
 

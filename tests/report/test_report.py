@@ -158,7 +158,7 @@ def test_the_page_tells_how_it_was_made(page):
     text = Page(page).text
     for wanted in ("hydro study --seed 3", "a box with 2 cores", "9.9.9", "1 h 2 min", "1.2 s", "2000000", "simulated"):
         assert wanted in text
-    assert "so no plant met here took part in training" in text
+    assert "so no plant used here took part in training" in text
     assert "steps and sines" in text
     assert "are too few for any decision" in text  # three plants
 
@@ -167,7 +167,7 @@ def test_seeds_outside_the_test_set_are_confessed(evaluation):
     cases = evaluation.cases.assign(seed=evaluation.cases["seed"] - 2_000_000)
     text = Page(render_report(replace(evaluation, cases=cases), record())).text
     assert "they may have been trained on" in text
-    assert "so no plant met here" not in text
+    assert "so no plant used here" not in text
 
 
 def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
@@ -251,7 +251,7 @@ def test_what_a_leak_does(evaluation):
 
 def with_ratios(evaluation, whole, levels, families):
     ratios = evaluation.ratios.copy()
-    ratios[["ratio", "low", "high"]] = [whole, *levels, *families, whole]  # the last: references weighing the same
+    ratios[["ratio", "low", "high"]] = [whole, *levels, *families, whole]  # the last: equal weights of references
     ratios["share_of_cases_better"] = 0.75
     return replace(evaluation, ratios=ratios)
 

@@ -3,11 +3,10 @@
 from importlib import import_module
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from agents.reproduction.equation_table import EQUATIONS, equation_table
 from agents.reproduction.force_rate import TERMS, force_rate_table, share_table, shares
+from agents.reproduction.page import equation_table
 from agents.reproduction.rig import Rig
 
 
@@ -51,12 +50,11 @@ def test_the_share_is_that_of_the_samples_at_a_pressure_difference():
 
 
 def test_every_equation_has_a_function_that_exists():
-    assert [equation.number for equation in EQUATIONS] == list(range(1, 25))
-    for equation in EQUATIONS:
-        assert equation.functions
-        for name in equation.functions:
+    table = equation_table()
+    assert list(table["equation"]) == [f"({number})" for number in range(1, 25)]
+    assert list(table.columns) == ["equation", "meaning", "functions", "correction"]
+    assert table.notna().all(axis=None)
+    for names in table["functions"]:
+        for name in names.split(", "):
             module, _, function = name.rpartition(".")
             assert callable(getattr(import_module(module), function)), name
-    table = equation_table()
-    assert isinstance(table, pd.DataFrame)
-    assert len(table) == 24

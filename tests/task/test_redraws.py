@@ -117,7 +117,7 @@ def test_a_period_that_takes_too_many_steps_ends_the_episode_with_a_name():
     assert terminated.all()
     assert info["failure"].tolist() == ["integration budget exceeded"] * 2
     assert (envs.axes.peaks[:, STEPS] > MOST_STEPS_PER_PERIOD).all()
-    assert (envs.axes.peaks[:, STEPS] <= MOST_STEPS_PER_PERIOD + 2).all()
+    assert (envs.axes.peaks[:, STEPS] <= MOST_STEPS_PER_PERIOD + 10).all()
     assert np.isfinite(observation).all()
     assert (reward <= -250.0).all()
     np.testing.assert_array_equal(untouched.step(np.ones((2, 1)))[0], observation)

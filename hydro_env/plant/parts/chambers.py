@@ -49,7 +49,7 @@ class Fluid(Group):
 
 
 class ChamberCoefficients(NamedTuple):
-    """Numbers of the chambers that the right-hand side needs."""
+    """Constants of the chambers in the right-hand side."""
 
     area_a: float  # A_a, m²
     area_b: float  # A_b, m²
@@ -113,8 +113,8 @@ def time_to_cavitation(s, rate):
 
 @inline
 def smallest_volumes(position, c):
-    """Oil volumes in m³ near a position, a little smaller than any that one control period can bring."""
-    margin = 2e-3  # m; further than the piston goes within one control period
+    """Lower bounds of the oil volumes in m³ during one control period that starts at a position."""
+    margin = 2e-3  # m; the piston moves less than this within one control period
     return (
         max(c.volume_a0 + c.area_a * (position - margin), 0.2 * (c.volume_a0 - c.area_a * c.end_stop_position)),
         max(c.volume_b0 - c.area_b * (position + margin), 0.2 * (c.volume_b0 - c.area_b * c.end_stop_position)),

@@ -15,7 +15,7 @@ from hydro_env.units import Number, quantity
 
 
 class FrictionModel(StrEnum):
-    """Friction laws, each with one effect more than the one before it."""
+    """Friction laws; each adds one effect to the law before it."""
 
     NONE = "none"
     COULOMB = "coulomb"
@@ -39,7 +39,7 @@ class Friction(Group):
     @model_validator(mode="after")
     def _breakaway_is_the_peak(self) -> Friction:
         if self.model == FrictionModel.LUGRE and self.coulomb_force <= 0.0:
-            raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none is without friction")
+            raise ValueError("coulomb_force = 0 N must be above 0 with model lugre; model none has no friction")
         if self.model in (FrictionModel.STRIBECK, FrictionModel.LUGRE) and self.breakaway_force < self.coulomb_force:
             raise ValueError(
                 f"breakaway_force = {self.breakaway_force:g} N must not be below "
@@ -56,7 +56,7 @@ class Friction(Group):
 
 
 class FrictionCoefficients(NamedTuple):
-    """Numbers of the friction that the right-hand side needs."""
+    """Constants of the friction in the right-hand side."""
 
     coulomb_force: float  # F_c, N
     stribeck_force: float  # F_st − F_c, N
@@ -109,10 +109,10 @@ def friction(velocity, bristle_deflection, c):
 
 @inline
 def time_to_reversal(s, rate, c):
-    """Time in s until the piston reverses, extrapolated, in steps that a long inner step would leap over.
+    """Time in s to the next point of interest before the piston reverses, extrapolated.
 
-    There dry friction changes over the few mm/s of its transition velocity: a step may go up to twice that velocity,
-    then by one transition velocity at a time.
+    Near standstill dry friction changes within its transition velocity of a few mm/s; a long inner step would skip
+    this change. A step therefore ends at twice that velocity, and later steps change the speed by it once each.
     """
     speed = abs(s.velocity) * c.inverse_transition_velocity
     turning = s.velocity * rate.velocity < 0.0 or speed < 2.0
@@ -122,7 +122,7 @@ def time_to_reversal(s, rate, c):
 
 @inline
 def friction_rate(s, c):
-    """Upper estimate in 1/s of the rate at which friction brakes the mass, and the bristles follow."""
+    """Upper estimate in 1/s of the rate at which friction brakes the mass and the bristles relax."""
     steady = (1.0 - c.has_bristles) * (c.coulomb_force + c.stribeck_force) * c.inverse_transition_velocity
     return (steady + c.viscous_damping + c.bristle_damping * c.has_bristles) * c.inverse_mass + (
         c.has_bristles * c.bristle_stiffness * abs(s.velocity) / max(c.coulomb_force, 1e-300)

@@ -21,7 +21,7 @@ class Leakage(Group):
 
 
 class LeakageCoefficients(NamedTuple):
-    """Numbers of the leaks that the right-hand side needs."""
+    """Constants of the leaks in the right-hand side."""
 
     leakage_conductance: float  # 1 / R_i, m³/(s Pa)
     leakage_orifice_gain: float  # K_i, m³/(s √Pa)
@@ -40,7 +40,7 @@ def leakage_coefficients(p):
 
 @inline
 def internal_leakage(pressure_a, pressure_b, c):
-    """Q_i in m³/s from chamber a to b: laminar (10) plus orifice, the throttle in parallel of the rig."""
+    """Q_i in m³/s from chamber a to b: laminar (10) plus orifice, the rig's throttle in parallel."""
     difference = pressure_a - pressure_b
     return c.leakage_conductance * difference + c.leakage_orifice_gain * smooth_root(difference, c.transition_squared)
 

@@ -20,7 +20,7 @@ class Load(Group):
 
 
 class LoadCoefficients(NamedTuple):
-    """Numbers of the load that the right-hand side needs."""
+    """Constants of the load in the right-hand side."""
 
     inverse_mass: float  # 1 / (M + m_d), 1/kg
     spring_stiffness: float  # k, N/m
@@ -59,7 +59,7 @@ def holding_force(position, c):
 
 @inline
 def balancing_pressure_b(pressure_a, force, c):
-    """Pressure of chamber b in Pa with which the piston gives a force (N): :func:`piston_force` solved for it."""
+    """Pressure of chamber b in Pa at which the piston exerts a force (N): :func:`piston_force` solved for it."""
     return (pressure_a * c.area_a - force) / c.area_b
 
 

@@ -14,7 +14,7 @@ from hydro_env.units import Number, quantity
 
 
 class SupplyModel(StrEnum):
-    """What holds the supply pressure."""
+    """What maintains the supply pressure."""
 
     CONSTANT = "constant"
     ACCUMULATOR = "accumulator"  # pump, relief valve and accumulator
@@ -24,7 +24,7 @@ class SupplyModel(StrEnum):
 class Supply(Group):
     """Pump, relief valve and accumulator (``accumulator``), the same without it (``pump``), or a constant pressure.
 
-    ``pump_flow`` 0 is a pump that stands still, ``relief_slope`` 0 a circuit without relief valve.
+    ``pump_flow`` 0 means that the pump stands still, ``relief_slope`` 0 that there is no relief valve.
     """
 
     model: SupplyModel = Field(SupplyModel.ACCUMULATOR, description="paper, Figs 3 and 11")
@@ -60,7 +60,7 @@ class Supply(Group):
 
 
 class SupplyCoefficients(NamedTuple):
-    """Numbers of the supply that the right-hand side needs."""
+    """Constants of the supply in the right-hand side."""
 
     tank_pressure: float  # P_T, Pa
     relief_pressure: float  # P_set, Pa
@@ -100,9 +100,9 @@ def supply_rates(s, drawn_flow, c):
 
 @inline
 def regulated_pressure(drawn_flow, c):
-    """Supply pressure in Pa at which the relief valve passes what the valve does not draw.
+    """Supply pressure in Pa at which the relief valve passes the part of the pump flow that the valve does not draw.
 
-    Where nothing regulates it, the pressure is the set value; below that value the pump cannot feed the flow.
+    Without regulation it is the set value. A result below the set value means that the pump cannot feed the flow.
     """
     regulated = (c.supply_dynamics > 0.0 or c.line_stiffness > 0.0) and c.pump_flow > 0.0 and c.relief_slope > 0.0
     return c.relief_pressure + (c.pump_flow - drawn_flow) / c.relief_slope if regulated else c.relief_pressure

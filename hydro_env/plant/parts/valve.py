@@ -16,18 +16,18 @@ from hydro_env.units import Number, quantity
 
 
 class ValveModel(StrEnum):
-    """How much of the valve moves in its own time; a later model leaves out more of it."""
+    """Which parts of the valve have dynamics; each later model has fewer."""
 
     DRIVE = "drive"  # coil and spool
     SPOOL = "spool"  # the current follows the command at once
-    IDEAL = "ideal"  # the spool does
+    IDEAL = "ideal"  # the spool follows at once
 
 
 class Valve(Group):
     """4/3 servo valve with its drive: flow edges, second-order spool, coil.
 
     ``model``: ``drive`` (coil and spool), ``spool`` (an ideal drive: the current follows the command at once),
-    ``ideal`` (the spool does).
+    ``ideal`` (the spool follows at once).
     """
 
     model: ValveModel = Field(ValveModel.DRIVE, description="paper, eqs (1) and (18)")
@@ -45,7 +45,7 @@ class Valve(Group):
 
 
 class ValveCoefficients(NamedTuple):
-    """Numbers of the valve that the right-hand side needs."""
+    """Constants of the valve in the right-hand side."""
 
     edge_gain: float  # K, m³/(s √Pa)
     transition_squared: float  # dp_t², Pa²
@@ -56,8 +56,8 @@ class ValveCoefficients(NamedTuple):
     coil_rate: float  # R_C / L_C, 1/s
     drive_rate: float  # K_a / L_C, A/(s V)
     spool_gain: float  # k_t, 1/A
-    ideal_drive: float  # 1 where the coil current follows the command at once
-    ideal_spool: float  # 1 where the spool does
+    ideal_drive: float  # 1 if the coil current follows the command at once
+    ideal_spool: float  # 1 if the spool follows the command at once
 
 
 _DRIVE, _IDEAL = (float(list(ValveModel).index(model)) for model in (ValveModel.DRIVE, ValveModel.IDEAL))
@@ -131,7 +131,7 @@ def current_rate(s, c, voltage):
 
 @inline
 def spool_pull(s, c):
-    """Acceleration of the spool without its slew limit, 1/s²; linear in the state, so that it maps rates as well."""
+    """Acceleration of the spool without its slew limit, 1/s²; linear in the state, so it maps rates to the jerk too."""
     return c.spool_stiffness * (c.spool_gain * s.coil_current - s.spool_position) - c.spool_damping * s.spool_velocity
 
 
@@ -149,7 +149,7 @@ def spool_rates(s, c):
 
 @inline
 def after_command(s, c, voltage):
-    """Spool position, spool speed and current just after a new command: ideal parts have jumped to it."""
+    """Spool position, spool speed and current just after a new command; ideal parts have jumped to it."""
     current = c.drive_rate * voltage / c.coil_rate if c.ideal_drive > 0.0 else s.coil_current
     spool = min(max(c.spool_gain * current, -1.0), 1.0) if c.ideal_spool > 0.0 else s.spool_position
     return spool, 0.0 if c.ideal_spool > 0.0 else s.spool_velocity, current
@@ -175,7 +175,7 @@ def time_to_spool_kink(s, rate, c):
     pull, jerk = spool_pull(s, c), spool_pull(rate, c)
     to_slew = c.slew_limit - direction * s.spool_velocity
     slewing = to_slew <= 0.0
-    # At the limit the spool leaves it when the pull has faded; before, it meets the limit when it is fast enough.
+    # A slewing spool leaves the limit when its pull has fallen to zero; a slower one meets the limit.
     fading = -c.coil_rate * c.spool_stiffness * c.spool_gain * rate.coil_current
     slew = time_to_cover(
         direction * pull if slewing else to_slew,
@@ -183,7 +183,7 @@ def time_to_spool_kink(s, rate, c):
         -direction * fading if slewing else direction * jerk,
     )
     slew = FAR if slewing and direction * pull <= 0.0 else slew
-    # The same for the stroke: left when the speed has turned, met when the rest of the way is covered.
+    # Likewise the stroke: the spool leaves its end when the speed reverses, and meets it at the end of the way.
     to_end = 1.0 - direction * s.spool_position
     ended = to_end <= 0.0
     stroke = time_to_cover(
