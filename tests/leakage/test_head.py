@@ -1,13 +1,14 @@
 """The leakage head learns, round-trips, waits for a whole window, and works under any controller."""
 
 import json
+import time
 
 import numpy as np
 import pytest
 import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController
+from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController, channels
 from agents.leakage.metrics import area_under_roc
 from agents.leakage.training import CHECKPOINT_FILE, KIND, HeadTrainingSettings, make_dataset, targets, train_head
 from agents.running.seeds import TRAINING_SEEDS
@@ -149,6 +150,18 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
         save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored | change)
         with pytest.raises(ConfigurationError, match="damaged: epoch"):
             train_head(CONFIG, [CONTROLLER], SMALL, folder=tmp_path, resume=True)
+
+
+def test_inputs_of_the_network_are_normalised_on_training_data():
+    began = time.monotonic()
+    head = train_head(CONFIG, [CONTROLLER], SMALL.model_copy(update={"epochs": 1}), seed=4)
+    assert 0.0 < head.settings.training["seconds"] <= time.monotonic() - began + 0.1
+    first = TRAINING_SEEDS.start + len(TRAINING_SEEDS) // 2 + 4 * SMALL.episodes
+    data = make_dataset(CONFIG, [CONTROLLER], SMALL, SMALL.episodes, first)
+    inputs = (channels(torch.from_numpy(data.signals.astype(np.float32))) - head.network.mean) * head.network.scale
+    np.testing.assert_allclose(inputs.mean(dim=(0, 2)), 0.0, atol=1e-3)
+    spread = inputs.std(dim=(0, 2)).numpy()
+    assert np.all((np.abs(spread - 1.0) < 0.02) | (spread < 1e-3))  # a signal that never changes has no spread
 
 
 def test_a_training_that_is_stopped_while_it_simulates_can_be_resumed(small_head, tmp_path):

@@ -136,6 +136,8 @@ def changed(tensors, name, value):
         (lambda t, d: (changed(t, "axes.env.record", ~t["axes.env.record"]), d), "env.record: holds no possible state"),
         (lambda t, d: (changed(t, "axes.env.record", t["axes.env.record"] + np.uint8(1)), d), "env.record"),
         (lambda t, d: (changed(t, "axes.slot", np.array(40)), d), "slot = 40: must be within 0 to 36"),
+        (lambda t, d: (changed(t, "axes.slot", np.array(-1)), d), "slot = -1: must be within 0 to 36"),
+        (lambda t, d: (changed(t, "axes.slot", np.array(37)), d), "slot = 37: must be within 0 to 36"),
         (lambda t, d: (changed(t, "torch_generator", t["torch_generator"][:9]), d), "'torch_generator' holds"),
         (lambda t, d: (changed(t, "torch_generator", t["torch_generator"] * 0), d), "torch_generator"),
         (lambda t, d: (changed(t, "numpy_generator_position", np.array(9999)), d), "numpy_generator"),

@@ -1,6 +1,7 @@
 """Training is reproducible, survives interruption, and its weights carry everything that inference needs."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -149,6 +150,15 @@ def test_progress_tells_where_a_training_stands():
     assert [progress.steps for progress in seen] == [256, 512, 768, 1024]
     assert all(progress.total_steps == 1024 for progress in seen)
     assert all(progress.mean_reward < 0.0 for progress in seen[1:])
+
+
+def test_minibatches_of_two_samples_and_seconds_of_training():
+    smallest = validate(
+        PPOSettings, {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16}, "ppo.yaml"
+    )
+    began = time.monotonic()
+    policy = train_ppo(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), GAINS)
+    assert 0.0 <= policy.training["seconds"] <= time.monotonic() - began + 0.1
 
 
 def test_the_residual_form_starts_as_the_pid():
