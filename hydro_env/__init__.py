@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hydro_env.env import ServoHydraulicEnv
     from hydro_env.errors import ConfigurationError, HydroError, InvalidStateError
     from hydro_env.plant.arrays import equilibrium
+    from hydro_env.plant.linearisation import Linearisation, linearise
     from hydro_env.plant.parameters import PlantParameters
     from hydro_env.plant.simulate import Trajectory, simulate
     from hydro_env.task.configuration import LEAKAGE_CLASSES, TaskConfig
@@ -38,6 +39,7 @@ _HOME = {
     "HydroError": "errors",
     "InvalidStateError": "errors",
     "LEAKAGE_CLASSES": "task.configuration",
+    "Linearisation": "plant.linearisation",
     "PlantParameters": "plant.parameters",
     "REFERENCE_FAMILIES": "task.reference_signals",
     "ServoHydraulicEnv": "env",
@@ -46,6 +48,7 @@ _HOME = {
     "Trajectory": "plant.simulate",
     "equilibrium": "plant.arrays",
     "flow_from_resistance": "units",
+    "linearise": "plant.linearisation",
     "resistance_from_flow": "units",
     "simulate": "plant.simulate",
 }
@@ -58,6 +61,7 @@ __all__ = [
     "ConfigurationError",
     "HydroError",
     "InvalidStateError",
+    "Linearisation",
     "PlantParameters",
     "ServoHydraulicEnv",
     "ServoHydraulicVectorEnv",
@@ -66,6 +70,7 @@ __all__ = [
     "__version__",
     "equilibrium",
     "flow_from_resistance",
+    "linearise",
     "resistance_from_flow",
     "simulate",
 ]

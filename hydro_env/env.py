@@ -251,6 +251,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             info |= {"reference_family": int(row[_FAMILY]), "failure": int(row[_FAILURE])}
             del info["reward_terms"]
             info |= {f"reward_{name}": value for name, value in terms.items()}
+            return {name: np.asarray(value)[()] for name, value in info.items()}  # NumPy's numbers have a dtype
         return info
 
     def _record_frame(self) -> None:

@@ -10,7 +10,14 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import (
+    ConfigurationError,
+    PlantParameters,
+    ServoHydraulicEnv,
+    ServoHydraulicVectorEnv,
+    TaskConfig,
+    linearise,
+)
 from hydro_env.task.rewards import REWARD_TERMS
 
 ID = "ServoHydraulic-v0"
@@ -25,8 +32,11 @@ def test_an_unknown_keyword_is_also_a_type_error(make):
             make(frameskip=4)
         with pytest.raises(kind, match="unknown option 'leak'"):
             make().reset(options={"leak": 1.0})
-    with pytest.raises(TypeError, match="frameskip"):
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # as torchrl looks for it
         gym.make(ID, frameskip=4)
+    with pytest.raises(TypeError, match="unknown key") as caught:
+        make(config={"frameskip": 4})
+    assert "keyword argument" not in str(caught.value)
 
 
 @pytest.mark.parametrize("make", BOTH)
@@ -84,6 +94,80 @@ def test_a_spec_holds_the_content_of_a_file_not_its_path(tmp_path):
     text = single.spec.to_json()
     path.unlink()
     assert gym.make(EnvSpec.from_json(text)).unwrapped.config == path_of_config
+
+
+def test_a_spec_is_json_and_makes_the_same_environment_again():
+    given = {"control_period": np.float64(0.002), "references": {"weights": {"user": 1.0}, "user": np.zeros(5)}}
+    single = gym.make(ID, **given)
+    assert gym.make(EnvSpec.from_json(single.spec.to_json())).unwrapped.config == single.unwrapped.config
+    vector = gym.make_vec(ID, num_envs=2, autoreset_mode=AutoresetMode.SAME_STEP, **given)
+    json.loads(vector.spec.to_json())
+    again = gym.make_vec(vector.spec).unwrapped
+    assert again.config == vector.unwrapped.config
+    assert again.autoreset_mode is AutoresetMode.SAME_STEP
+
+
+def test_a_planner_that_knows_get_state_and_set_state_alone():
+    """What tau-ctrl's planners do: branch, score candidates in a loop or on a vector environment, go on."""
+    env, candidates = gym.make(ID, episode_duration=0.1), np.linspace(-0.4, 0.4, 5)
+    plain = env.unwrapped
+    env.reset(seed=0)
+    untouched = ServoHydraulicEnv(episode_duration=0.1)
+    untouched.reset(seed=0)
+    for _ in range(6):
+        state = plain.get_state()
+        scores = []
+        for command in candidates:
+            plain.set_state(state)
+            scores.append([plain.step([command])[1] for _ in range(3)])
+        plain.set_state(state)
+        envs = ServoHydraulicVectorEnv(5, episode_duration=0.1)
+        envs.reset()
+        envs.set_state([state] * 5)
+        together = [envs.step(candidates[:, None])[1] for _ in range(3)]
+        np.testing.assert_array_equal(np.transpose(scores), together)
+        best = [candidates[np.argmax(np.sum(scores, axis=1))]]
+        mine, other = env.step(best), untouched.step(best)
+        np.testing.assert_array_equal(mine[0], other[0])
+        assert mine[1:4] == other[1:4]
+
+
+def test_control_libraries_take_the_linearised_axis():
+    plant = PlantParameters().replace(friction={"model": "none"})
+    space = linearise(plant, position=0.02).state_space(outputs=("position", "velocity"))
+    a, b, c, d = space.matrices
+    at_rest = d - c @ np.linalg.solve(a, b)
+    assert np.linalg.eigvals(a).real.max() < 0.0
+    assert at_rest[1, 0] == pytest.approx(0.0, abs=1e-9)
+    assert np.isfinite(at_rest).all()
+    control = pytest.importorskip("control")
+    system = control.ss(*space.matrices, **space.names)
+    assert system.output_labels == ["position", "velocity"]
+    np.testing.assert_allclose(control.dcgain(system), at_rest, rtol=1e-6, atol=1e-9)
+    assert np.isfinite(control.lqr(system, np.diag([1e8] + [0.0] * (len(a) - 1)), [[1.0]])[0]).all()
+
+
+def test_torchrl():
+    envs = pytest.importorskip("torchrl.envs")
+    env = envs.GymEnv(ID, frame_skip=2, info="flat", episode_duration=0.1)
+    env.auto_register_info_dict()
+    assert "leakage_flow_lpm" in env.rollout(5)["next"].keys()  # noqa: SIM118, not a mapping
+    many = envs.GymWrapper(ServoHydraulicVectorEnv(2, info="flat", autoreset_mode="SameStep", episode_duration=0.1))
+    assert tuple(many.rollout(50, break_when_any_done=False).shape) == (2, 50)
+
+
+def test_tau_ctrl():
+    tau = pytest.importorskip("tau_ctrl")
+    env = gym.make(ID, episode_duration=0.1)
+    observation, _ = env.reset(seed=0)
+    planner = tau.MPPI(
+        env, horizon=3, n_samples=4, vector_env_fn=lambda count: gym.make_vec(ID, num_envs=count, episode_duration=0.1)
+    )
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(planner.predict(observation)[0])
+        over = terminated or truncated
+    assert truncated
 
 
 def test_the_vector_environment_tells_how_it_restarts():
@@ -147,7 +231,7 @@ def test_a_flat_info_is_flat_when_episodes_end_too():
 def test_a_flat_info_of_one_axis():
     env, full = ServoHydraulicEnv(info="flat"), ServoHydraulicEnv()
     mine, other = env.reset(seed=0)[1], full.reset(seed=0)[1]
-    assert all(type(value) in (int, float) for value in mine.values())
+    assert all(isinstance(value, np.float64 | np.int64) for value in mine.values())
     assert mine["position"] == other["position"]
     mine, other = env.step(np.ones(1))[-1], full.step(np.ones(1))[-1]
     assert mine["reward_tracking"] == other["reward_terms"]["tracking"]

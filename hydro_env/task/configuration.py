@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from hydro_env.errors import ConfigurationError
+from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
@@ -260,13 +260,20 @@ def task_config(config: TaskConfig | Mapping[str, Any] | str | Path | None, **ov
     Raises:
         ConfigurationError: unreadable file, unknown key, or an impossible value.
     """
-    if isinstance(config, TaskConfig):
-        return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
-    if isinstance(config, str | Path):
-        return TaskConfig.from_yaml(config, **overrides)
-    if config is not None and not isinstance(config, Mapping):
+    if config is not None and not isinstance(config, TaskConfig | Mapping | str | Path):
         raise ConfigurationError(f"task: config = {config!r}: must be a YAML file, a mapping or a TaskConfig")
-    return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+    try:
+        if isinstance(config, str | Path):
+            return TaskConfig.from_yaml(config, **overrides)
+        if isinstance(config, TaskConfig):
+            return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
+        return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+    except UnknownKeyError as error:
+        unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
+        if unknown is None:
+            raise
+        # Libraries leave a keyword out and try again where the message refuses it in Python's words.
+        raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
 
 
 def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

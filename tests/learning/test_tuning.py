@@ -11,14 +11,14 @@ from hydro_env.files import validate
 
 
 def test_search_improves_and_repeats():
-    config = TaskConfig(episode_duration=0.5)
-    costs = []
-    gains, cost = tune_pid(config, plants=42, generations=6, population=2, progress=lambda n, c, g: costs.append(c))
-    assert costs[-1] < costs[0]
-    assert cost <= costs[-1]
-    again, repeated = tune_pid(config, plants=42, generations=6, population=2)
-    assert again == gains
-    assert repeated == cost
+    config = TaskConfig(episode_duration=0.3)
+    seen = []
+    options = {"plants": 14, "generations": 4, "population": 2}
+    gains, cost = tune_pid(config, **options, progress=lambda *now: seen.append(now))
+    assert [generation for generation, _, _ in seen] == [1, 2, 3, 4]
+    assert seen[-1][1] < seen[0][1]
+    assert (gains, cost) == (seen[-1][2], seen[-1][1])
+    assert tune_pid(config, **options) == (gains, cost)
 
 
 class Full:
