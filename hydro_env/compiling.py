@@ -217,6 +217,20 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callab
     return _generated("combine", array, lines)  # type: ignore[no-any-return]
 
 
+def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Callable[..., Any]:
+    """A function of ``parameters`` that calls the one of ``functions`` with a number, and none beyond them.
+
+    Args:
+        functions: each of the parameters without the number.
+        parameters: names, with commas between them.
+        number: the one of them that chooses.
+    """
+    others = ", ".join(name for name in parameters.split(", ") if name != number)
+    lines = [f"if {number} == {index}: function_{index}({others})" for index in range(len(functions))]
+    names = {f"function_{index}": function for index, function in enumerate(functions)}
+    return _generated("choose", parameters, lines, **names)  # type: ignore[no-any-return]
+
+
 def tuple_replacer(kind: type, *replaced: str) -> Callable[..., Any]:
     """``replace(old, …)``: a copy of the named tuple ``kind`` with new values of the fields ``replaced``, in order."""
     values = ", ".join(name if name in replaced else f"old.{name}" for name in _fields(kind))

@@ -57,7 +57,7 @@ def _leaking(plant: PlantParameters, flow: float, law: Law = "laminar") -> Plant
 
 
 def _settling(plant: PlantParameters, at: Setting, factor: float, leak: float = LEAK) -> float:
-    run = quick_stop(_leaking(rubbing(plant, FRICTION_SHARE), factor * leak), at.rig)
+    run = quick_stop(_leaking(with_friction_share(plant, FRICTION_SHARE), factor * leak), at.rig)
     return settling_of(run, at.frequency, at.rig.stretch).clean_s
 
 

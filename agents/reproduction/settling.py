@@ -203,7 +203,7 @@ def friction_scan_table(
     frequency, rows = healthy_frequency(rig), []
     for leak in leaks:
         for share in shares:
-            run = quick_stop(with_leak(rubbing(rig.parameters, share), leak, "laminar"), rig)
+            run = quick_stop(with_leak(with_friction_share(rig.parameters, share), leak, "laminar"), rig)
             time = settling_of(run, frequency, rig.stretch).clean_s
             rows.append({"friction_share": share, "leak_lpm": leak, "settling_s": time})
             need_a_swing(rows[0]["settling_s"])

@@ -88,15 +88,20 @@ _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
 
 
 @inline
-def _net_flow_b(pressure_a, arguments):
-    """Net flow into chamber b while chamber a is balanced; it falls as the pressure of chamber a rises."""
+def _net_flow(pressure_a, arguments):
+    """Net flow into both chambers while chamber a is balanced, as far as the valve can; it falls as pressure a rises.
+
+    It is that into chamber b alone where the valve does balance chamber a. Oil that leaks between them cancels out, so
+    that the sign is right also where the fully open valve is too small for the leak.
+    """
     position, supply_pressure, c = arguments
     spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c))
     s = _at_rest(position, pressure_a, spool, supply_pressure, c)
-    return chamber_net_flows(s, edge_flows(s, c), c)[1]
+    net_a, net_b = chamber_net_flows(s, edge_flows(s, c), c)
+    return net_a + net_b
 
 
-_balanced_pressure = _root_of(_net_flow_b, tolerance=1e-5)
+_balanced_pressure = _root_of(_net_flow, tolerance=1e-5)
 
 
 @inline

@@ -8,10 +8,9 @@ change their speed abruptly.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from hydro_env.compiling import inline
+from hydro_env.compiling import function_of_number, inline
 from hydro_env.task.random_numbers import between, log_between, uniform
 
 
@@ -229,28 +228,7 @@ REFERENCE_FAMILIES = (*FAMILIES, "user")
 USER_FAMILY = REFERENCE_FAMILIES.index("user")
 
 
-@inline
-def _fill_nothing(row, family, key, start, period, f, limits):
-    pass
-
-
-def _fill_one_of(fills: Sequence[Callable[..., None]], first: int = 0) -> Callable[..., None]:
-    """A compiled function that calls the one of ``fills`` whose number is ``family``."""
-    if not fills:
-        return _fill_nothing
-    fill, others = fills[0], _fill_one_of(fills[1:], first + 1)
-
-    @inline
-    def fill_one(row, family, key, start, period, f, limits):
-        if family == first:
-            fill(row, key, start, period, f, limits)
-        else:
-            others(row, family, key, start, period, f, limits)
-
-    return fill_one
-
-
-fill_reference = _fill_one_of(tuple(FAMILIES.values()))
+fill_reference = function_of_number(tuple(FAMILIES.values()), "row, family, key, start, period, f, limits", "family")
 """Write the samples of one reference.
 
 Args:

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pydantic
 import pytest
 
 from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
@@ -76,9 +75,9 @@ def test_vector_gives_back_an_equal_object(parameters):
 
 def test_parameters_are_frozen():
     parameters = PlantParameters()
-    with pytest.raises(pydantic.ValidationError, match="frozen"):
+    with pytest.raises(ConfigurationError, match="is frozen"):
         parameters.load.mass = 80.0
-    with pytest.raises(pydantic.ValidationError, match="frozen"):
+    with pytest.raises(ConfigurationError, match="is frozen"):
         parameters.load = CHANGED.load
     changed = parameters.replace(load={"mass": 80.0})
     assert (parameters.load.mass, changed.load.mass) == (60.0, 80.0)

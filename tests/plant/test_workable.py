@@ -146,9 +146,9 @@ def test_the_probe_estimates_the_true_error():
 
 def test_the_limit_of_a_leak_is_the_limit():
     rig = PlantParameters().replace(leakage={"internal_resistance": 1e9})
-    with pytest.raises(ConfigurationError, match=r"must be at least 1\.7e\+09$"):
+    with pytest.raises(ConfigurationError, match=r"must be at least 1\.9e\+09$"):
         refuse_unworkable(rig)
-    refuse_unworkable(rig.replace(leakage={"internal_resistance": 1.75e9}))
+    refuse_unworkable(rig.replace(leakage={"internal_resistance": 1.95e9}))
 
 
 IMPOSSIBLE = {

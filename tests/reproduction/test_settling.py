@@ -119,7 +119,8 @@ def test_a_leak_is_quoted_at_100_bar(law):
     plant = with_leak(PlantParameters(), 0.7, law)
     state = State(**{**dict.fromkeys(STATE_NAMES, 0.0), "pressure_a": 100e5})
     flow = internal_leakage(state.pressure_a, state.pressure_b, plant_coefficients(plant))
-    assert flow / LITRE_PER_MINUTE == pytest.approx(0.7, rel=1e-9)
+    # The throttle's gain is that of a plain root; the root of the model is smoothed near zero drop.
+    assert flow / LITRE_PER_MINUTE == pytest.approx(0.7, rel=1e-9 if law == "laminar" else 3e-5)
 
 
 def test_accelerometer_noise_and_range():

@@ -99,7 +99,7 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
         (PLAIN + '  mine: {kind: "absent_module:Thing"}\n', r"controllers.mine: .*absent_module"),
         (
             PLAIN + '  mine: {kind: "my_algorithm:Settings"}\n',
-            r"controllers.mine: .*Settings.: cannot be made from task and settings: TypeError",
+            r"controllers.mine: Settings: takes keywords alone, not TaskConfig",
         ),
         (PLAIN + '  mine: {kind: "my_algorithm:MyTrainer", settings: {stops: 1}}\n', r"controllers.mine: .*stops"),
         ('controllers: {"a/b": {kind: pid}}\n', r"a/b"),

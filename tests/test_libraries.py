@@ -1,0 +1,47 @@
+"""Other people's libraries themselves, where they are installed; docs/clients.md lists what was tried by hand."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, linearise
+
+ID = "ServoHydraulic-v0"
+
+
+def test_control_libraries_take_the_linearised_axis():
+    plant = PlantParameters().replace(friction={"model": "none"})
+    space = linearise(plant, position=0.02).state_space(outputs=("position", "velocity"))
+    a, b, c, d = space.matrices
+    at_rest = d - c @ np.linalg.solve(a, b)
+    assert np.linalg.eigvals(a).real.max() < 0.0
+    assert at_rest[1, 0] == pytest.approx(0.0, abs=1e-9)
+    assert np.isfinite(at_rest).all()
+    control = pytest.importorskip("control")
+    system = control.ss(*space.matrices, **space.names)
+    assert system.output_labels == ["position", "velocity"]
+    np.testing.assert_allclose(control.dcgain(system), at_rest, rtol=1e-6, atol=1e-9)
+    assert np.isfinite(control.lqr(system, np.diag([1e8] + [0.0] * (len(a) - 1)), [[1.0]])[0]).all()
+
+
+def test_torchrl():
+    envs = pytest.importorskip("torchrl.envs")
+    env = envs.GymEnv(ID, frame_skip=2, info="flat", episode_duration=0.1)
+    env.auto_register_info_dict()
+    assert "leakage_flow_lpm" in env.rollout(5)["next"].keys()  # noqa: SIM118, not a mapping
+    many = envs.GymWrapper(ServoHydraulicVectorEnv(2, info="flat", autoreset_mode="SameStep", episode_duration=0.1))
+    assert tuple(many.rollout(50, break_when_any_done=False).shape) == (2, 50)
+
+
+def test_tau_ctrl():
+    tau = pytest.importorskip("tau_ctrl")
+    env = gym.make(ID, episode_duration=0.1)
+    observation, _ = env.reset(seed=0)
+    planner = tau.MPPI(
+        env, horizon=3, n_samples=4, vector_env_fn=lambda count: gym.make_vec(ID, num_envs=count, episode_duration=0.1)
+    )
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(planner.predict(observation)[0])
+        over = terminated or truncated
+    assert truncated
