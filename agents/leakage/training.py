@@ -209,6 +209,13 @@ def targets(flow_lpm: NDArray[np.float64], healthy_bound: float) -> tuple[Tensor
     return label, size.clamp(min=math.log10(healthy_bound))
 
 
+def loss_of(output: Tensor, label: Tensor, size: Tensor, size_weight: float) -> Tensor:
+    """Cross-entropy of the class plus the weighted Huber loss of the size, beyond 0.3 decades linear; means over N."""
+    functional = nn.functional
+    wrong_class = functional.binary_cross_entropy_with_logits(output[:, 0], label)
+    return wrong_class + size_weight * functional.huber_loss(output[:, 1], size, delta=0.3)
+
+
 @dataclass
 class _Fit:
     """Epochs of gradient steps, with a checkpoint before the first epoch and after each."""
@@ -269,7 +276,6 @@ class _Fit:
         settings, total = self.settings, len(data.flow_lpm)
         per_epoch = math.ceil(total / settings.batch)
         label, size = targets(data.flow_lpm, self.config.leakage.class_bounds[0])
-        classify, measure = nn.BCEWithLogitsLoss(), nn.HuberLoss(delta=0.3)
         self.network.train()
         while self.epoch < settings.epochs:
             order = np.random.default_rng([self.seed, self.epoch]).permutation(total)
@@ -279,7 +285,7 @@ class _Fit:
                 self._optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
                 rows = order[first : first + settings.batch]
                 output: Tensor = self.network(torch.from_numpy(data.signals[rows].astype(np.float32)))
-                loss = classify(output[:, 0], label[rows]) + settings.size_weight * measure(output[:, 1], size[rows])
+                loss = loss_of(output, label[rows], size[rows], settings.size_weight)
                 self._optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 self._optimiser.step()

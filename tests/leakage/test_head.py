@@ -10,7 +10,15 @@ import torch
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.leakage.head import SHORTEST_WINDOW, SIGNALS, LeakageHead, LeakageNetwork, MonitoredController, channels
 from agents.leakage.metrics import area_under_roc
-from agents.leakage.training import CHECKPOINT_FILE, KIND, HeadTrainingSettings, make_dataset, targets, train_head
+from agents.leakage.training import (
+    CHECKPOINT_FILE,
+    KIND,
+    HeadTrainingSettings,
+    loss_of,
+    make_dataset,
+    targets,
+    train_head,
+)
 from agents.running.seeds import TRAINING_SEEDS
 from agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -201,6 +209,28 @@ def test_sizes_below_the_healthy_bound_are_not_asked_for():
     label, size = targets(np.array([0.003, 0.03, 0.1, 1.0]), 0.03)
     assert label.tolist() == [0.0, 0.0, 1.0, 1.0]
     np.testing.assert_allclose(size, np.log10([0.03, 0.03, 0.1, 1.0]), rtol=1e-6)
+
+
+def test_loss_by_hand():
+    output = torch.tensor([[0.0, 0.2], [2.0, -1.0]])
+    label, size = torch.tensor([1.0, 0.0]), torch.tensor([0.0, 0.0])
+    crossing = (np.log(2.0) + np.log(1.0 + np.exp(2.0))) / 2
+    huber = (0.5 * 0.2**2 + 0.3 * (1.0 - 0.5 * 0.3)) / 2
+    assert float(loss_of(output, label, size, 3.0)) == pytest.approx(crossing + 3.0 * huber, rel=1e-6)
+
+
+def test_learning_rate_follows_the_share_of_all_batches(monkeypatch):
+    plain, shares = HeadTrainingSettings.learning_rate_at, []
+    monkeypatch.setattr(
+        *(HeadTrainingSettings, "learning_rate_at"),
+        lambda self, share: shares.append(share) or plain(self, share),
+    )
+    seen = []
+    train_head(CONFIG, [CONTROLLER], SMALL, progress=lambda *now: seen.append(now))
+    batches = 3 * 4  # 200 episodes in batches of 64, the last one smaller
+    np.testing.assert_allclose(shares, np.arange(batches) / batches)
+    assert [now[:3] for now in seen if now[0] == "training"] == [("training", epoch, 3) for epoch in (1, 2, 3)]
+    assert [now[1:3] for now in seen if now[0] == "data"] == [(200, 200)]
 
 
 def test_learning_rate_rises_and_falls():

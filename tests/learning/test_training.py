@@ -153,9 +153,7 @@ def test_progress_tells_where_a_training_stands():
 
 
 def test_minibatches_of_two_samples_and_seconds_of_training():
-    smallest = validate(
-        PPOSettings, {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16}, "ppo.yaml"
-    )
+    smallest = {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16, "hidden_sizes": [4]}
     began = time.monotonic()
     policy = train_ppo(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), GAINS)
     assert 0.0 <= policy.training["seconds"] <= time.monotonic() - began + 0.1
