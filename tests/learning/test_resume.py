@@ -68,6 +68,7 @@ def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, paired):
 
 def test_a_finished_training_resumes_to_the_same_policy_and_may_be_made_longer(tmp_path, whole):
     train(tmp_path)
+    assert load_checkpoint(tmp_path / CHECKPOINT_FILE, KIND)[1]["steps"] == 1280
     again = result(train(tmp_path, resume=True), tmp_path / PROGRESS_FILE)
     np.testing.assert_array_equal(again[0], whole[0])
     longer = train(tmp_path, settings=SETTINGS.model_copy(update={"total_steps": 1536}), resume=True)

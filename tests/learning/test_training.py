@@ -166,6 +166,9 @@ def test_the_residual_form_starts_as_the_pid():
     output, _ = model.predict(env.reset(), deterministic=True)
     assert np.abs(output).max() < 0.02
     assert not model.policy.log_std.requires_grad
+    alone = make_model(env, SETTINGS.model_copy(update={"residual": False}), 0)
+    small, plain = (each.policy.action_net.weight.detach().numpy() for each in (model, alone))
+    np.testing.assert_allclose(small, 0.1 * plain, rtol=1e-6)
 
 
 def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
