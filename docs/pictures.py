@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
-from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.controllers import PID, PIDGains
 from agents.report.canvas import WIDE, bars, dodge, level_axis, looks_of, render
 from agents.running.folders import config_folder
 from hydro_env import TaskConfig
@@ -57,7 +57,7 @@ def results(tables: Path) -> None:
 def axis() -> None:
     """The drawing of the axis in the middle of a move with a leak."""
     env = gym.make("ServoHydraulic-v0", render_mode="rgb_array")
-    pid = PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), ObservationLayout.of(TaskConfig()))
+    pid = PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), TaskConfig())
     observation, _ = env.reset(seed=3, options={"leakage_flow_lpm": 1.0, "reference": "point_to_point"})
     memory = None
     for _ in range(230):

@@ -15,7 +15,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from agents.benchmark.environment_rows import single_axis
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, time_in
-from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.base import Controller
 from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import ProtocolSettings
@@ -64,7 +64,7 @@ def default_study() -> DefaultStudy:
 def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
-    features = make_features(settings.task, ppo, settings.pid)
+    features = make_features(settings.task, ppo, PID(settings.pid, settings.task))
     env = make_env(settings.task, ppo, features, 0)
     return make_model(env, ppo, 0), env
 
@@ -154,7 +154,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
     Raises:
         RuntimeError: a whole training did not reach this error.
     """
-    pid = PID(settings.pid, ObservationLayout.of(settings.task))
+    pid = PID(settings.pid, settings.task)
     bar = (1.0 - MARGIN) * validation_error(settings, pid, plants)
     below: list[tuple[float, int]] = []
     checking, next_check = 0.0, 0
@@ -172,7 +172,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
         checking += time.perf_counter() - began
         return len(below) >= IN_A_ROW
 
-    train_ppo(settings.task, settings.ppo, settings.pid, seed, check=check)
+    train_ppo(settings.task, settings.ppo, PID(settings.pid, settings.task), seed, check=check)
     if not below:
         raise RuntimeError("PPO did not get below the PID")
     return *below[0], checking

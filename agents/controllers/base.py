@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
 from hydro_env.task.signals import observation_layout
 
 Floats = NDArray[np.floating[Any]]
@@ -96,3 +99,78 @@ def as_batch(observation: Floats) -> tuple[Floats, bool]:
     """Observation as a batch (N, n), and whether it was a single one."""
     array = np.asarray(observation)
     return (array[None], True) if array.ndim == 1 else (array, False)
+
+
+# Classical controllers: a class of gains, and a class made from gains and task ---------------------------------------
+
+Memory = TypeVar("Memory", bound=NamedTuple)
+
+
+class ClassicalController(Controller, Protocol):
+    """A controller that is tuned rather than trained; :data:`~agents.controllers.registry.CONTROLLERS` lists them.
+
+    The task gives it what an engineer knows: the layout of the observations, the control period, the latency, and the
+    data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
+    ``NamedTuple`` of arrays whose first axis counts the N axes.
+    """
+
+    memory: type[Any]
+    """Class of its memory."""
+
+    gains: Any
+    config: TaskConfig
+    layout: ObservationLayout
+
+    def __init__(self, gains: Any, config: TaskConfig) -> None: ...
+
+
+def gain(
+    default: float,
+    search: tuple[float, float],
+    unit: str,
+    description: str,
+    *,
+    low: float = 0.0,
+    high: float = 1e9,
+    logarithmic: bool = False,
+) -> Any:
+    """A field of a class of gains that tuning searches.
+
+    Args:
+        default: its default.
+        search: lowest and highest value that tuning tries.
+        unit: its unit.
+        description: what it does.
+        low: lowest value allowed.
+        high: highest value allowed.
+        logarithmic: whether tuning searches over its logarithm.
+    """
+    extra: Any = {"unit": unit, "search": list(search), "logarithmic": logarithmic}
+    return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
+
+
+def search_space(gains: type[Group]) -> dict[str, tuple[float, float, bool]]:
+    """The fields that tuning searches: lower bound, upper bound, and whether the search is over the logarithm."""
+    space = {}
+    for name, info in gains.model_fields.items():
+        extra: Any = info.json_schema_extra
+        if isinstance(extra, Mapping) and "search" in extra:
+            low, high = extra["search"]
+            space[name] = (float(low), float(high), bool(extra["logarithmic"]))
+    return space
+
+
+def rows(memory: Memory, axes: NDArray[Any]) -> Memory:
+    """The memory of some axes."""
+    return type(memory)(*(array[axes] for array in memory))
+
+
+def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+    """The memory, with the axes at the start of an episode replaced by ``fresh``; ``None`` begins all."""
+    if memory is None:
+        return fresh
+    if episode_start is None or not np.any(episode_start):
+        return memory
+    started = np.asarray(episode_start, dtype=np.bool_)
+    pairs = zip(memory, fresh, strict=True)
+    return type(memory)(*(np.where(started.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in pairs))

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agents.controllers.base import Floats, ObservationLayout, as_batch
+from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 
 class PIDGains(Group):
     """Gains of :class:`PID`; the command is in parts of 10 V, lengths in m, times in s."""
 
-    proportional: float = Field(20.0, ge=0.0, le=1e4, description="1/m")
-    integral: float = Field(40.0, ge=0.0, le=1e5, description="1/(m s)")
-    derivative: float = Field(0.0, ge=0.0, le=1e3, description="s/m, on the error of the speed")
-    derivative_filter_time: float = Field(0.005, ge=0.0, le=1.0, description="s, first-order")
-    feedforward_extending: float = Field(6.0, ge=0.0, le=1e3, description="s/m: command per reference speed")
-    feedforward_retracting: float = Field(8.0, ge=0.0, le=1e3, description="s/m")
-    feedforward_lead: float = Field(0.008, ge=0.0, le=0.1, description="s: lead of the reference speed")
-    reference_lead: float = Field(0.0, ge=0.0, le=0.1, description="s: lead of the reference position")
-    anti_windup_time: float = Field(0.05, gt=0.0, le=10.0, description="s, back-calculation while saturated")
+    proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
+    integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
+    derivative: float = gain(0.0, (0.0, 3.0), "s/m", "on the error of the speed", high=1e3)
+    derivative_filter_time: float = gain(0.005, (1e-3, 0.05), "s", "first-order", high=1.0, logarithmic=True)
+    feedforward_extending: float = gain(6.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
+    feedforward_retracting: float = gain(8.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
+    feedforward_lead: float = gain(0.008, (0.0, 0.03), "s", "lead of the reference speed", high=0.1)
+    reference_lead: float = gain(0.0, (0.0, 0.03), "s", "lead of the reference position", high=0.1)
+    anti_windup_time: float = gain(
+        0.05, (0.005, 1.0), "s", "back-calculation while saturated", low=1e-6, high=10.0, logarithmic=True
+    )
+    lead_in_integral: bool = Field(
+        True, description="whether the integral sees the error with the lead, as in 0.1; without, it holds no bias"
+    )
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> PIDGains:
@@ -41,8 +46,7 @@ class PIDGains(Group):
         write_yaml(path, self.model_dump())
 
 
-@dataclass
-class PIDState:
+class PIDState(NamedTuple):
     """Memory of the controller, each (N,)."""
 
     integral: NDArray[np.float64]
@@ -59,12 +63,15 @@ class PID:
 
     Args:
         gains: one set, or arrays (N,) of each gain through ``PIDGains.model_construct``, for tuning.
-        layout: of the observations.
+        config: the task.
     """
 
-    def __init__(self, gains: PIDGains, layout: ObservationLayout) -> None:
+    memory = PIDState
+
+    def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
         self.gains = gains
-        self.layout = layout
+        self.config = config
+        self.layout = layout = ObservationLayout.of(config)
         self._column = {name: layout.index(name) for name in ("tracking_error", "position", "previous_command")}
         self._times = np.array([0.0, *layout.preview_times])
         self._middles = 0.5 * (self._times[1:] + self._times[:-1])
@@ -84,25 +91,18 @@ class PID:
         position = self.layout.si(batch, "position")
         command_before = self.layout.si(batch, "previous_command")
         ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)], axis=1)
-        if state is None:
-            state = PIDState(command_before.copy(), np.zeros(len(batch)), position.copy())
-        elif episode_start is not None and np.any(episode_start):
-            started = np.asarray(episode_start, dtype=np.bool_)
-            state = PIDState(
-                np.where(started, command_before, state.integral),
-                np.where(started, 0.0, state.velocity),
-                np.where(started, position, state.position),
-            )
+        fresh = PIDState(command_before, np.zeros(len(batch)), position)
+        state = restarted(state, fresh, episode_start)
 
         speeds = np.diff(ahead, axis=1) / np.diff(self._times)
         reference_speed = _interpolate(g.feedforward_lead, self._middles, speeds)
-        error = error + _interpolate(g.reference_lead, self._times, ahead)
+        leading = error + _interpolate(g.reference_lead, self._times, ahead)
         blend = period / (period + g.derivative_filter_time)
         velocity = state.velocity + blend * ((position - state.position) / period - state.velocity)
         feedforward = np.where(reference_speed > 0.0, g.feedforward_extending, g.feedforward_retracting)
-        integral = state.integral + g.integral * period * error
+        integral = state.integral + g.integral * period * (leading if g.lead_in_integral else error)
         wanted = (
-            g.proportional * error
+            g.proportional * leading
             + integral
             + g.derivative * (reference_speed - velocity)
             + feedforward * reference_speed

@@ -6,21 +6,28 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.base import ClassicalController, Controller
 from agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import validate
+from hydro_env.files import Group, validate
+
+CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {"pid": (PID, PIDGains)}
+"""Class and class of gains of each classical controller, by kind."""
 
 
-def _pid(config: TaskConfig, **gains: Any) -> PID:
-    return PID(validate(PIDGains, gains, "pid"), ObservationLayout.of(config))
+def kind_of(controller: ClassicalController) -> str:
+    """The kind under which a classical controller is registered.
 
-
-CONTROLLERS: dict[str, Callable[..., Controller]] = {"pid": _pid}
-"""Function that makes a controller from the task and its settings, by kind."""
+    Raises:
+        ConfigurationError: its class is not registered.
+    """
+    for kind, (registered, _) in CONTROLLERS.items():
+        if type(controller) is registered:
+            return kind
+    raise ConfigurationError(f"{type(controller).__name__}: is no controller of CONTROLLERS ({', '.join(CONTROLLERS)})")
 
 
 def imported(name: str) -> Any:
@@ -67,7 +74,8 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         if not callable(make):
             raise ConfigurationError(f"'{kind}': has no method predict, and is no class or function that makes one")
     elif kind in CONTROLLERS:
-        make = CONTROLLERS[kind]
+        controller, gains = CONTROLLERS[kind]
+        return controller(validate(gains, settings or {}, kind), config)
     else:
         raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}, or 'module:attribute'")
     try:

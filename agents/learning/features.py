@@ -1,4 +1,4 @@
-"""Inputs of the policy network: the observation, the PID's command, and a short history of signals.
+"""Inputs of the policy network: the observation, the command of the controller that it corrects, and a short history of signals.
 
 Leakage, stiffness of the oil, mass and friction are hidden, but they affect the recent past of pressures, spool and
 error. Training and inference use the same class.
@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.controllers.base import Floats, ObservationLayout
-from agents.controllers.pid import PID, PIDGains, PIDState
+from agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
+from agents.controllers.registry import kind_of
+from hydro_env import TaskConfig
 
 HISTORY_SIGNALS = (
     "position",
@@ -34,7 +35,9 @@ FEATURE_LIMIT = 50.0
 class FeatureState(NamedTuple):
     """Memory of N axes; no call changes its argument."""
 
-    pid: PIDState | None
+    base: Any
+    """Memory of the controller that the policy corrects; ``None`` without one."""
+
     ring: NDArray[np.float32]
     """Ring buffer of recent signals (N, length, signals); the oldest is at ``slot``."""
 
@@ -42,34 +45,34 @@ class FeatureState(NamedTuple):
     """Index for the next signals."""
 
     base_command: NDArray[np.float32]
-    """Command of the PID at the last call, (N, 1)."""
+    """Command of the corrected controller at the last call, (N, 1)."""
 
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
-        pid = self.pid
-        if pid is not None:
-            pid = PIDState(pid.integral[axes], pid.velocity[axes], pid.position[axes])
-        return FeatureState(pid, self.ring[axes], self.slot, self.base_command[axes])
+        base = rows(self.base, axes) if self.base is not None else None
+        return FeatureState(base, self.ring[axes], self.slot, self.base_command[axes])
 
 
 class PolicyFeatures:
     """Turns observations into the inputs of the policy, and its outputs into commands.
 
     Args:
-        layout: of the observations.
-        gains: of the PID that the policy corrects (residual form), or ``None`` (the policy acts on its own).
+        config: the task.
+        base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
         residual_scale: command per 1 of the policy's output in the residual form.
     """
 
-    def __init__(self, layout: ObservationLayout, gains: PIDGains | None, residual_scale: float = 0.25) -> None:
-        self.layout = layout
-        self.gains = gains
-        self.residual_scale = residual_scale if gains is not None else 1.0
-        self.pid = PID(gains, layout) if gains is not None else None
+    def __init__(
+        self, config: TaskConfig, base: ClassicalController | None = None, residual_scale: float = 0.25
+    ) -> None:
+        self.config = config
+        self.layout = layout = ObservationLayout.of(config)
+        self.base = base
+        self.residual_scale = residual_scale if base is not None else 1.0
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
         self._length = max(HISTORY_LAGS) + 1
-        self.size = len(layout.names) + (1 if self.pid else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
+        self.size = len(layout.names) + (1 if base is not None else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
         self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -92,15 +95,15 @@ class PolicyFeatures:
         changes = np.tile(signals, len(HISTORY_LAGS)) - past
         state = state._replace(ring=ring, slot=(state.slot + 1) % self._length)
         inputs = np.asarray(observation, dtype=np.float32)
-        if self.pid is None:
+        if self.base is None:
             return np.concatenate([inputs, changes], axis=1), state
-        base, pid = self.pid.predict(observation, state.pid, episode_start)
-        return np.concatenate([inputs, base, changes], axis=1), state._replace(pid=pid, base_command=base)
+        command, memory = self.base.predict(observation, state.base, episode_start)
+        return np.concatenate([inputs, command, changes], axis=1), state._replace(base=memory, base_command=command)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
         bounded = np.clip(np.asarray(output, dtype=np.float32), -1.0, 1.0)
-        if self.pid is None:
+        if self.base is None:
             return bounded
         command: NDArray[np.float32] = np.clip(
             state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0
@@ -110,8 +113,10 @@ class PolicyFeatures:
     def describe(self) -> dict[str, Any]:
         """All that is needed to build this again (JSON)."""
         return {
-            **self.layout.describe(),
-            "pid_gains": self.gains.model_dump() if self.gains is not None else None,
+            "task": self.config.model_dump(mode="json"),
+            "base": None
+            if self.base is None
+            else {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")},
             "residual_scale": self.residual_scale,
             "history_signals": list(HISTORY_SIGNALS),
             "history_lags": list(HISTORY_LAGS),

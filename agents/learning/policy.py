@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from agents.controllers.base import Floats, as_batch
-from agents.controllers.pid import PIDGains
+from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
-from agents.running.weights import StoredLayout, load_weights, require, save_weights
-from hydro_env import ConfigurationError
+from agents.running.weights import load_weights, require, save_weights
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 
 if TYPE_CHECKING:
@@ -25,8 +25,14 @@ KIND = "policy"
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 
-class _StoredFeatures(StoredLayout):
-    pid_gains: PIDGains | None
+class _StoredBase(Group):
+    kind: str
+    settings: dict[str, Any]
+
+
+class _StoredFeatures(Group):
+    task: TaskConfig
+    base: _StoredBase | None
     residual_scale: float = Field(gt=0.0, le=2.0)
     history_signals: tuple[str, ...]
     history_lags: tuple[int, ...]
@@ -197,7 +203,12 @@ class PolicyController:
         if (described.history_signals, described.history_lags) != (HISTORY_SIGNALS, HISTORY_LAGS):
             raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         try:
-            features = PolicyFeatures(described.layout, described.pid_gains, described.residual_scale)
+            base: Any = described.base
+            if base is not None:
+                if base.kind not in CONTROLLERS:
+                    raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
+                base = make_controller(base.kind, described.task, base.settings)
+            features = PolicyFeatures(described.task, base, described.residual_scale)
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
         if sizes[0] != features.size or sizes[-1] != 1 or not all(1 <= size <= 4096 for size in sizes):

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
-from agents.controllers.base import Controller
-from agents.controllers.pid import PID
-from agents.controllers.registry import imported
+from agents.controllers.base import ClassicalController, Controller
+from agents.controllers.registry import imported, kind_of
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress
 from agents.learning.training import PPOSettings, train_ppo
@@ -82,12 +81,13 @@ class PPOTrainer:
         base: Controller | None,
         progress: Callable[[Progress], None] | None,
     ) -> PolicyController:
-        """Train a policy; the residual form corrects ``base``, a PID."""
+        """Train a policy; the residual form corrects ``base``, a classical controller."""
         assert isinstance(settings, PPOSettings)
-        if settings.residual and base is not None and not isinstance(base, PID):
-            raise ConfigurationError(f"ppo: the residual form corrects a PID, not {type(base).__name__}")
-        gains = base.gains if isinstance(base, PID) else None
-        return train_ppo(config, settings, gains, seed, folder, resume=resume, progress=progress)
+        corrected: ClassicalController | None = None
+        if settings.residual and base is not None:
+            corrected = cast(ClassicalController, base)
+            kind_of(corrected)  # refuses one that weights could not name
+        return train_ppo(config, settings, corrected, seed, folder, resume=resume, progress=progress)
 
     def load(self, path: Path) -> PolicyController:
         """Read weights that ``PolicyController.save`` wrote."""

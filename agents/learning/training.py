@@ -14,8 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.controllers.base import ObservationLayout
-from agents.controllers.pid import PID, PIDGains
+from agents.controllers.base import ClassicalController, ObservationLayout
 from agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, load, restore, save, take
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
@@ -87,15 +86,15 @@ class PPOSettings(Group):
         return first + (last - first) * share
 
 
-def make_features(config: TaskConfig, settings: PPOSettings, gains: PIDGains | None) -> PolicyFeatures:
+def make_features(config: TaskConfig, settings: PPOSettings, base: ClassicalController | None) -> PolicyFeatures:
     """The features that a training uses.
 
     Raises:
-        ConfigurationError: the residual form without gains.
+        ConfigurationError: the residual form without a controller to correct.
     """
-    if settings.residual and gains is None:
-        raise ConfigurationError("the residual form needs the gains of a PID")
-    return PolicyFeatures(ObservationLayout.of(config), gains if settings.residual else None, settings.residual_scale)
+    if settings.residual and base is None:
+        raise ConfigurationError("the residual form needs a controller that the policy corrects")
+    return PolicyFeatures(config, base if settings.residual else None, settings.residual_scale)
 
 
 def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
@@ -241,7 +240,7 @@ class _Callback(BaseCallback):
 def train_ppo(
     config: TaskConfig,
     settings: PPOSettings,
-    gains: PIDGains | None,
+    base: ClassicalController | None,
     seed: int = 0,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -254,7 +253,7 @@ def train_ppo(
     Args:
         config: the task.
         settings: settings of the training.
-        gains: gains of the PID that the residual form corrects.
+        base: the controller that the residual form corrects.
         seed: seed of networks, exploration, plants, references and noise.
         folder: for ``checkpoint.safetensors``, ``progress.csv`` and logs of TensorBoard; ``None`` writes nothing.
         resume: continue from the checkpoint in ``folder``.
@@ -271,7 +270,7 @@ def train_ppo(
         KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the interrupted rollout.
     """
     torch.set_num_threads(settings.torch_threads)
-    features = make_features(config, settings, gains)
+    features = make_features(config, settings, base)
     described = settings.model_dump(mode="json")
     made_with = {
         "seed": seed,
@@ -301,8 +300,8 @@ def train_ppo(
 
     def validation() -> dict[str, float]:
         nonlocal base_error
-        if settings.residual and gains is not None and math.isnan(base_error):
-            base_error = validation_errors(config, PID(gains, features.layout))[0]
+        if settings.residual and base is not None and math.isnan(base_error):
+            base_error = validation_errors(config, base)[0]
         mean, worst, failures = validation_errors(config, current())
         return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, "base_mean_error_mm": base_error}
 

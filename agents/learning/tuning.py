@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import differential_evolution
 
-from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.base import Controller
 from agents.controllers.pid import PID, PIDGains
 from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
@@ -93,7 +93,6 @@ def tune_pid(
     families = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
     leak = np.array([LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(plants)])
     names = [families[(index // len(LEAK_LEVELS)) % len(families)] for index in range(plants)]
-    layout = ObservationLayout.of(config)
     environments: dict[int, ServoHydraulicVectorEnv] = {}
 
     def costs(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -106,7 +105,7 @@ def tune_pid(
         first = TRAINING_SEEDS.start + (seed * plants) % (len(TRAINING_SEEDS) - plants)
         cost = mean_costs(
             environments[candidates],
-            PID(gains_from_vector(np.repeat(points, plants, axis=1)), layout),
+            PID(gains_from_vector(np.repeat(points, plants, axis=1)), config),
             list(range(first, first + plants)) * candidates,
             {"leakage_flow_lpm": np.tile(leak, candidates), "reference": names * candidates},
         )

@@ -11,7 +11,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from agents.controllers.pid import PIDState
 from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
@@ -36,7 +35,7 @@ class AxisVecEnv(VecEnv):
     ``infos`` holds the entries of stable-baselines3 (``terminal_observation``, ``TimeLimit.truncated``, ``episode``)
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
-    With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the PID alone; the reward
+    With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller alone; the reward
     is the difference to the twin's reward. Error that no controller can avoid cancels out. The twin does not depend on
     the policy's actions; the policy gradient therefore remains unbiased.
 
@@ -46,13 +45,13 @@ class AxisVecEnv(VecEnv):
         features: map observations to policy inputs, and outputs to commands; ``None`` leaves both unchanged.
         seed: seed of axis 0; axis i gets seed + i.
         reward_scale: factor on rewards, which keeps values near 1.
-        paired: reward relative to a twin under the PID; needs features in the residual form.
+        paired: reward relative to a twin under the corrected controller; needs features in the residual form.
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
         overrides: single fields of the task.
 
     Raises:
-        ConfigurationError: an impossible task, or ``paired`` without a PID.
+        ConfigurationError: an impossible task, or ``paired`` without a controller to compare with.
     """
 
     def __init__(
@@ -66,8 +65,8 @@ class AxisVecEnv(VecEnv):
         stagger: bool = False,
         **overrides: Any,
     ) -> None:
-        if paired and (features is None or features.pid is None):
-            raise ConfigurationError("paired rewards need the residual form: a PID to compare with")
+        if paired and (features is None or features.base is None):
+            raise ConfigurationError("paired rewards need the residual form: a controller to compare with")
         self._paired = paired
         self._total = 2 * count if paired else count
         self.env = ServoHydraulicVectorEnv(self._total, config, autoreset_mode="Disabled", info=False, **overrides)
@@ -77,7 +76,7 @@ class AxisVecEnv(VecEnv):
         self._first_seed: int | None = seed
         self._next_options: dict[str, Any] | None = None
         self._state: FeatureState | None = None
-        self._twins: PIDState | None = None
+        self._twins: Any = None
         self._twin_commands = np.zeros((0, 1), dtype=np.float32)
         self._actions: NDArray[np.float32] = np.zeros((count, 1), dtype=np.float32)
         self._returns = np.zeros(count)
@@ -108,9 +107,9 @@ class AxisVecEnv(VecEnv):
         """Process the observations of all axes and twins; returns the policy's inputs (N, size)."""
         if self._paired:
             assert self.features is not None
-            assert self.features.pid is not None
+            assert self.features.base is not None
             twins = observation[self.num_envs :]
-            self._twin_commands, self._twins = self.features.pid.predict(twins, self._twins, restarted)
+            self._twin_commands, self._twins = self.features.base.predict(twins, self._twins, restarted)
         if self.features is None:
             return observation
         inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
@@ -171,9 +170,9 @@ class AxisVecEnv(VecEnv):
         if self._state is not None:
             _, ring, slot, command = self._state
             arrays |= {"ring": ring, "slot": np.array(slot), "base_command": command}
-        for name, pid in (("pid", self._state.pid if self._state is not None else None), ("twin", self._twins)):
-            if pid is not None:
-                arrays |= {f"{name}.{field}": value for field, value in vars(pid).items()}
+        for name, memory in (("base", self._state.base if self._state is not None else None), ("twin", self._twins)):
+            if memory is not None:
+                arrays |= {f"{name}.{field}": value for field, value in memory._asdict().items()}
         return arrays | {"twin_command": self._twin_commands}
 
     def set_state(self, state: Mapping[str, Array]) -> None:
@@ -191,17 +190,18 @@ class AxisVecEnv(VecEnv):
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         self._twin_commands = state["twin_command"]
 
-        def pid(name: str) -> PIDState | None:
-            if f"{name}.integral" not in state:
+        def memory(name: str) -> Any:
+            base = self.features.base if self.features is not None else None
+            if base is None or f"{name}.{base.memory._fields[0]}" not in state:
                 return None
-            return PIDState(*(state[f"{name}.{field}"] for field in ("integral", "velocity", "position")))
+            return base.memory(*(state[f"{name}.{field}"] for field in base.memory._fields))
 
-        self._twins = pid("twin")
+        self._twins = memory("twin")
         if self.features is not None:
             slot = int(state["slot"])
             if not 0 <= slot < state["ring"].shape[1]:
                 raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            self._state = FeatureState(pid("pid"), state["ring"], slot, state["base_command"])
+            self._state = FeatureState(memory("base"), state["ring"], slot, state["base_command"])
 
     def close(self) -> None:
         """Stop the worker threads."""

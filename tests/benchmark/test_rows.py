@@ -14,7 +14,6 @@ from agents.benchmark.solver_rows import error_of, matching_tolerance, solver_ca
 from agents.benchmark.table import UnavailableError
 from agents.benchmark.timing import QUICK, fresh_process, rate, time_in
 from agents.benchmark.training_rows import default_study, validation_error
-from agents.controllers.base import ObservationLayout
 from agents.controllers.pid import PID
 from hydro_env import ServoHydraulicVectorEnv
 
@@ -108,5 +107,5 @@ def test_timed_functions_are_put_back():
 
 def test_validation_error_of_the_pid():
     settings = default_study()
-    error = validation_error(settings, PID(settings.pid, ObservationLayout.of(settings.task)), 1)
+    error = validation_error(settings, PID(settings.pid, settings.task), 1)
     assert 0.05 < error < 1.0  # mm

@@ -21,14 +21,14 @@ def observation(**si):
 
 
 def test_proportional_part():
-    pid = PID(PIDGains(proportional=30.0, **PLAIN), LAYOUT)
+    pid = PID(PIDGains(proportional=30.0, **PLAIN), CONFIG)
     action, _ = pid.predict(observation(tracking_error=0.004))
     assert action.shape == (1,)
     assert action[0] == pytest.approx(0.12, rel=1e-5)
 
 
 def test_integral_part_grows_by_gain_times_error():
-    pid = PID(PIDGains(proportional=0.0, **PLAIN | {"integral": 50.0}), LAYOUT)
+    pid = PID(PIDGains(proportional=0.0, **PLAIN | {"integral": 50.0}), CONFIG)
     memory, command = None, []
     for _ in range(10):
         action, memory = pid.predict(observation(tracking_error=0.002), memory)
@@ -37,14 +37,14 @@ def test_integral_part_grows_by_gain_times_error():
 
 
 def test_starts_without_a_bump():
-    pid = PID(PIDGains(**PLAIN), LAYOUT)
+    pid = PID(PIDGains(**PLAIN), CONFIG)
     action, _ = pid.predict(observation(previous_command=-0.03))
     assert action[0] == pytest.approx(-0.03, rel=1e-5)
 
 
 def test_feedforward_takes_the_speed_from_the_preview_and_knows_the_direction():
     gains = PIDGains(proportional=0.0, **PLAIN | {"feedforward_extending": 5.0, "feedforward_retracting": 8.0})
-    pid = PID(gains, LAYOUT)
+    pid = PID(gains, CONFIG)
     for speed, gain in ((0.06, 5.0), (-0.06, 8.0)):
         ahead = {f"reference_preview_{1e3 * t:g}ms": speed * t for t in LAYOUT.preview_times}
         action, _ = pid.predict(observation(**ahead))
@@ -55,7 +55,7 @@ def test_anti_windup_lets_the_integral_recover():
     error = observation(tracking_error=0.03)
     recovery = {}
     for time in (0.01, 1e1):
-        pid = PID(PIDGains(proportional=50.0, **PLAIN | {"integral": 500.0}, anti_windup_time=time), LAYOUT)
+        pid = PID(PIDGains(proportional=50.0, **PLAIN | {"integral": 500.0}, anti_windup_time=time), CONFIG)
         memory = None
         for _ in range(100):
             action, memory = pid.predict(error, memory)
@@ -71,7 +71,7 @@ def test_anti_windup_lets_the_integral_recover():
 def test_batch_equals_single_and_episode_start_resets():
     generator = np.random.default_rng(0)
     batch = (0.1 * generator.standard_normal((30, 4, len(LAYOUT.names)))).astype(np.float32)
-    pid = PID(PIDGains(), LAYOUT)
+    pid = PID(PIDGains(), CONFIG)
     memory, alone = None, [None] * 4
     for row in batch:
         together, memory = pid.predict(row, memory)
@@ -85,7 +85,7 @@ def test_batch_equals_single_and_episode_start_resets():
 
 
 def test_shipped_gains_hold_the_axis_at_every_leak():
-    pid = PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), LAYOUT)
+    pid = PID(PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml"), CONFIG)
     cases = Cases(np.arange(16), np.repeat([0.01, 4.0], 8), np.array(["point_to_point"] * 16))
     run = run_cases(CONFIG, pid, cases)
     assert (run.failed_at < 0).all()

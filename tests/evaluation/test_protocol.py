@@ -17,7 +17,7 @@ from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 CONFIG = TaskConfig(episode_duration=0.4)
 LAYOUT = ObservationLayout.of(CONFIG)
 SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=100)
-STRONG, WEAK = PID(PIDGains(proportional=200.0), LAYOUT), PID(PIDGains(proportional=40.0), LAYOUT)
+STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportional=40.0), CONFIG)
 
 
 def test_levels_share_plants_and_families_do_not():

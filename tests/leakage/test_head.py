@@ -26,7 +26,7 @@ from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.4)
 LAYOUT = ObservationLayout.of(CONFIG)
-CONTROLLER = PID(PIDGains(proportional=60.0), LAYOUT)
+CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
 SETTINGS = HeadTrainingSettings(
     episodes=1000, validation_episodes=200, epochs=10, batch=64, width=16, torch_threads=1, highest_flow=4.0
 )
@@ -153,7 +153,7 @@ def test_interrupted_training_resumes_to_the_same_head(small_head, tmp_path):
         train_head(CONFIG, [CONTROLLER], other, folder=tmp_path, resume=True)
     save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored)
     with pytest.raises(ConfigurationError, match="episodes of other controllers"):
-        train_head(CONFIG, [PID(PIDGains(), LAYOUT)], SMALL, folder=tmp_path, resume=True)
+        train_head(CONFIG, [PID(PIDGains(), CONFIG)], SMALL, folder=tmp_path, resume=True)
     for change in ({"epoch": 99}, {"epoch": "2"}, {"data": 5}):
         save_checkpoint(tmp_path / CHECKPOINT_FILE, KIND, tensors, stored | change)
         with pytest.raises(ConfigurationError, match="damaged: epoch"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.controllers import PID, PIDGains
 from agents.learning.progress import STEPS, read_progress
 from agents.learning.trainers import TRAINERS, trainer
 from agents.learning.training import PPOSettings
@@ -12,7 +12,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
-BASE = PID(PIDGains(), ObservationLayout.of(CONFIG))
+BASE = PID(PIDGains(), CONFIG)
 
 
 @pytest.mark.parametrize("base", [BASE, None])

@@ -115,7 +115,7 @@ def test_log_of_a_training(tmp_path):
     last = {name: rows[-1][f"validation/{name}"] for name in ("mean_error_mm", "worst_error_mm", "failures")}
     assert last == {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures}
     assert worst > mean > 0.0
-    base = validation_errors(CONFIG, PID(GAINS, ObservationLayout.of(CONFIG)))
+    base = validation_errors(CONFIG, PID(GAINS, CONFIG))
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.controllers import PID, PIDGains
 from agents.learning.tuning import SEARCH, gains_from_vector, mean_costs, tune_pid
 from agents.running.folders import config_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -76,7 +76,7 @@ def test_cost_is_the_mean_over_plants_that_are_the_same_for_every_candidate():
     leak = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 0.01, 0.03, 0.1, 0.3, 1.0])
     options = {"leakage_flow_lpm": leak, "reference": [families[0]] * 7 + [families[1]] * 5}
     env = ServoHydraulicVectorEnv(12, config, autoreset_mode="SameStep", info=False)
-    controller = PID(PIDGains(**gains.model_dump()), ObservationLayout.of(config))
+    controller = PID(PIDGains(**gains.model_dump()), config)
     assert cost == pytest.approx(mean_costs(env, controller, list(range(36, 48)), options).mean(), rel=1e-9)
 
 

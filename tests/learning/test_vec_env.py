@@ -22,7 +22,7 @@ def test_residual_of_zero_is_the_pid():
     env.reset()
     plain = ServoHydraulicVectorEnv(6, CONFIG, autoreset_mode="SameStep")
     observation, _ = plain.reset(seed=11)
-    pid, memory, ended = PID(GAINS, LAYOUT), None, None
+    pid, memory, ended = PID(GAINS, CONFIG), None, None
     for _ in range(45):
         inputs, reward, done, _ = env.step(np.zeros((6, 1)))
         action, memory = pid.predict(observation, memory, ended)

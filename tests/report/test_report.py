@@ -58,8 +58,8 @@ def example(names):
 @pytest.fixture(scope="module")
 def evaluation():
     controllers = {
-        "PID": PID(PIDGains(proportional=200.0), LAYOUT),
-        ODD_NAME: PID(PIDGains(proportional=60.0), LAYOUT),
+        "PID": PID(PIDGains(proportional=200.0), CONFIG),
+        ODD_NAME: PID(PIDGains(proportional=60.0), CONFIG),
     }
     head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
     return evaluate(CONFIG, controllers, head, SETTINGS)
@@ -74,7 +74,7 @@ def page(evaluation):
 def lonely():
     """One controller, one level, one family, no head."""
     settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",), "plants": 2})
-    return evaluate(CONFIG, {"PID": PID(PIDGains(), LAYOUT)}, None, settings)
+    return evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
 
 
 class Page(HTMLParser):
@@ -362,7 +362,7 @@ def test_bounds_come_from_the_task():
     config = TaskConfig(episode_duration=0.4, leakage=leakage)
     settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
     head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
-    evaluation = evaluate(config, {"PID": PID(PIDGains(), LAYOUT)}, head, settings)
+    evaluation = evaluate(config, {"PID": PID(PIDGains(), CONFIG)}, head, settings)
     page = render_report(evaluation, replace(record(), training_curve=NOTHING))
     found = Page(page)
     text = (found.text + " ".join(svg.get("aria-label", "") for svg in found.all("svg"))).replace("\u00a0", " ")
