@@ -35,7 +35,7 @@ class BareKernel:
         config = env.config
         self._first = env.axes.state.copy()
         self._coefficients = env.axes.coefficient.copy()
-        self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
+        self._durations = np.tile([config.command_latency, config.control_period - config.command_latency], (count, 1))
         self._accuracy = kernel.Accuracy(float(config.maximum_step), float(config.tolerance))
         self._voltage = np.full((count, 2), VOLTAGE)
         self._peaks = np.zeros((count, kernel.N_PEAKS))
@@ -61,8 +61,8 @@ class BareKernel:
         return len(self.state)
 
     def _integrate(self, first: int, last: int) -> None:
-        plants = kernel.Plants(self.state, self._coefficients, self._voltage, self._peaks)
-        kernel.integrate(plants, self._durations, self._accuracy, first, last)
+        plants = kernel.Plants(self.state, self._coefficients, self._voltage, self._durations, self._peaks)
+        kernel.integrate(plants, self._accuracy, first, last)
 
     def steps(self) -> float:
         """Inner steps in the last control period, mean over the plants."""

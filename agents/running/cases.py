@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from agents.controllers.base import Controller
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.states import State
+from hydro_env.task.configuration import CHANNELS
 
 _SPOOL = State._fields.index("spool_position")
+_POSITION = CHANNELS.index("position")
 
 
 class ControllerError(ConfigurationError):
@@ -62,6 +64,7 @@ class Rollout:
     spool: NDArray[np.float32]  # (N, T), true
     reward: NDArray[np.float32]  # (N, T)
     failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
+    position_bias: NDArray[np.float64]  # (N,), m; the sensor reads the true position plus this
     signals: NDArray[np.float16 | np.float32] | None  # (N, S, T), chosen columns of the observation
     leakage_flow_lpm: NDArray[np.float64]  # (N,), at the end
     leakage_class: NDArray[np.int64]  # (N,)
@@ -122,6 +125,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
     signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
     failed_at = np.full(count, -1, dtype=np.int64)
     flow = axes.column("leak_flow").copy()
+    bias = axes.column("bias")[:, _POSITION].copy()
     for step in range(steps):
         alive = failed_at < 0
         if signals is not None:
@@ -150,6 +154,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         spool=spool,
         reward=reward,
         failed_at=failed_at,
+        position_bias=bias,
         signals=None if signals is None else signals.transpose(1, 2, 0),
         leakage_flow_lpm=flow,
         leakage_class=axes.leakage_class(flow),

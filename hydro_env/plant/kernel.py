@@ -87,6 +87,7 @@ class Plants(NamedTuple):
     state: NDArray[np.float64]  # (plants, N_STATES), changed in place
     coefficients: NDArray[np.float64]  # (plants, N_COEFFICIENTS)
     voltage: NDArray[np.float64]  # (plants, intervals), V, held in each interval
+    durations: NDArray[np.float64]  # (plants, intervals), s
     peaks: NDArray[np.float64]  # (plants, N_PEAKS), written
 
 
@@ -216,18 +217,17 @@ def _begin_interval(work, lane, voltage, duration, first_step):
 
 
 def _build(sources: int) -> Callable[..., None]:
-    def integrate(plants, durations, accuracy, first, last):
+    def integrate(plants, accuracy, first, last):
         """Advance plants in place through consecutive hold intervals.
 
         Args:
             plants: :class:`Plants`.
-            durations: (intervals,), s.
             accuracy: :class:`Accuracy`.
             first: start of the half-open range of plants to advance.
             last: end of that range.
         """
         assert sources >= 0  # keys numba's cache
-        state, coefficients, voltage, peaks = plants
+        state, coefficients, voltage, durations, peaks = plants
         groups = min(GROUPS, -(-(last - first) // LANES))
         # Aligned to cache lines: a vector across two lines costs twice.
         room = np.empty(groups * _ROWS * LANES + LANES)
@@ -238,7 +238,7 @@ def _build(sources: int) -> Callable[..., None]:
                 room[group * _ROWS * LANES + _PLANT + lane] = -1.0
         strictness = 1.0 / accuracy.tolerance
         first_step = min(FIRST_STEP, accuracy.maximum_step)
-        intervals = durations.shape[0]
+        intervals = durations.shape[1]
         following = first
         active = 0
         begun = True
@@ -276,8 +276,9 @@ def _build(sources: int) -> Callable[..., None]:
                             work[_SPEED_PEAK + lane] = 0.0
                             work[_STEP_COUNT + lane] = 0.0
                         work[_INTERVAL + lane] = interval
-                        if durations[interval] > 0.0:
-                            _begin_interval(work, lane, voltage[plant, interval], durations[interval], first_step)
+                        duration = durations[plant, interval]
+                        if duration > 0.0:
+                            _begin_interval(work, lane, voltage[plant, interval], duration, first_step)
                             again = True
             # The first stage equals the last stage of the previous step, unless a lane begins or repeats a step.
             for stage in range(0 if again else 1, 7):

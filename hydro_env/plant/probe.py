@@ -71,13 +71,14 @@ def _run(parameters: PlantParameters, position: float, tolerance: float) -> tupl
         state=np.array([[start[name] for name in STATE_NAMES]]),
         coefficients=coefficient_array(parameters)[None],
         voltage=np.empty((1, 1)),
+        durations=np.full((1, 1), PERIOD),
         peaks=np.empty((1, N_PEAKS)),
     )
     steps, states = [], []
     for number, periods in enumerate(HELD):
         plants.voltage[:] = 10.0 if number % 2 == 0 else -10.0
         for _ in range(periods):
-            integrate(plants, np.array([PERIOD]), Accuracy(tolerance=tolerance), 0, 1)
+            integrate(plants, Accuracy(tolerance=tolerance), 0, 1)
             steps.append(plants.peaks[0, STEPS])
             states.append(plants.state[0].copy())
     return np.array(steps), np.array(states)

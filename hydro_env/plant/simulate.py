@@ -211,13 +211,14 @@ def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, floa
 
 
 def _run(start: Array, coefficients: Array, inputs: Array, sample_time: float, accuracy: Accuracy) -> Array:
-    plants = Plants(start[None].copy(), coefficients[None], np.empty((1, 1)), np.empty((1, N_PEAKS)))
-    durations = np.array([sample_time])
+    plants = Plants(
+        start[None].copy(), coefficients[None], np.empty((1, 1)), np.full((1, 1), sample_time), np.empty((1, N_PEAKS))
+    )
     states = np.empty((len(inputs) + 1, len(start)))
     states[0] = start
     for sample, voltage in enumerate(inputs):
         plants.voltage[0, 0] = voltage
-        integrate(plants, durations, accuracy, 0, 1)
+        integrate(plants, accuracy, 0, 1)
         if plants.peaks[0, STEPS] > accuracy.most_steps:
             raise InvalidStateError(
                 f"more than {accuracy.most_steps:,.0f} inner steps in the sample at t = {sample * sample_time:g} s: "

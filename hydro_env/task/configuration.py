@@ -172,9 +172,22 @@ class Reward(Group):
 
     tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
+    family_scale: dict[str, Annotated[float, Field(gt=0.0, le=1e6)]] = Field(
+        default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
+    )
+    frame: Literal["true", "sensor"] = Field(
+        "true", description="error of the true position, or without the bias of the sensor, which nobody can see"
+    )
     error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, in parts of error_scale", 1e-6, 1e6)
     effort: Number = quantity(0.05, "1", "weight of the change of command", 0.0, 1e6)
     failure: Number = quantity(250.0, "1", "cost of a failure", 0.0, 1e9)
+
+    @model_validator(mode="after")
+    def _families_known(self) -> Reward:
+        for name in self.family_scale:
+            if name not in REFERENCE_FAMILIES:
+                raise ValueError(f"family_scale: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
+        return self
 
 
 class Failure(Group):
@@ -185,10 +198,26 @@ class Failure(Group):
 
 
 class Disturbance(TaskGroup):
-    """External force in addition to the plant's own; none by default."""
+    """External force in addition to the plant's own: a steady and a changing part; none by default."""
 
-    kind: Literal["none", "step", "pulse", "sine"] = "none"
+    kind: Literal["none", "step", "pulse", "sine", "mixed"] = Field(
+        "none", description="of the changing force; mixed: step, pulse or sine, drawn per episode"
+    )
     force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
+    force_share: Range = interval(
+        (0.0, 0.0),
+        "1",
+        "amplitude as a share of what the supply gives against it; above 0: instead of force_range",
+        0.0,
+        1.0,
+    )
+    steady_share: Range = interval(
+        (0.0, 0.0),
+        "1",
+        "steady force from the start, as a share of what the supply gives against it; sign drawn",
+        0.0,
+        1.0,
+    )
     start_range: Range = interval((0.2, 0.6), "1", "start as a share of the episode", 0.0, 1.0)
     pulse_duration: Number = quantity(0.05, "s", "of a pulse", 1e-3, 100.0)
     frequency_range: Range = interval((0.5, 5.0), "Hz", "of a sine", 0.0, 1e3)
@@ -199,6 +228,10 @@ class TaskConfig(TaskGroup):
 
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
     command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
+    command_latency_range: tuple[Number, Number] | None = Field(
+        None,
+        description="s; the latency is drawn from it in each episode, command_latency is then what the data sheet says",
+    )
     episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
     tolerance: Number = quantity(
         1e-6, "1", "largest estimated error of an inner step, in parts of each state's size", 1e-12, 1e-2
@@ -213,6 +246,11 @@ class TaskConfig(TaskGroup):
     initial_position_range: Range = interval(
         (-1.0, 1.0), "1", "start, as a share of the range of references on either side of mid-stroke", -1.0, 1.0
     )
+    start: Literal["measured", "true"] = Field(
+        "measured",
+        description="which position is on the reference when an episode begins: the one that the biased sensor "
+        "measures, where a controller would hold the axis; or the true one, and the first readings tell the bias",
+    )
     sensors: Sensors = Field(default_factory=Sensors)
     reward: Reward = Field(default_factory=Reward)
     failure: Failure = Field(default_factory=Failure)
@@ -225,6 +263,13 @@ class TaskConfig(TaskGroup):
                 f"command_latency = {self.command_latency:g} s must not exceed "
                 f"control_period = {self.control_period:g} s"
             )
+        if self.command_latency_range is not None:
+            low, high = self.command_latency_range
+            if not 0.0 <= low <= high <= self.control_period:
+                raise ValueError(
+                    f"command_latency_range = [{low:g}, {high:g}]: must rise within 0 to "
+                    f"control_period = {self.control_period:g} s"
+                )
         if self.episode_duration < self.control_period:
             raise ValueError("episode_duration must be at least one control_period")
         check_draws(self.randomisation, self.plant)

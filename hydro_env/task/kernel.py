@@ -26,6 +26,7 @@ from hydro_env.plant.states import first_outside, valid_range
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
+    LATENCY,
     LEAKAGE,
     NOISE,
     PLANT,
@@ -41,6 +42,7 @@ from hydro_env.task.record import (
     CANNOT_BE_REACHED,
     COMMANDS,
     FIRST_COEFFICIENT,
+    FIRST_DURATION,
     FIRST_INVALID_STATE,
     FIRST_PEAK,
     FIRST_VOLTAGE,
@@ -51,7 +53,14 @@ from hydro_env.task.record import (
 )
 from hydro_env.task.reference_signals import USER_FAMILY, feasible, fill_reference
 from hydro_env.task.rewards import costs
-from hydro_env.task.schedules import draw_force, draw_leak, follow_schedules, set_leak
+from hydro_env.task.schedules import (
+    draw_changing_force,
+    draw_latency,
+    draw_leak,
+    draw_steady_force,
+    follow_schedules,
+    set_leak,
+)
 from hydro_env.task.signals import POSITION, draw_biases, lagged, sample, write_observation
 
 FULL_VOLTAGE = 10.0
@@ -145,6 +154,10 @@ def _build(sources):
                 source = fixed.user_reference[axis if fixed.user_reference.shape[0] > 1 else 0]
                 for sample_number in range(reference.shape[0]):
                     reference[sample_number] = source[sample_number]
+            row.noise_key = source_key(root, episode, NOISE)
+            draw_biases(row, settings)
+            draw_latency(row, source_key(root, episode, LATENCY), settings)
+            force_key = source_key(root, episode, DISTURBANCE)
             row.failure = CANNOT_BE_HELD
             attempt = 0
             while row.failure != NO_FAILURE and attempt < MOST_DRAWS:
@@ -152,12 +165,13 @@ def _build(sources):
                 drawn = redrawn(root, attempt)
                 _draw_plant(physical[axis], source_key(drawn, episode, PLANT), chances, fixed.parameters[axis])
                 p = read_physical(physical[axis])
-                c = coefficients(p)
-                write_coefficients(coefficient[axis], c)
+                write_coefficients(coefficient[axis], coefficients(p))
+                draw_steady_force(row, coefficient[axis], force_key, settings)
                 draw_leak(row, source_key(drawn, episode, LEAKAGE), fixed.leakage_flow_lpm[axis], settings)
                 set_leak(row, coefficient[axis], 0.0, settings)
 
                 # A user's reference sets its own start.
+                c = read_coefficients(coefficient[axis])
                 f = feasible(c, settings.references)
                 place = between(
                     source_key(drawn, episode, INITIAL_STATE),
@@ -178,24 +192,23 @@ def _build(sources):
                         reference, family, reference_key, start, settings.control_period, f, settings.references
                     )
 
-                # The axis holds its initial position.
-                held = read_coefficients(coefficient[axis])
-                s, voltage, found = equilibrium_state(start, p, held)
+                # The axis holds the position that its sensor reads as the start.
+                held = start - settings.start_bias_share * row.bias[POSITION]
+                s, voltage, found = equilibrium_state(held, p, c)
                 write_state(states[axis], s)
-                if not found or abs(start) > c.end_stop_position:
+                if not found or abs(held) > c.end_stop_position:
                     row.failure = CANNOT_BE_HELD
                 row.command = (1.0 / FULL_VOLTAGE) * voltage
-                row.force_base = c.external_force
                 attempt += 1
 
-            draw_force(row, source_key(root, episode, DISTURBANCE), settings)
+            draw_changing_force(row, coefficient[axis], force_key, settings)
+            plant[axis, FIRST_DURATION + PREVIOUS] = row.latency
+            plant[axis, FIRST_DURATION + NEW] = settings.control_period - row.latency
             s = read_state(states[axis])
             row.true_a = row.sensed_a = s.pressure_a
             row.true_b = row.sensed_b = s.pressure_b
             row.position = s.position
             row.reference = reference[0]
-            row.noise_key = source_key(root, episode, NOISE)
-            draw_biases(row, settings)
             sample(row, s, settings)
             write_observation(observation[axis], row, reference, layout)
 
@@ -205,7 +218,8 @@ def _build(sources):
         period = settings.control_period
         states = plant[:, :FIRST_COEFFICIENT]
         coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
-        voltage = plant[:, FIRST_VOLTAGE:FIRST_PEAK]
+        voltage = plant[:, FIRST_VOLTAGE:FIRST_DURATION]
+        durations = plant[:, FIRST_DURATION:FIRST_PEAK]
         peaks = plant[:, FIRST_PEAK:]
         for axis in range(first, last):
             row = record[axis]
@@ -217,8 +231,7 @@ def _build(sources):
             follow_schedules(row, coefficient[axis], settings)
 
         integrate_part(
-            Plants(states, coefficient, voltage, peaks),
-            settings.durations,
+            Plants(states, coefficient, voltage, durations, peaks),
             Accuracy(settings.maximum_step, settings.tolerance, MOST_STEPS_PER_PERIOD),
             first,
             last,
@@ -247,7 +260,7 @@ def _build(sources):
             c = read_coefficients(coefficient[axis])
             failure = _failure(s, peaks[axis], c, settings)
             row.failure = failure
-            for index, cost in enumerate(costs(row, row.change, failure != NO_FAILURE, settings.reward)):
+            for index, cost in enumerate(costs(row, row.change, failure != NO_FAILURE, settings)):
                 row.costs[index] = cost
             write_observation(observation[axis], row, reference[axis], layout)
 

@@ -1,9 +1,9 @@
 """Counter-based random numbers for compiled code.
 
 Seeding gives each axis one 64-bit root from its Gymnasium generator (``np_random``). The root is mixed into a key per
-episode and source (plant, leakage, initial state, reference, noise, disturbance); the n-th number of a key is a
-function of key and n alone. Hence one source's draws never shift another's, the noise of a step does not depend on the
-number of axes, and nothing has to be stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
+episode and source (:data:`PLANT` and the others); the n-th number of a key is a function of key and n alone. Hence one
+source's draws never shift another's, the noise of a step does not depend on the number of axes, and nothing has to be
+stored. Mixing function: SplitMix64 (Steele, Lea & Flood 2014).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_env.compiling import inline
 
-PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE = range(6)
+PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY = range(7)
 """Sources of randomness; each has a key of its own in every episode."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)

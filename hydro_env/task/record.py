@@ -19,16 +19,18 @@ RECORD = np.dtype(
         ("command", "f8"),  # −1…1, last one given
         ("change", "f8"),  # of the command since the period before
         ("reference_family", "f8"),  # index into REFERENCE_FAMILIES
+        ("latency", "f8"),  # s, from sampling to the new command
         ("redraws", "f8"),  # draws of this episode that could not be held
         ("leak_flow", "f8"),  # l/min at 100 bar, now
         ("leak_class", "f8"),  # index into LEAKAGE_CLASSES
         ("leak_start_flow", "f8"),
         ("leak_target_flow", "f8"),
         ("leak_start_time", "f8"),  # s
+        ("force_kind", "f8"),  # index of the disturbance's kind
         ("force_amplitude", "f8"),  # N, of the disturbance
         ("force_start_time", "f8"),  # s
         ("force_frequency", "f8"),  # Hz
-        ("force_base", "f8"),  # N, of the plant itself
+        ("force_base", "f8"),  # N, of the plant itself and the steady part of the disturbance
         ("bias", "f8", (len(CHANNELS),)),  # unit of each sensor
         ("measured", "f8", (len(CHANNELS),)),  # unit of each sensor
         ("velocity_estimate", "f8"),  # m/s
@@ -57,9 +59,10 @@ COMMANDS = 2
 
 FIRST_COEFFICIENT = N_STATES
 FIRST_VOLTAGE = FIRST_COEFFICIENT + N_COEFFICIENTS
-FIRST_PEAK = FIRST_VOLTAGE + COMMANDS
+FIRST_DURATION = FIRST_VOLTAGE + COMMANDS
+FIRST_PEAK = FIRST_DURATION + COMMANDS
 PLANT_COLUMNS = FIRST_PEAK + N_PEAKS
-"""Columns of the integrator's array: state, coefficients, voltages and peaks of an axis, in one row.
+"""Columns of the integrator's array: state, coefficients, voltages, durations and peaks of an axis, in one row.
 
 It is one array rather than four because passing an array to compiled code takes a tenth of a microsecond.
 """

@@ -27,13 +27,20 @@ class Feasible(NamedTuple):
 
 
 @inline
+def supply_forces(c):
+    """Force in N that the full supply gives outwards, and inwards."""
+    force_out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure
+    force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
+    return force_out, force_in
+
+
+@inline
 def feasible(c, limits):
     """:class:`Feasible` of a plant without leakage; see ``speed_limits`` and ``reachable_range`` of the analysis.
 
     ``c`` are the coefficients of the plant, ``limits`` the group ``references`` of the task.
     """
-    force_out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure
-    force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
+    force_out, force_in = supply_forces(c)
     largest = min(limits.largest_amplitude, 0.9 * c.end_stop_position)
     stiffness = c.spring_stiffness
     high = (

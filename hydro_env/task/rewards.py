@@ -8,7 +8,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from hydro_env.compiling import inline
+from hydro_env.task.configuration import CHANNELS
+
+_POSITION = CHANNELS.index("position")
 
 
 class Costs(NamedTuple):
@@ -24,17 +29,20 @@ REWARD_TERMS = Costs._fields
 
 
 @inline
-def costs(row, change, failed, weights):
+def costs(row, change, failed, settings):
     """:class:`Costs` of the control period that has just ended.
 
     Args:
         row: record of the axis (:data:`~hydro_env.task.record.RECORD`).
         change: change of the command since the previous period.
         failed: whether the axis has failed.
-        weights: group ``reward`` of the task.
+        settings: of the task (:data:`~hydro_env.task.settings.SETTINGS`).
     """
+    weights = settings.reward
+    error = row.reference - row.position - settings.reward_bias_share * row.bias[_POSITION]
+    scale = settings.error_scales[np.int64(row.reference_family)]
     return Costs(
-        tracking=weights.tracking * min(abs(row.reference - row.position) / weights.error_scale, weights.error_limit),
+        tracking=weights.tracking * min(abs(error) / scale, weights.error_limit),
         effort=weights.effort * change * change,
         failure=weights.failure if failed else 0.0,
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from hydro_env.compiling import inline
+from hydro_env.plant.arrays import read_coefficients
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.configuration import Disturbance, LeakageDraw
 from hydro_env.task.random_numbers import between, log_between, uniform
+from hydro_env.task.reference_signals import supply_forces
 from hydro_env.task.settings import choice
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
 
@@ -17,6 +19,8 @@ _ONSET = choice(LeakageDraw, "schedule", "onset")
 _NONE = choice(Disturbance, "kind", "none")
 _PULSE = choice(Disturbance, "kind", "pulse")
 _SINE = choice(Disturbance, "kind", "sine")
+_MIXED = choice(Disturbance, "kind", "mixed")
+_CHANGING = 3.0  # kinds of a changing force: step, pulse, sine, in this order after "none"
 
 _CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
 _ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
@@ -69,13 +73,32 @@ def set_leak(row, coefficient, time, settings):
 
 
 @inline
-def draw_force(row, key, settings):
-    """Draw amplitude, start and frequency of the disturbance of an episode."""
+def draw_steady_force(row, coefficient, key, settings):
+    """Add the steady part of the disturbance to the plant's own external force."""
+    share = settings.disturbance.steady_share
+    c = read_coefficients(coefficient)
+    out, back = supply_forces(c)
+    part = between(key, 4, share[0], share[1])
+    row.force_base = c.external_force + (part * out if uniform(key, 5) < 0.5 else -part * back)
+    coefficient[_EXTERNAL_FORCE] = row.force_base
+
+
+@inline
+def draw_changing_force(row, coefficient, key, settings):
+    """Draw kind, amplitude, start and frequency of the changing part of the disturbance of an episode."""
     disturbance = settings.disturbance
+    row.force_kind = disturbance.kind
     if disturbance.kind == _NONE:
         return
+    if disturbance.kind == _MIXED:
+        row.force_kind = 1.0 + math.floor(_CHANGING * uniform(key, 6))
     force = between(key, 0, disturbance.force_range[0], disturbance.force_range[1])
-    row.force_amplitude = force if uniform(key, 1) < 0.5 else -force
+    inwards = uniform(key, 1) < 0.5
+    if disturbance.force_share[1] > 0.0:
+        out, back = supply_forces(read_coefficients(coefficient))
+        limit = min(out, back) if row.force_kind == _SINE else out if inwards else back
+        force = limit * between(key, 0, disturbance.force_share[0], disturbance.force_share[1])
+    row.force_amplitude = force if inwards else -force
     duration = settings.steps * settings.control_period
     row.force_start_time = duration * between(key, 2, disturbance.start_range[0], disturbance.start_range[1])
     row.force_frequency = between(key, 3, disturbance.frequency_range[0], disturbance.frequency_range[1])
@@ -88,11 +111,17 @@ def _external_force(row, time, settings):
     if after < 0.0:
         return row.force_base
     force = row.force_amplitude
-    if settings.disturbance.kind == _PULSE and after >= settings.disturbance.pulse_duration:
+    if row.force_kind == _PULSE and after >= settings.disturbance.pulse_duration:
         force = 0.0
-    if settings.disturbance.kind == _SINE:
+    if row.force_kind == _SINE:
         force *= math.sin(2.0 * math.pi * row.force_frequency * after)
     return row.force_base + force
+
+
+@inline
+def draw_latency(row, key, settings):
+    """Draw the latency of an episode."""
+    row.latency = between(key, 0, settings.latency_range[0], settings.latency_range[1])
 
 
 @inline

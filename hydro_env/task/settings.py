@@ -13,6 +13,7 @@ from hydro_env.files import Group
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
 from hydro_env.task.configuration import CHANNELS, Sensor, TaskConfig
 from hydro_env.task.record import table
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 
 ERROR_INTEGRAL_TIME = 0.5
 """s; time constant of the observed leaky integral of the error."""
@@ -58,7 +59,10 @@ _DERIVED = np.dtype(
     [
         ("steps", "f8"),
         ("class_limits", "f8", (3,)),  # l/min at 100 bar; a leak's class is the number of limits that it exceeds
-        ("durations", "f8", (2,)),  # s, for which the previous and the new command act in a period
+        ("latency_range", "f8", (2,)),  # s
+        ("start_bias_share", "f8"),  # part of the position sensor's bias by which the axis begins beside its reference
+        ("reward_bias_share", "f8"),  # part of that bias that the reward does not count as error
+        ("error_scales", "f8", (len(REFERENCE_FAMILIES),)),  # m, error that costs 1, of each family
         ("channels", _SENSOR, (len(CHANNELS),)),  # the sensors in the order of CHANNELS
         ("pressure_decay", "f8"),  # exp(−T/τ) of the transducers
         ("pressure_lag", "f8"),  # τ/T
@@ -80,7 +84,12 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
         "steps": config.steps,
         # Conversion from a resistance rounds a flow; it may exceed the bound of its class by that.
         "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
-        "durations": (config.command_latency, period - config.command_latency),
+        "latency_range": config.command_latency_range or (config.command_latency,) * 2,
+        "start_bias_share": float(config.start == "measured"),
+        "reward_bias_share": float(config.reward.frame == "sensor"),
+        "error_scales": [
+            config.reward.error_scale * config.reward.family_scale.get(name, 1.0) for name in REFERENCE_FAMILIES
+        ],
         "channels": [_values_of(getattr(sensors, channel), _SENSOR) for channel in CHANNELS],
         "pressure_decay": math.exp(-period / rise) if rise > 0.0 else 0.0,
         "pressure_lag": rise / period,

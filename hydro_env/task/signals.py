@@ -73,9 +73,10 @@ def layout_of(config: TaskConfig) -> NDArray[Any]:
 
 @inline
 def draw_biases(row, settings):
-    """Draw the constant error of each sensor for this episode."""
+    """Draw the constant error of each sensor for this episode; exact sensors have none."""
     for channel in range(len(CHANNELS)):
-        row.bias[channel] = settings.channels[channel].bias * between(row.noise_key, _BIAS + channel, -1.0, 1.0)
+        largest = settings.channels[channel].bias if settings.sensors.enabled else 0.0
+        row.bias[channel] = largest * between(row.noise_key, _BIAS + channel, -1.0, 1.0)
 
 
 @inline

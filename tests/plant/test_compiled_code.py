@@ -35,8 +35,8 @@ ROOT = Path(hydro_env.__file__).parents[1]
 
 
 def advance(state, coefficients, voltage, durations, peaks, first, last):
-    plants = kernel.Plants(state, coefficients, voltage, peaks)
-    kernel.integrate(plants, durations, kernel.Accuracy(), first, last)
+    plants = kernel.Plants(state, coefficients, voltage, np.tile(durations, (len(state), 1)), peaks)
+    kernel.integrate(plants, kernel.Accuracy(), first, last)
 
 
 @pytest.mark.parametrize("count", [2, 7, 8, 9, 16, 17, 33])
