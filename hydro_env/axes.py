@@ -39,7 +39,7 @@ from hydro_env.task.record import (
 )
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.settings import draws_of, settings_of
-from hydro_env.task.signals import layout_of, observation_layout
+from hydro_env.task.signals import POSITION, layout_of, observation_layout
 
 AXES_PER_THREAD = 256
 """Each thread gets at least this many axes; with fewer, waking it takes longer than its work."""
@@ -158,8 +158,10 @@ class Axes:
         if len(failed):
             axis = int(failed[0])
             physical = dict(zip(PARAMETER_PATHS, self.physical[axis], strict=True))
+            shift = self._task["start_bias_share"][0] * self.column("bias")[axis, POSITION]
+            start = self.column("position")[axis] + shift
             what = (
-                f"initial position {1e3 * self.column('position')[axis]:.4g} mm cannot be held"
+                f"initial position {1e3 * start:.4g} mm cannot be held"
                 if self.column("failure")[axis] == CANNOT_BE_HELD
                 else self._unreachable(axis)
             )

@@ -116,7 +116,7 @@ def begin(options=None, count=40, **config):
         "plant": axes.physical.copy(),
         "leak": column["leak_target_flow"],
         "leak start": column["leak_start_time"],
-        "position": column["position"],
+        "position": column["reference"],
         "family": column["reference_family"],
         "reference": reference,
         "bias": column["bias"],

@@ -14,7 +14,7 @@ RANGE_SHARE, SPEED_SHARE, LARGEST, ACCELERATION = 0.6, 0.7, 0.10, 4.0
 
 def drawn(family, count=COUNT, seed=0, **config):
     """References of one family (axis, sample) and the axes behind them."""
-    envs = ServoHydraulicVectorEnv(count, **config)
+    envs = ServoHydraulicVectorEnv(count, start="true", **config)
     envs.reset(seed=seed, options={"reference": family})
     return envs.axes.reference.copy(), envs.axes
 
@@ -192,9 +192,10 @@ def test_other_preview_times():
 
 def test_a_users_reference_is_followed_sample_by_sample_and_held_at_its_end():
     wanted = 0.02 * np.sin(np.arange(30) * 0.2) + 0.01
+    short = {"episode_duration": 0.25, "start": "true"}
     for env in (
-        ServoHydraulicEnv(references={"user": wanted.tolist(), "weights": {"user": 1.0}}, episode_duration=0.25),
-        ServoHydraulicEnv(episode_duration=0.25),
+        ServoHydraulicEnv(references={"user": wanted.tolist(), "weights": {"user": 1.0}}, **short),
+        ServoHydraulicEnv(**short),
     ):
         options = None if env.config.references.user else {"reference": wanted}
         _, info = env.reset(seed=0, options=options)
@@ -213,7 +214,7 @@ def test_a_users_reference_competes_with_the_others_by_weight():
     _, info = envs.reset(seed=0)
     users = info["reference_family"] == "user"
     assert 430 < users.sum() < 570
-    assert (info["position"][users] == 0.01).all()
+    assert (info["reference"][users] == 0.01).all()
     assert (info["reference_family"][~users] == "step").all()
 
 

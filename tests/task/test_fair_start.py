@@ -1,0 +1,117 @@
+"""The start in the sensor's frame, drawn latencies, forces as shares of the supply's, and the reward's frames."""
+
+import numpy as np
+import pytest
+
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv
+from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+
+COUNT, PERIOD = 400, 5e-3
+POSITION = CHANNELS.index("position")
+ZERO = np.zeros((COUNT, 1), np.float32)
+
+
+def begun(options=None, seed=3, **config):
+    envs = ServoHydraulicVectorEnv(COUNT, **config)
+    first, _ = envs.reset(seed=seed, options=options)
+    return envs, first
+
+
+def errors(envs):
+    return envs.axes.column("reference") - envs.axes.column("position")
+
+
+def test_an_episode_begins_where_the_sensor_reads_the_reference():
+    envs, first = begun()
+    bias = envs.axes.column("bias")[:, POSITION]
+    np.testing.assert_allclose(errors(envs), bias, rtol=0, atol=1e-12)
+    assert 0.9 * 80e-6 < np.abs(bias).max() <= 80e-6
+    read = 0.01 * first[:, envs.axes.observation_names.index("tracking_error")]
+    # Noise of 30 µm and half a step of the acquisition remain; nothing of the bias does.
+    assert abs(read.mean()) < 4 * 30e-6 / np.sqrt(COUNT)
+    assert abs(np.corrcoef(read, bias)[0, 1]) < 4 / np.sqrt(COUNT)
+
+
+def test_the_true_start_tells_the_bias():
+    envs, first = begun(start="true")
+    np.testing.assert_array_equal(errors(envs), 0.0)
+    read = 0.01 * first[:, envs.axes.observation_names.index("tracking_error")]
+    assert np.corrcoef(read, envs.axes.column("bias")[:, POSITION])[0, 1] < -0.7
+
+
+def test_exact_sensors_have_no_bias():
+    envs, _ = begun(sensors={"enabled": False})
+    np.testing.assert_array_equal(errors(envs), 0.0)
+    np.testing.assert_array_equal(envs.axes.column("bias"), 0.0)
+
+
+def test_latencies_are_drawn_from_their_range():
+    envs, _ = begun(command_latency_range=(0.5e-3, 5e-3))
+    latency = envs.axes.column("latency")
+    assert 0.5e-3 <= latency.min() < 0.55e-3
+    assert 4.95e-3 < latency.max() <= 5e-3
+    fixed, _ = begun()
+    np.testing.assert_array_equal(fixed.axes.column("latency"), 1e-3)
+
+
+def test_a_drawn_latency_delays_the_command_as_a_configured_one_does():
+    drawn, _ = begun(command_latency_range=(0.0, 5e-3))
+    chosen = int(np.argmax(drawn.axes.column("latency")))
+    late = float(drawn.axes.column("latency")[chosen])
+    configured, _ = begun(command_latency=late)
+    for envs in (drawn, configured):
+        for _ in range(5):
+            envs.step(ZERO + 0.3)
+    np.testing.assert_array_equal(drawn.axes.state[chosen], configured.axes.state[chosen])
+    others = drawn.axes.column("latency") < late - 1e-4
+    assert (drawn.axes.state[others, 0] != configured.axes.state[others, 0]).all()
+
+
+@pytest.mark.parametrize("bad", [(2e-3, 1e-3), (0.0, 6e-3), (-1e-3, 1e-3)])
+def test_an_impossible_range_of_latencies_is_refused(bad):
+    with pytest.raises(ConfigurationError, match=r"command_latency_range.*must rise within 0 to control_period"):
+        ServoHydraulicVectorEnv(1, command_latency_range=bad)
+
+
+def test_a_steady_force_is_a_share_of_what_the_supply_gives_against_it():
+    envs, _ = begun(disturbance={"steady_share": (0.4, 0.4)}, randomisation={})
+    base = envs.axes.column("force_base")
+    plant = envs.axes.parameters(0)
+    bore, rod = plant.cylinder.bore_diameter, plant.cylinder.rod_diameter
+    full, ring = np.pi / 4 * bore**2, np.pi / 4 * (bore**2 - rod**2)
+    supply = np.unique(np.round(np.abs(base), 6))
+    assert len(supply) == 2  # one amount outwards, another inwards
+    relief = plant.supply.pressure  # where the supply rests
+    expected = sorted(0.4 * (a * relief - b * plant.supply.tank_pressure) for a, b in ((full, ring), (ring, full)))
+    np.testing.assert_allclose(supply, expected, rtol=0.06)  # it rests slightly beside the set pressure
+    assert 0.4 < (base > 0).mean() < 0.6
+
+
+def test_mixed_forces_are_steps_pulses_and_sines_alike():
+    envs, _ = begun(disturbance={"kind": "mixed", "force_share": (0.1, 0.2), "start_range": (0.1, 0.1)})
+    kinds, counts = np.unique(envs.axes.column("force_kind"), return_counts=True)
+    np.testing.assert_array_equal(kinds, [1.0, 2.0, 3.0])
+    assert counts.min() > COUNT / 3 - 4 * np.sqrt(COUNT * 2 / 9)
+    for _ in range(60):
+        envs.step(ZERO)
+    force = np.array([envs.axes.external_force(axis) for axis in range(COUNT)]) - envs.axes.column("force_base")
+    kind = envs.axes.column("force_kind")
+    assert (force[kind == 1] != 0.0).all()  # a step lasts
+    assert (force[kind == 2] == 0.0).all()  # a pulse of 50 ms from 0.2 s on is over at 0.3 s
+
+
+def test_the_reward_may_leave_out_the_bias_and_weigh_families():
+    factors = {"step": 5.0, "sine": 0.5}
+    plain, _ = begun()
+    sensor, _ = begun(reward={"frame": "sensor", "family_scale": factors})
+    for envs in (plain, sensor):
+        for _ in range(20):
+            envs.step(ZERO)
+    axes = sensor.axes
+    np.testing.assert_array_equal(axes.column("position"), plain.axes.column("position"))
+    families = axes.column("reference_family").astype(int)
+    scale = np.array([0.01 * factors.get(name, 1.0) for name in REFERENCE_FAMILIES])[families]
+    seen = np.abs(errors(sensor) - axes.column("bias")[:, POSITION])
+    np.testing.assert_allclose(axes.column("costs")[:, 0], np.minimum(seen / scale, 5.0), rtol=1e-12)
+    np.testing.assert_allclose(plain.axes.column("costs")[:, 0], np.minimum(np.abs(errors(plain)) / 0.01, 5.0))
