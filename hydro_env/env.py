@@ -44,7 +44,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     A servo valve meters oil into an asymmetric cylinder that moves a mass against a spring (the test rig of
     Kovari 2015, Table 1). In each control period (5 ms) the controller computes a command from the measured signals;
-    it reaches the valve 1 ms after sampling. Every episode draws a new leakage past the piston, new values of the
+    it reaches the valve 1 ms after sampling (or after a latency that is drawn: ``command_latency_range``). Every episode draws a new leakage past the piston, new values of the
     parameters that are not known exactly, an initial position and a reference.
 
     ## Action Space
@@ -81,7 +81,9 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Starting State
 
-    At rest at a random position inside the range of the references: pressures, spool and supply in equilibrium.
+    At rest at a random position inside the range of the references: pressures, spool and supply in equilibrium. The
+    position sensor reads the reference there, apart from noise; its bias (up to ±80 µm) is where the axis truly is.
+    ``start="true"`` puts the axis itself on the reference.
 
     ## Episode End
 
@@ -97,7 +99,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
     (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
-    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m). With ``persist: True`` they also apply to
+    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it). With ``persist: True`` they also apply to
     the automatic resets that follow.
 
     ``info`` (for evaluation, not for the controller): ``leakage_resistance``, ``leakage_flow_lpm``, ``leakage_class``
@@ -111,7 +113,10 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     * v0: first version. Since 0.2: a plant that cannot hold its start is drawn again instead of refused; an episode
       whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``, ``info="flat"``,
-      ``spec.max_episode_steps``. Episodes, observations and rewards of the default task are the same.
+      ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased sensor would
+      hold the axis. Before, the true position was on the reference, and the mean of the first errors told the bias:
+      subtracting it "improved" controllers by 7 to 20 %; ``start="true"`` brings that back. Plants, leaks, references
+      and noise of a seed are the same as before.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
