@@ -1,4 +1,4 @@
-"""Inputs of the policy network: the observation, the command of the corrected controller, and a short history.
+"""Inputs of the policy network: observation, command of the controller that it corrects, short history of signals.
 
 Leakage, stiffness of the oil, mass and friction are hidden, but they affect the recent past of pressures, spool and
 error. Training and inference use the same class.

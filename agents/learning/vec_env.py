@@ -36,8 +36,8 @@ class AxisVecEnv(VecEnv):
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
     With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller
-    alone; the reward is the difference to the twin's reward. Error that no controller can avoid cancels out. The twin
-    does not depend on the policy's actions; the policy gradient therefore remains unbiased.
+    alone; the reward is the difference to the twin's reward. Error that no controller can avoid cancels out. The twin does not depend on
+    the policy's actions; the policy gradient therefore remains unbiased.
 
     Args:
         config: the task, as for the environments.
