@@ -28,6 +28,9 @@ HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
 """Control periods back."""
 
 
+LASTING_TIME = 0.2
+"""s; time constant of the slow average of the correction. What lasts longer is the integrator's business."""
+
 FEATURE_LIMIT = 50.0
 """Inputs of the policy are limited to ± this value."""
 
@@ -47,10 +50,17 @@ class FeatureState(NamedTuple):
     base_command: NDArray[np.float32]
     """Command of the corrected controller at the last call, (N, 1)."""
 
+    correction: NDArray[np.float32]
+    """What the policy added to that controller's command in the period before, (N, 1); after the limits."""
+
+    lasting: NDArray[np.float32]
+    """Slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)."""
+
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
         base = rows(self.base, axes) if self.base is not None else None
-        return FeatureState(base, self.ring[axes], self.slot, self.base_command[axes])
+        ring, slot, *columns = self[1:]
+        return FeatureState(base, ring[axes], slot, *(column[axes] for column in columns))
 
 
 class PolicyFeatures:
@@ -60,10 +70,15 @@ class PolicyFeatures:
         config: the task.
         base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
         residual_scale: command per 1 of the policy's output in the residual form.
+        see_correction: whether the policy sees its last correction and the slow average of its corrections.
     """
 
     def __init__(
-        self, config: TaskConfig, base: ClassicalController | None = None, residual_scale: float = 0.25
+        self,
+        config: TaskConfig,
+        base: ClassicalController | None = None,
+        residual_scale: float = 0.2,
+        see_correction: bool = False,
     ) -> None:
         self.config = config
         self.layout = layout = ObservationLayout.of(config)
@@ -72,7 +87,11 @@ class PolicyFeatures:
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
         self._length = max(HISTORY_LAGS) + 1
-        self.size = len(layout.names) + (1 if base is not None else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
+        self.see_correction = see_correction and base is not None
+        self._command_column = layout.index("previous_command")
+        self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
+        own = 0 if base is None else 3 if self.see_correction else 1
+        self.size = len(layout.names) + own + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
         self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -82,23 +101,34 @@ class PolicyFeatures:
         The history consists of the changes since each past sample. The first observation of an episode stands for the
         time before it.
         """
-        signals = np.asarray(observation[:, self._columns], dtype=np.float32)
+        inputs = np.asarray(observation, dtype=np.float32)
+        signals = inputs[:, self._columns]
+        zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
-            ring = np.repeat(signals[:, None], self._length, axis=1)
-            state = FeatureState(None, ring, 0, np.zeros((len(signals), 1), dtype=np.float32))
+            state = FeatureState(None, np.repeat(signals[:, None], self._length, axis=1), 0, zero, zero, zero)
+            correction = lasting = zero
+        else:
+            correction = inputs[:, self._command_column, None] - state.base_command
+            lasting = self.lasting_after(correction, state)
         ring = state.ring.copy()
         if episode_start is not None and np.any(episode_start):
             started = np.flatnonzero(episode_start)
             ring[started] = signals[started, None]
+            correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
         ring[:, state.slot] = signals
         past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
         changes = np.tile(signals, len(HISTORY_LAGS)) - past
         state = state._replace(ring=ring, slot=(state.slot + 1) % self._length)
-        inputs = np.asarray(observation, dtype=np.float32)
         if self.base is None:
             return np.concatenate([inputs, changes], axis=1), state
         command, memory = self.base.predict(observation, state.base, episode_start)
-        return np.concatenate([inputs, command, changes], axis=1), state._replace(base=memory, base_command=command)
+        own = [command, correction, lasting] if self.see_correction else [command]
+        state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
+        return np.concatenate([inputs, *own, changes], axis=1), state
+
+    def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
+        """The slow average of the correction after a period with ``correction``, (N, 1)."""
+        return state.lasting + self._blend * (correction - state.lasting)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
@@ -118,6 +148,7 @@ class PolicyFeatures:
             if self.base is None
             else {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")},
             "residual_scale": self.residual_scale,
+            "see_correction": self.see_correction,
             "history_signals": list(HISTORY_SIGNALS),
             "history_lags": list(HISTORY_LAGS),
         }

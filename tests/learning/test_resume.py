@@ -12,7 +12,8 @@ import pytest
 from agents.controllers import PID, PIDGains
 from agents.learning.checkpoint import CHECKPOINT_FILE
 from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.training import PPOSettings, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import train_ppo
 from agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 

@@ -7,7 +7,8 @@ from stable_baselines3 import A2C, PPO, SAC
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import train_ppo
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig

@@ -5,8 +5,8 @@ import pytest
 
 from agents.controllers import PID, PIDGains
 from agents.learning.progress import STEPS, read_progress
+from agents.learning.settings import PPOSettings
 from agents.learning.trainers import TRAINERS, trainer
-from agents.learning.training import PPOSettings
 from agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate

@@ -9,7 +9,8 @@ import pytest
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.policy import PolicyController
 from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import make_env, make_features, make_model, train_ppo
 from agents.learning.validation import validation_cases, validation_errors
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.seeds import VALIDATION_SEEDS
@@ -180,7 +181,7 @@ def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
     for practice, message in (
         ({"control_period": 0.01}, "must leave the control period"),
         ({"references": {"preview_times": [0.01]}}, "must leave the control period and the names"),
-        ({"nonsense": 1}, "ppo.practice: task: nonsense = 1: unknown key"),
+        ({"nonsense": 1}, "practice: task: nonsense = 1: unknown key"),
     ):
         with pytest.raises(ConfigurationError, match=message) as caught:
             env(**practice)
