@@ -1,4 +1,4 @@
-"""What a critic is told in training and no controller can measure: leak, plant, true state, biases, family, time."""
+"""What a critic is told in training and no controller can measure: leak, plant, true state, bias, latency, family."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Privileged:
         self._mean, self._spread = drawn[:, self._drawn].mean(axis=0), drawn[:, self._drawn].std(axis=0)
         sensors = [getattr(config.sensors, name) for name in CHANNELS]
         self._bias = np.array([sensor.bias if sensor.bias > 0.0 else 1.0 for sensor in sensors])
-        self._steps = config.steps
+        self._steps, self._period = config.steps, config.control_period
         self.size = self(env.axes).shape[1]
         env.close()
 
@@ -62,6 +62,7 @@ class Privileged:
             error[:, None],
             force[:, None],
             record["bias"] / self._bias,
+            record["latency"][:, None] / self._period,
             family,
             1.0 - record["step"][:, None] / self._steps,
         ]

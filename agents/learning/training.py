@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +52,8 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
             "observations as they are in the task, because the policy must work there"
         )
     paired = settings.residual and settings.paired
-    units = None
     if settings.family_units and features.base is not None:
-        units = family_errors(practised, features.base)
+        practised = in_family_units(practised, family_errors(practised, features.base))
     return AxisVecEnv(
         practised,
         settings.axes,
@@ -64,9 +63,24 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
         paired,
         stagger=True,
         told_critic=getattr(settings, "told_critic", False),
-        family_errors=units,
         prices=settings.prices,
     )
+
+
+def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConfig:
+    """The task with rewards in parts of each family's mean error (m).
+
+    The largest cost, and with it that of a failure, still begins at the same error.
+    """
+    reward = config.reward
+    scale = {name: error / reward.error_scale for name, error in errors.items()}
+    more = max(1.0, 1.0 / min(scale.values()))
+    changed = {
+        "family_scale": scale,
+        "error_limit": more * reward.error_limit,
+        "failure": more * reward.failure,
+    }
+    return task_config(config, reward=changed)
 
 
 def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
@@ -203,6 +217,6 @@ def training_record(
         "steps": steps,
         "seconds": round(seconds, 1),
         "control_period": practised.control_period,
-        "command_latency": practised.command_latency,
+        "command_latency": practised.command_latency_range or practised.command_latency,
         "settings": settings.model_dump(mode="json"),
     }

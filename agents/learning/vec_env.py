@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices,
 from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
 from agents.learning.privileged import Privileged
 from agents.learning.settings import Prices
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
 
 Array = NDArray[Any]
@@ -51,7 +51,6 @@ class AxisVecEnv(VecEnv):
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
         told_critic: append to the inputs what only a critic may know (:class:`~agents.learning.privileged.Privileged`).
-        family_errors: error (m) of each family that costs 1 in a control period; ``None`` leaves rewards as they are.
         prices: further costs; see :class:`~agents.learning.settings.Prices`.
         overrides: single fields of the task.
 
@@ -69,7 +68,6 @@ class AxisVecEnv(VecEnv):
         paired: bool = False,
         stagger: bool = False,
         told_critic: bool = False,
-        family_errors: Mapping[str, float] | None = None,
         prices: Prices | None = None,
         **overrides: Any,
     ) -> None:
@@ -91,9 +89,6 @@ class AxisVecEnv(VecEnv):
         self._lengths = np.zeros(count, dtype=np.int64)
         self._stagger = stagger
         self._prices = prices if prices is not None else Prices()
-        self._family_factor = np.ones(len(REFERENCE_FAMILIES))
-        for name, error in (family_errors or {}).items():
-            self._family_factor[REFERENCE_FAMILIES.index(name)] = self.env.config.reward.error_scale / error
         self.told_critic = told_critic
         self._privileged = Privileged(self.env.config) if told_critic else None
         observed: spaces.Space[Any] = self.env.single_observation_space
@@ -152,8 +147,7 @@ class AxisVecEnv(VecEnv):
         axes = self.env.axes
         change = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
-        prices = self._prices_of_commands(change, axes.column("change"))
-        worth = rewards * self._family_factor[axes.column("reference_family").astype(np.int64)] - prices
+        worth = rewards - self._prices_of_commands(change, axes.column("change"))
         reward = rewards[:count]
         ended = terminated | truncated
         done = ended[:count]

@@ -7,9 +7,10 @@ from agents.controllers import PID, PIDGains
 from agents.learning.features import LASTING_TIME, PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.settings import PPOSettings, Prices
-from agents.learning.training import make_env, make_features, make_model, train_ppo
+from agents.learning.training import in_family_units, make_env, make_features, make_model, train_ppo
 from agents.learning.validation import family_errors
 from agents.learning.vec_env import AxisVecEnv
+from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
 
@@ -133,18 +134,18 @@ def test_a_twin_pays_for_its_commands_too():
 
 
 def test_reward_in_units_of_the_family():
-    errors = {name: 1e-4 * (number + 1) for number, name in enumerate(REFERENCE_FAMILIES)}
-    plain, scaled = axes(), axes(family_errors=errors)
-    plain.reset()
-    scaled.reset()
-    family = plain.env.axes.column("reference_family").astype(int)
-    unit = np.array([errors[name] for name in REFERENCE_FAMILIES])[family]
-    assert len(set(family)) > 1
-    for _ in range(10):
-        _, reward, _, _ = plain.step(np.zeros((6, 1)))
-        _, other, _, _ = scaled.step(np.zeros((6, 1)))
-        np.testing.assert_allclose(other, reward * CONFIG.reward.error_scale / unit, rtol=1e-5)
     measured = family_errors(CONFIG, BASE, plants=4)
+    config = in_family_units(
+        CONFIG.model_copy(update={"reward": CONFIG.reward.model_copy(update={"effort": 0.0})}), measured
+    )
+    env = AxisVecEnv(config, 60, PolicyFeatures(config, BASE), seed=TRAINING_SEEDS.stop - 60)
+    env.reset()
+    cost = -np.mean([env.step(np.zeros((60, 1)))[1] for _ in range(19)], axis=0)
+    family = env.env.axes.column("reference_family").astype(int)
+    for number in set(family):  # the corrected controller pays 1 in each
+        assert 0.3 < cost[family == number].mean() < 3.0, REFERENCE_FAMILIES[number]
+    lowest = min(measured.values())
+    assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
     assert sorted(measured) == sorted(name for name in REFERENCE_FAMILIES if name != "user")
     assert measured["step"] > measured["point_to_point"] > 0.0
 
