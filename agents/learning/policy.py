@@ -35,6 +35,7 @@ class _StoredFeatures(Group):
     base: _StoredBase | None
     residual_scale: float = Field(gt=0.0, le=2.0)
     see_correction: bool = False
+    full_preview: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[int, ...]
 
@@ -218,7 +219,9 @@ class PolicyController:
                 if base.kind not in CONTROLLERS:
                     raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
                 base = make_controller(base.kind, described.task, base.settings)
-            features = PolicyFeatures(described.task, base, described.residual_scale, described.see_correction)
+            features = PolicyFeatures(
+                described.task, base, described.residual_scale, described.see_correction, described.full_preview
+            )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
         critic_sizes = stored.critic_layer_sizes or sizes

@@ -37,6 +37,9 @@ class TrainingSettings(Group):
     see_correction: bool = Field(
         False, description="the policy sees its last correction and their slow average (residual form only)"
     )
+    full_preview: bool = Field(
+        False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
+    )
     paired: bool = Field(
         True, description="reward relative to a twin under the corrected controller (residual form only)"
     )

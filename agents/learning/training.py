@@ -33,7 +33,8 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Classica
     """
     if settings.residual and base is None:
         raise ConfigurationError("the residual form needs a controller that the policy corrects")
-    return PolicyFeatures(config, base if settings.residual else None, settings.residual_scale, settings.see_correction)
+    corrected = base if settings.residual else None
+    return PolicyFeatures(config, corrected, settings.residual_scale, settings.see_correction, settings.full_preview)
 
 
 def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:

@@ -10,7 +10,6 @@ from agents.learning.settings import PPOSettings, Prices
 from agents.learning.training import in_family_units, make_env, make_features, make_model, train_ppo
 from agents.learning.validation import family_errors
 from agents.learning.vec_env import AxisVecEnv
-from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
 
@@ -135,15 +134,18 @@ def test_a_twin_pays_for_its_commands_too():
 
 def test_reward_in_units_of_the_family():
     measured = family_errors(CONFIG, BASE, plants=4)
-    config = in_family_units(
-        CONFIG.model_copy(update={"reward": CONFIG.reward.model_copy(update={"effort": 0.0})}), measured
-    )
-    env = AxisVecEnv(config, 60, PolicyFeatures(config, BASE), seed=TRAINING_SEEDS.stop - 60)
-    env.reset()
-    cost = -np.mean([env.step(np.zeros((60, 1)))[1] for _ in range(19)], axis=0)
-    family = env.env.axes.column("reference_family").astype(int)
-    for number in set(family):  # the corrected controller pays 1 in each
-        assert 0.3 < cost[family == number].mean() < 3.0, REFERENCE_FAMILIES[number]
+    exact = TaskConfig(episode_duration=0.1, reward={"effort": 0.0})
+    config = in_family_units(exact, measured)
+    plain, scaled = (AxisVecEnv(task, 12, PolicyFeatures(task, BASE), seed=3) for task in (exact, config))
+    plain.reset()
+    scaled.reset()
+    family = plain.env.axes.column("reference_family").astype(int)
+    factor = np.array([exact.reward.error_scale / measured.get(name, np.nan) for name in REFERENCE_FAMILIES])[family]
+    assert len(set(factor)) > 2
+    for _ in range(10):
+        _, reward, _, _ = plain.step(np.zeros((12, 1)))
+        _, other, _, _ = scaled.step(np.zeros((12, 1)))
+        np.testing.assert_allclose(other, reward * factor, rtol=1e-5)
     lowest = min(measured.values())
     assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
     assert sorted(measured) == sorted(name for name in REFERENCE_FAMILIES if name != "user")

@@ -93,6 +93,30 @@ def test_history_restarts_with_the_episode():
     assert np.any(inputs[1, len(LAYOUT.names) :] != 0.0)
 
 
+def test_the_full_preview_holds_every_sample():
+    """A sine's own samples ahead, once the memory is filled; at a start in between, straight lines."""
+    config = TaskConfig(episode_duration=0.3, references={"weights": {"sine": 1.0}}, sensors={"enabled": False})
+    features = PolicyFeatures(config, None, full_preview=True)
+    env = ServoHydraulicVectorEnv(3, config)
+    observation, _ = env.reset(seed=1)
+    memory = None
+    horizon = max(config.preview_samples)
+    hidden = [0, *(1 + ahead for ahead in range(1, horizon + 1) if ahead not in config.preview_samples)]
+    for step in range(20):
+        inputs, memory = features(observation, memory, None)
+        rebuilt = 0.01 * inputs[:, len(LAYOUT.names) : len(LAYOUT.names) + len(hidden)]
+        reference = env.axes.reference
+        for column, place in enumerate(hidden):
+            if step >= horizon:
+                expected = reference[:, step + place - 1] - reference[:, step]
+                np.testing.assert_allclose(rebuilt[:, column], expected, atol=1e-7)
+        observation, *_ = env.step(np.zeros((3, 1), dtype=np.float32))
+    assert np.ptp(rebuilt) > 1e-4
+    again, _ = features(observation, memory, np.array([True, False, False]))
+    np.testing.assert_allclose(again[0, len(LAYOUT.names)], 0.0)
+    assert again.shape[1] == features.size
+
+
 def test_vec_env_methods():
     env = make()
     assert env.get_attr("num_envs") == [6] * 6
