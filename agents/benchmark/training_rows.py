@@ -20,7 +20,8 @@ from agents.controllers.pid import PID, PIDGains
 from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import ProtocolSettings
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import make_env, make_features, make_model, train_ppo
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import VALIDATION_SEEDS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,18 +52,16 @@ class PIDState(NamedTuple):
     integral: NDArray[np.float64]
     velocity: NDArray[np.float64]
     position: NDArray[np.float64]
+    reference: NDArray[np.float64]
 
 
 class PID:
     """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
 
-    The preview gives e and ẋ_ref with a lead that compensates latency and valve. The derivative acts on the filtered
-    difference of the measured position. While the command saturates, back-calculation unwinds the integral. The start
-    is bumpless: the integral takes over the command that holds the axis.
-
-    Args:
-        gains: one set, or arrays (N,) of each gain through ``PIDGains.model_construct``, for tuning.
-        config: the task.
+    The preview gives e and ẋ_ref with a lead that compensates latency and valve. Without a preview there is no lead, and
+    ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the measured
+    position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the integral
+    takes over the command that holds the axis.
     """
 
     memory = PIDState
@@ -71,9 +69,9 @@ class PID:
     def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
         self.gains = gains
         self.config = config
-        self.layout = layout = ObservationLayout.of(config)
-        self._column = {name: layout.index(name) for name in ("tracking_error", "position", "previous_command")}
-        self._times = np.array([0.0, *layout.preview_times])
+        self.layout = ObservationLayout.of(config)
+        counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
+        self._times = config.control_period * np.array([0, *counts])
         self._middles = 0.5 * (self._times[1:] + self._times[:-1])
 
     def predict(
@@ -90,13 +88,17 @@ class PID:
         error = self.layout.si(batch, "tracking_error")
         position = self.layout.si(batch, "position")
         command_before = self.layout.si(batch, "previous_command")
-        ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)], axis=1)
-        fresh = PIDState(command_before, np.zeros(len(batch)), position)
+        reference = self.layout.si(batch, "reference")
+        fresh = PIDState(command_before, np.zeros(len(batch)), position, reference)
         state = restarted(state, fresh, episode_start)
 
-        speeds = np.diff(ahead, axis=1) / np.diff(self._times)
-        reference_speed = _interpolate(g.feedforward_lead, self._middles, speeds)
-        leading = error + _interpolate(g.reference_lead, self._times, ahead)
+        if len(self._shown):
+            ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)[:, self._shown]], axis=1)
+            speeds = np.diff(ahead, axis=1) / np.diff(self._times)
+            reference_speed = _interpolate(g.feedforward_lead, self._middles, speeds)
+            leading = error + _interpolate(g.reference_lead, self._times, ahead)
+        else:
+            reference_speed, leading = (reference - state.reference) / period, error
         blend = period / (period + g.derivative_filter_time)
         velocity = state.velocity + blend * ((position - state.position) / period - state.velocity)
         feedforward = np.where(reference_speed > 0.0, g.feedforward_extending, g.feedforward_retracting)
@@ -108,23 +110,17 @@ class PID:
             + feedforward * reference_speed
         )
         command = np.clip(wanted, -1.0, 1.0)
-        integral = integral + (command - wanted) * np.minimum(period / np.asarray(g.anti_windup_time), 1.0)
+        integral = integral + (command - wanted) * min(period / g.anti_windup_time, 1.0)
         action = command.astype(np.float32)[:, None]
-        return (action[0] if single else action), PIDState(integral, velocity, position)
+        return (action[0] if single else action), PIDState(integral, velocity, position, reference)
 
 
-def _interpolate(time: Any, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Each row of ``values`` (N, times) at ``time`` (one, or one per row), interpolated; constant beyond the ends."""
-    result: NDArray[np.float64]
-    if np.ndim(time) == 0:  # one set of gains for all axes needs only two columns
-        one = min(max(float(time), float(times[0])), float(times[-1]))
-        column = min(max(int(np.searchsorted(times, one)), 1), len(times) - 1)
-        weight = (one - times[column - 1]) / (times[column] - times[column - 1])
-        result = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
-        return result
-    at = np.clip(np.asarray(time, dtype=np.float64), times[0], times[-1])
-    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    share = (at - times[right - 1]) / (times[right] - times[right - 1])
-    rows = np.arange(len(values))
-    result = values[rows, right - 1] * (1.0 - share) + values[rows, right] * share
+def _interpolate(time: float, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each row of ``values`` (N, times) at ``time``, interpolated; constant beyond the ends."""
+    if len(times) == 1:
+        return values[:, 0]
+    at = min(max(time, float(times[0])), float(times[-1]))
+    column = min(max(int(np.searchsorted(times, at)), 1), len(times) - 1)
+    weight = (at - times[column - 1]) / (times[column] - times[column - 1])
+    result: NDArray[np.float64] = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
     return result

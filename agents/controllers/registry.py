@@ -10,11 +10,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from agents.controllers.base import ClassicalController, Controller
+from agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 
-CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {"pid": (PID, PIDGains)}
+CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
+    "pid": (PID, PIDGains),
+    "flow_linearising": (FlowLinearising, FlowLinearisingGains),
+}
 """Class and class of gains of each classical controller, by kind."""
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.controllers.registry import make_controller
+from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
 from agents.learning.trainers import TRAINERS, Trainer
 from agents.running.cases import check_predict
@@ -70,7 +70,7 @@ def opponent(
         what = str(what) if isinstance(what, Path) else what
         if not isinstance(what, str):
             controller = what
-        elif what in ("pid", *SHIPPED_WEIGHTS):
+        elif what in (*CONTROLLERS, *SHIPPED_WEIGHTS):
             controller = shipped(what, config)
         elif what.endswith(".zip"):
             raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""Inputs of the policy network: the observation, the command of the corrected controller, and a short history.
+"""Inputs of the policy network: observation, command of the controller that it corrects, short history of signals.
 
 Leakage, stiffness of the oil, mass and friction are hidden, but they affect the recent past of pressures, spool and
 error. Training and inference use the same class.
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
+from agents.controllers.preview import Preview
 from agents.controllers.registry import kind_of
 from hydro_env import TaskConfig
 
@@ -27,6 +28,12 @@ HISTORY_SIGNALS = (
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
 """Control periods back."""
 
+
+LASTING_TIME = 0.2
+"""s; time constant of the slow average of the correction. What lasts longer is the integrator's business."""
+
+PREVIEW_SCALE = 0.01
+"""m; the rebuilt samples of the preview enter in parts of this, as the shown ones do."""
 
 FEATURE_LIMIT = 50.0
 """Inputs of the policy are limited to ± this value."""
@@ -47,10 +54,20 @@ class FeatureState(NamedTuple):
     base_command: NDArray[np.float32]
     """Command of the corrected controller at the last call, (N, 1)."""
 
+    correction: NDArray[np.float32]
+    """What the policy added to that controller's command in the period before, (N, 1); after the limits."""
+
+    lasting: NDArray[np.float32]
+    """Slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)."""
+
+    reference: NDArray[np.float64]
+    """The reference from one period ago to the farthest preview, m, (N, samples)."""
+
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
         base = rows(self.base, axes) if self.base is not None else None
-        return FeatureState(base, self.ring[axes], self.slot, self.base_command[axes])
+        arrays = {name: array[axes] for name, array in self._asdict().items() if name not in ("base", "slot")}
+        return FeatureState(base=base, slot=self.slot, **arrays)
 
 
 class PolicyFeatures:
@@ -60,10 +77,17 @@ class PolicyFeatures:
         config: the task.
         base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
         residual_scale: command per 1 of the policy's output in the residual form.
+        see_correction: whether the policy sees its last correction and the slow average of its corrections.
+        full_preview: whether the policy sees every sample of the preview; it remembers those that are not shown.
     """
 
     def __init__(
-        self, config: TaskConfig, base: ClassicalController | None = None, residual_scale: float = 0.25
+        self,
+        config: TaskConfig,
+        base: ClassicalController | None = None,
+        residual_scale: float = 0.2,
+        see_correction: bool = False,
+        full_preview: bool = False,
     ) -> None:
         self.config = config
         self.layout = layout = ObservationLayout.of(config)
@@ -72,7 +96,15 @@ class PolicyFeatures:
         self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
         self._lags = np.array(HISTORY_LAGS)
         self._length = max(HISTORY_LAGS) + 1
-        self.size = len(layout.names) + (1 if base is not None else 0) + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
+        self.see_correction = see_correction and base is not None
+        self._command_column = layout.index("previous_command")
+        self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
+        self.full_preview = full_preview
+        self._preview = Preview(config)
+        self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
+        own = 0 if base is None else 3 if self.see_correction else 1
+        rebuilt = len(self._rebuilt) if full_preview else 0
+        self.size = len(layout.names) + own + rebuilt + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
         self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -82,23 +114,41 @@ class PolicyFeatures:
         The history consists of the changes since each past sample. The first observation of an episode stands for the
         time before it.
         """
-        signals = np.asarray(observation[:, self._columns], dtype=np.float32)
+        inputs = np.asarray(observation, dtype=np.float32)
+        signals = inputs[:, self._columns]
+        zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
+            reference = self._preview.start(observation)
             ring = np.repeat(signals[:, None], self._length, axis=1)
-            state = FeatureState(None, ring, 0, np.zeros((len(signals), 1), dtype=np.float32))
+            state = FeatureState(None, ring, 0, zero, zero, zero, reference)
+            correction = lasting = zero
+        else:
+            correction = inputs[:, self._command_column, None] - state.base_command
+            lasting = self.lasting_after(correction, state)
+            reference = self._preview.advanced(state.reference, observation)
         ring = state.ring.copy()
         if episode_start is not None and np.any(episode_start):
             started = np.flatnonzero(episode_start)
             ring[started] = signals[started, None]
+            correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
+            reference[started] = self._preview.start(observation[started])
         ring[:, state.slot] = signals
         past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
         changes = np.tile(signals, len(HISTORY_LAGS)) - past
-        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length)
-        inputs = np.asarray(observation, dtype=np.float32)
+        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length, reference=reference)
+        seen = [inputs]
+        if self.full_preview:
+            seen.append(((reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE).astype(np.float32))
         if self.base is None:
-            return np.concatenate([inputs, changes], axis=1), state
+            return np.concatenate([*seen, changes], axis=1), state
         command, memory = self.base.predict(observation, state.base, episode_start)
-        return np.concatenate([inputs, command, changes], axis=1), state._replace(base=memory, base_command=command)
+        own = [command, correction, lasting] if self.see_correction else [command]
+        state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
+        return np.concatenate([*seen, *own, changes], axis=1), state
+
+    def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
+        """The slow average of the correction after a period with ``correction``, (N, 1)."""
+        return state.lasting + self._blend * (correction - state.lasting)
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
@@ -118,6 +168,8 @@ class PolicyFeatures:
             if self.base is None
             else {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")},
             "residual_scale": self.residual_scale,
+            "see_correction": self.see_correction,
+            "full_preview": self.full_preview,
             "history_signals": list(HISTORY_SIGNALS),
             "history_lags": list(HISTORY_LAGS),
         }

@@ -34,6 +34,8 @@ class _StoredFeatures(Group):
     task: TaskConfig
     base: _StoredBase | None
     residual_scale: float = Field(gt=0.0, le=2.0)
+    see_correction: bool = False
+    full_preview: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[int, ...]
 
@@ -45,6 +47,7 @@ class _StoredPolicy(Group):
 
     features: _StoredFeatures
     layer_sizes: tuple[int, ...] = Field(min_length=2, max_length=33)
+    critic_layer_sizes: tuple[int, ...] | None = Field(None, min_length=2, max_length=33)
     log_standard_deviation: float = Field(ge=-20.0, le=5.0)
     activation: Literal["tanh", "relu"] = "tanh"
     training: dict[str, Any] = {}
@@ -62,7 +65,7 @@ class PolicyController:
         log_standard_deviation: logarithm of the standard deviation of the exploration noise.
         activation: activation of the hidden layers, ``tanh`` or ``relu``.
         training: record of the training (JSON).
-        critic: layers of the value network, of the same sizes; ``None`` if unknown.
+        critic: layers of the value network, which may have more inputs; ``None`` if unknown.
     """
 
     def __init__(
@@ -146,22 +149,29 @@ class PolicyController:
         import torch
         from stable_baselines3 import PPO
 
-        if env.observation_space.shape != (self.features.size,):
+        from agents.learning.asymmetric import AsymmetricPolicy
+
+        inputs = (env.observation_space.shape or (0,))[0]
+        needed = self.features.size if self.critic is None else self.critic[0][0].shape[1]
+        told = getattr(env, "told_critic", False)
+        if inputs != needed and not (self.critic is None and told):
+            more = ", told_critic=True" if needed > self.features.size else ""
             raise ConfigurationError(
-                f"to_sb3: the environment gives inputs of shape {env.observation_space.shape}, the policy needs "
-                f"({self.features.size},): AxisVecEnv(config, count, features=policy.features) gives them"
+                f"to_sb3: the environment gives inputs of shape ({inputs},), the policy needs ({needed},): "
+                f"AxisVecEnv(config, count, features=policy.features{more}) gives them"
             )
 
         def hidden(layers: Layers) -> list[int]:
             return [len(bias) for _, bias in layers[:-1]]
 
         model = PPO(
-            "MlpPolicy",
+            AsymmetricPolicy if told else "MlpPolicy",
             env,
             policy_kwargs={
                 "net_arch": {"pi": hidden(self.layers), "vf": hidden(self.critic or self.layers)},
                 "activation_fn": torch.nn.Tanh if self.activation == "tanh" else torch.nn.ReLU,
                 "log_std_init": self.log_standard_deviation,
+                **({"actor_inputs": self.features.size} if told else {}),
             },
             **{"device": "cpu", **keywords},
         )
@@ -183,7 +193,8 @@ class PolicyController:
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
         settings = {
             "features": self.features.describe(),
-            "layer_sizes": [self.features.size, *(len(bias) for _, bias in self.layers)],
+            "layer_sizes": _sizes(self.layers),
+            "critic_layer_sizes": None if self.critic is None else _sizes(self.critic),
             "log_standard_deviation": self.log_standard_deviation,
             "activation": self.activation,
             "training": self.training,
@@ -208,16 +219,26 @@ class PolicyController:
                 if base.kind not in CONTROLLERS:
                     raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
                 base = make_controller(base.kind, described.task, base.settings)
-            features = PolicyFeatures(described.task, base, described.residual_scale)
+            features = PolicyFeatures(
+                described.task, base, described.residual_scale, described.see_correction, described.full_preview
+            )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-        if sizes[0] != features.size or sizes[-1] != 1 or not all(1 <= size <= 4096 for size in sizes):
-            raise ConfigurationError(
-                f"{path}: layer_sizes = {list(sizes)}: must begin with {features.size}, end with 1 and stay within 4096"
-            )
+        critic_sizes = stored.critic_layer_sizes or sizes
+        for name, found in (("layer_sizes", sizes), ("critic_layer_sizes", critic_sizes)):
+            fits = found[0] == features.size or (name[0] == "c" and found[0] > features.size)
+            if not fits or found[-1] != 1 or not all(1 <= size <= 4096 for size in found):
+                raise ConfigurationError(
+                    f"{path}: {name} = {list(found)}: must begin with {features.size}, end with 1 and stay within 4096"
+                )
         layers = _stored_layers(tensors, "layer", sizes, path)
-        critic = _stored_layers(tensors, "critic", sizes, path) if "critic0.weight" in tensors else None
+        critic = _stored_layers(tensors, "critic", critic_sizes, path) if "critic0.weight" in tensors else None
         return cls(features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic)
+
+
+def _sizes(layers: Layers) -> list[int]:
+    """Number of inputs, and of the outputs of each layer."""
+    return [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
 
 
 def _layers(modules: list[Any]) -> Layers:

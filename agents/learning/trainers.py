@@ -10,7 +10,8 @@ from agents.controllers.base import ClassicalController, Controller
 from agents.controllers.registry import imported, kind_of
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress
-from agents.learning.training import PPOSettings, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import train_ppo
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 

@@ -3,90 +3,29 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import numpy as np
 import torch
-from pydantic import ConfigDict, Field, model_validator
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.controllers.base import ClassicalController, ObservationLayout
-from agents.learning.checkpoint import CHECKPOINT_FILE, Checkpoint, load, restore, save, take
+from agents.learning.asymmetric import AsymmetricPolicy
+from agents.learning.callback import TrainingCallback
+from agents.learning.checkpoint import CHECKPOINT_FILE, load, restore, save
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress, training_logger
-from agents.learning.validation import validation_errors
+from agents.learning.settings import PPOSettings, TrainingSettings
+from agents.learning.validation import family_errors, validation_errors
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group
 from hydro_env.task.configuration import task_config
 
-LARGEST_ROLLOUT = 10_000_000
-"""Largest number of samples of a rollout; it takes some gigabytes of memory."""
 
-
-class PPOSettings(Group):
-    """Settings of the training; ``configs/agents/ppo.yaml`` holds those of the studies."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    residual: bool = Field(True, description="true: the policy corrects the PID; false: it acts on its own")
-    residual_scale: float = Field(0.25, gt=0.0, le=2.0, description="command per 1 of the policy's output")
-    paired: bool = Field(True, description="reward against a twin under the PID (residual form only)")
-    practice: dict[str, Any] = Field(
-        default_factory=dict, description="fields of the task that differ in training, such as the share of leaks"
-    )
-    total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
-    axes: int = Field(256, ge=1, le=65_536)
-    steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
-    minibatches: int = Field(4, ge=1)
-    epochs: int = Field(4, ge=1, le=1000)
-    learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; falls to a tenth along a cosine")
-    discount: float = Field(0.98, gt=0.0, lt=1.0)
-    advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
-    clip_range: float = Field(0.2, gt=0.0, le=10.0)
-    entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
-    initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
-    final_log_standard_deviation: float = Field(
-        -3.0, ge=-10.0, le=2.0, description="linear schedule; the gradient alone would reduce it too early"
-    )
-    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((64, 64), min_length=1, max_length=16)
-    activation: Literal["tanh", "relu"] = Field(
-        "tanh", description="of the hidden layers; relu takes a third less time"
-    )
-    reward_scale: float = Field(0.2, gt=0.0, le=1e6)
-    validation_every: int = Field(1_000_000, ge=0, description="steps between errors on validation plants; 0: none")
-    torch_threads: int = Field(1, ge=1, le=256)
-
-    @model_validator(mode="after")
-    def _batches(self) -> PPOSettings:
-        rollout = self.axes * self.steps_per_rollout
-        if rollout > LARGEST_ROLLOUT:
-            raise ValueError(f"axes × steps_per_rollout = {rollout} must not exceed {LARGEST_ROLLOUT}")
-        if rollout % self.minibatches or rollout // self.minibatches < 2:
-            raise ValueError(
-                f"minibatches = {self.minibatches} must divide axes × steps_per_rollout = {rollout} "
-                "into parts of at least 2"
-            )
-        return self
-
-    def learning_rate_at(self, remaining: float) -> float:
-        """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
-        share = min(1.0 - remaining, 1.0)  # the last rollout may go past the end
-        return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
-
-    def log_standard_deviation_at(self, share: float) -> float:
-        """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
-        first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
-        return first + (last - first) * share
-
-
-def make_features(config: TaskConfig, settings: PPOSettings, base: ClassicalController | None) -> PolicyFeatures:
+def make_features(config: TaskConfig, settings: TrainingSettings, base: ClassicalController | None) -> PolicyFeatures:
     """The features that a training uses.
 
     Raises:
@@ -94,10 +33,11 @@ def make_features(config: TaskConfig, settings: PPOSettings, base: ClassicalCont
     """
     if settings.residual and base is None:
         raise ConfigurationError("the residual form needs a controller that the policy corrects")
-    return PolicyFeatures(config, base if settings.residual else None, settings.residual_scale)
+    corrected = base if settings.residual else None
+    return PolicyFeatures(config, corrected, settings.residual_scale, settings.see_correction, settings.full_preview)
 
 
-def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
+def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
     """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
     Raises:
@@ -106,20 +46,49 @@ def make_env(config: TaskConfig, settings: PPOSettings, features: PolicyFeatures
     try:
         practised = task_config(config, **settings.practice)
     except ConfigurationError as error:
-        raise ConfigurationError(f"ppo.practice: {error}") from None
+        raise ConfigurationError(f"practice: {error}") from None
     if ObservationLayout.of(practised) != ObservationLayout.of(config):
         raise ConfigurationError(
-            f"ppo.practice = {settings.practice}: must leave the control period and the names and scales of "
+            f"practice = {settings.practice}: must leave the control period and the names and scales of "
             "observations as they are in the task, because the policy must work there"
         )
     paired = settings.residual and settings.paired
-    return AxisVecEnv(practised, settings.axes, features, seed, settings.reward_scale, paired, stagger=True)
+    if settings.family_units and features.base is not None:
+        practised = in_family_units(practised, family_errors(practised, features.base))
+    return AxisVecEnv(
+        practised,
+        settings.axes,
+        features,
+        seed,
+        settings.reward_scale,
+        paired,
+        stagger=True,
+        told_critic=getattr(settings, "told_critic", False),
+        prices=settings.prices,
+    )
+
+
+def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConfig:
+    """The task with rewards in parts of each family's mean error (m).
+
+    The largest cost, and with it that of a failure, still begins at the same error.
+    """
+    reward = config.reward
+    scale = {name: error / reward.error_scale for name, error in errors.items()}
+    more = max(1.0, 1.0 / min(scale.values()))
+    changed = {
+        "family_scale": scale,
+        "error_limit": more * reward.error_limit,
+        "failure": more * reward.failure,
+    }
+    return task_config(config, reward=changed)
 
 
 def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
-    """A PPO model whose policy starts at (nearly) zero output: the residual form starts as the PID."""
+    """A PPO model whose policy starts at (nearly) zero output: a correction starts as the corrected controller."""
+    assert env.features is not None
     model = PPO(
-        "MlpPolicy",
+        AsymmetricPolicy if settings.told_critic else "MlpPolicy",
         env,
         learning_rate=settings.learning_rate_at,
         n_steps=settings.steps_per_rollout,
@@ -133,6 +102,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
             "net_arch": {"pi": list(settings.hidden_sizes), "vf": list(settings.hidden_sizes)},
             "log_std_init": settings.initial_log_standard_deviation,
             "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
+            **({"actor_inputs": env.features.size} if settings.told_critic else {}),
         },
         seed=seed,
         device="cpu",
@@ -142,99 +112,6 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
     with torch.no_grad():
         model.policy.get_parameter("action_net.weight").mul_(0.1 if settings.residual else 1.0)
     return model
-
-
-class _Callback(BaseCallback):
-    """Logs, writes checkpoints and calls ``check`` between rollouts; sets the exploration after each."""
-
-    model: PPO
-
-    def __init__(
-        self,
-        settings: PPOSettings,
-        seconds: float,
-        progress: Callable[[Progress], None] | None,
-        write: Callable[[Checkpoint], None] | None,
-        checkpoint_seconds: float,
-        check: Callable[[float], bool],
-        validate: Callable[[], dict[str, float]],
-    ) -> None:
-        super().__init__()
-        self._settings = settings
-        self._progress = progress
-        self._write = write
-        self._every = checkpoint_seconds
-        self._check = check
-        self._validate = validate
-        self._began = time.monotonic() - seconds
-        self._written: float | None = None
-        self._checkpoint: Checkpoint | None = None
-        self._logged = -1
-        self._ended = False
-
-    @property
-    def seconds(self) -> float:
-        """Duration of training, all sessions together, without the caller's checks."""
-        return time.monotonic() - self._began
-
-    def _on_training_start(self) -> None:
-        self._logged = self.num_timesteps
-
-    def _on_rollout_start(self) -> None:
-        self._between_rollouts()
-        before = time.monotonic()
-        self._ended = self._check(self.seconds)
-        self._began += time.monotonic() - before
-
-    def _on_step(self) -> bool:
-        return not self._ended
-
-    def _on_rollout_end(self) -> None:
-        settings, steps = self._settings, self.num_timesteps
-        share = min(steps / settings.total_steps, 1.0)
-        with torch.no_grad():
-            self.model.policy.get_parameter("log_std").fill_(settings.log_standard_deviation_at(share))
-        if self._progress is not None:
-            self._progress(Progress(steps, settings.total_steps, self.seconds, self._mean_reward()))
-
-    def _on_training_end(self) -> None:
-        if not self._ended:
-            self._between_rollouts()
-        self.write_checkpoint()
-
-    def _mean_reward(self) -> float:
-        episodes = self.model.ep_info_buffer or ()
-        return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
-
-    def _between_rollouts(self) -> None:
-        """Log the last rollout and its update, and copy the state at the start of the next one."""
-        steps = self.num_timesteps
-        if steps > self._logged:
-            self._log(steps, steps - self._logged)
-            self._logged = steps
-        if self._write is not None:
-            env = self.model.get_env()
-            assert isinstance(env, AxisVecEnv)
-            self._checkpoint = take(self.model, env, self.seconds)
-            if self._written is None or time.monotonic() - self._written > self._every:
-                self.write_checkpoint()
-
-    def _log(self, steps: int, rollout: int) -> None:
-        every = self._settings.validation_every
-        if every and (steps // every > (steps - rollout) // every or steps >= self._settings.total_steps):
-            for name, value in self._validate().items():
-                self.logger.record(f"validation/{name}", value)
-        lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
-        self.logger.record("rollout/mean_reward", self._mean_reward())
-        self.logger.record("rollout/ep_len_mean", float(np.mean(lengths)) if lengths else math.nan)
-        self.logger.record("time/time_elapsed", self.seconds)
-        self.logger.dump(steps)
-
-    def write_checkpoint(self) -> None:
-        """Write the state at the start of the present rollout, or of the next one between rollouts."""
-        if self._write is not None and self._checkpoint is not None:
-            self._write(self._checkpoint)
-            self._written = time.monotonic()
 
 
 def train_ppo(
@@ -305,7 +182,7 @@ def train_ppo(
         mean, worst, failures = validation_errors(config, current())
         return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, "base_mean_error_mm": base_error}
 
-    callback = _Callback(
+    callback = TrainingCallback(
         settings,
         checkpoint.seconds if checkpoint is not None else 0.0,
         progress,
@@ -326,11 +203,21 @@ def train_ppo(
     finally:
         model.logger.close()
         env.close()
-    record = {
-        "algorithm": "PPO (stable-baselines3)",
-        "seed": seed,
-        "steps": int(model.num_timesteps),
-        "seconds": round(callback.seconds, 1),
-        "settings": described,
-    }
+    record = training_record("PPO", env, seed, int(model.num_timesteps), callback.seconds, settings)
     return PolicyController.from_sb3(model, features, record)
+
+
+def training_record(
+    algorithm: str, env: AxisVecEnv, seed: int, steps: int, seconds: float, settings: TrainingSettings
+) -> dict[str, Any]:
+    """What the weights' JSON says about their training."""
+    practised = env.env.config
+    return {
+        "algorithm": f"{algorithm} (stable-baselines3)",
+        "seed": seed,
+        "steps": steps,
+        "seconds": round(seconds, 1),
+        "control_period": practised.control_period,
+        "command_latency": practised.command_latency_range or practised.command_latency,
+        "settings": settings.model_dump(mode="json"),
+    }

@@ -1,138 +1,324 @@
-"""Optimises the gains of the PID on training plants with all leak levels and reference families."""
+"""Tunes the gains of any classical controller by CMA-ES on training plants with all leak levels and families.
+
+Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evolution strategies*, Evolutionary Computation
+9(2), 2001; the package ``cmaes``. Every kind gets the same optimiser, budget and training cases.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+import csv
+import io
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from cmaes import CMA
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
 
-from agents.controllers.base import Controller
-from agents.controllers.pid import PID, PIDGains
+from agents.controllers.base import Controller, search_space
+from agents.controllers.registry import CONTROLLERS
 from agents.running.seeds import TRAINING_SEEDS
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import Group, read_text, validate, write_text
+from hydro_env.plant.analysis import speed_limits
 
-SEARCH: dict[str, tuple[float, float, bool]] = {
-    "proportional": (2.0, 2000.0, True),
-    "integral": (1.0, 1e5, True),
-    "derivative": (0.0, 3.0, False),
-    "derivative_filter_time": (1e-3, 0.05, True),
-    "feedforward_extending": (0.0, 20.0, False),
-    "feedforward_retracting": (0.0, 20.0, False),
-    "feedforward_lead": (0.0, 0.03, False),
-    "reference_lead": (0.0, 0.03, False),
-    "anti_windup_time": (0.005, 1.0, True),
-}
-"""Lower bound, upper bound, and whether the search runs over the logarithm."""
+Floats = NDArray[np.float64]
+Objective = Literal["mean", "equal"]
 
 LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
+"""l/min at 100 bar; every candidate meets each of them in each family."""
+
+POPULATION = 14
+"""Candidates of a generation."""
+
+EVALUATIONS = 2800
+"""Candidates in all."""
+
+EFFORT_TIME = 3e-3
+"""s; a squared change of the command from one period to the next costs as much as the way at full speed in this time."""
+
+REFUSED = 1e3
+"""m; cost of a candidate that is refused or fails."""
+
+_SIGMA = 0.2
 
 
-def gains_from_vector(vector: NDArray[np.float64]) -> PIDGains:
-    """Gains from a point of the search space (9,), or arrays of gains from many (9, N)."""
-    values = {
-        name: np.exp(value) if logarithmic else value
-        for (name, (_, _, logarithmic)), value in zip(SEARCH.items(), vector, strict=True)
-    }
-    if vector.ndim == 1:
-        return PIDGains(**{name: float(value) for name, value in values.items()})
-    return PIDGains.model_construct(**values)
+@dataclass(frozen=True)
+class TuningCases:
+    """The training cases of every candidate, each (N,): N a multiple of families × leak levels at best."""
 
+    seeds: tuple[int, ...]
+    leakage_flow_lpm: tuple[float, ...]
+    families: tuple[str, ...]
 
-def mean_costs(
-    env: ServoHydraulicVectorEnv, controller: Controller, seeds: Sequence[int], options: dict[str, Any]
-) -> NDArray[np.float64]:
-    """Mean cost per control period of one episode on every axis, (N,).
-
-    An axis that fails pays the worst tracking cost for the rest of its episode.
-
-    Args:
-        env: N axes with automatic resets.
-        controller: the controller.
-        seeds: seeds of the axes.
-        options: options of the reset.
-    """
-    task, memory = env.config, None
-    worst = task.reward.tracking * task.reward.error_limit
-    observation, _ = env.reset(seed=seeds, options=options)
-    total, alive = np.zeros(env.num_envs), np.ones(env.num_envs, dtype=np.bool_)
-    for _ in range(task.steps):
-        action, memory = controller.predict(observation, memory)
-        observation, reward, terminated, _, _ = env.step(action)
-        total += np.where(alive, -reward, worst)
-        alive &= ~terminated
-    return total / task.steps
-
-
-def tune_pid(
-    config: TaskConfig,
-    plants: int = 126,
-    generations: int = 80,
-    population: int = 6,
-    seed: int = 0,
-    progress: Callable[[int, float, PIDGains], None] | None = None,
-) -> tuple[PIDGains, float]:
-    """Optimise the gains by differential evolution on the mean absolute error, the measure of the evaluation.
-
-    The cost keeps the reward's small penalty on changes of the command, which prevents chatter. Every candidate drives
-    the same training plants, references and noise; leak levels and families are spread evenly over them.
-
-    Args:
-        config: the task.
-        plants: axes per candidate; a multiple of levels × families gives each combination the same number.
-        generations: number of generations of the search.
-        population: candidates per gain.
-        seed: seed of the search and of the training plants.
-        progress: called with the generation, the lowest mean cost so far and its gains.
-
-    Returns:
-        The gains, and their mean cost per step on the training plants.
-    """
-    families = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-    leak = np.array([LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(plants)])
-    names = [families[(index // len(LEAK_LEVELS)) % len(families)] for index in range(plants)]
-    environments: dict[int, ServoHydraulicVectorEnv] = {}
-
-    def costs(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        points = points.reshape(len(SEARCH), -1)
-        candidates = points.shape[1]
-        if candidates not in environments:
-            environments[candidates] = ServoHydraulicVectorEnv(
-                candidates * plants, config, autoreset_mode="SameStep", info=False
-            )
-        first = TRAINING_SEEDS.start + (seed * plants) % (len(TRAINING_SEEDS) - plants)
-        cost = mean_costs(
-            environments[candidates],
-            PID(gains_from_vector(np.repeat(points, plants, axis=1)), config),
-            list(range(first, first + plants)) * candidates,
-            {"leakage_flow_lpm": np.tile(leak, candidates), "reference": names * candidates},
+    @classmethod
+    def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
+        """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
+        known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
+        first = TRAINING_SEEDS.start + (seed * count) % (len(TRAINING_SEEDS) - count)
+        return cls(
+            tuple(range(first, first + count)),
+            tuple(LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(count)),
+            tuple(known[(index // len(LEAK_LEVELS)) % len(known)] for index in range(count)),
         )
-        return np.asarray(cost.reshape(candidates, plants).mean(axis=1))
 
-    bounds = [(np.log(low), np.log(high)) if log else (low, high) for low, high, log in SEARCH.values()]
-    generation = 0
+    def __len__(self) -> int:
+        return len(self.seeds)
 
-    def report(intermediate_result: Any) -> None:
-        nonlocal generation
-        generation += 1
-        if progress is not None:
-            best = gains_from_vector(np.asarray(intermediate_result.x))
-            progress(generation, float(intermediate_result.fun), best)
 
-    result = differential_evolution(
-        costs,
-        bounds,
-        maxiter=generations,
-        popsize=population,
-        rng=seed,
-        vectorized=True,
-        updating="deferred",
-        polish=False,
-        tol=1e-4,
-        callback=report,
+@dataclass(frozen=True)
+class Score:
+    """What a candidate reaches on the training cases, in m; each includes the price on changes of the command."""
+
+    mean: float
+    """Mean over all cases of the mean absolute error."""
+    equal: float
+    """Geometric mean over the families of the mean over their cases: each family weighs the same."""
+
+
+class Trial:
+    """Runs candidates side by side: each drives its slice of one vector environment, on the same cases."""
+
+    def __init__(self, config: TaskConfig, cases: TuningCases, candidates: int) -> None:
+        self.config, self.cases, self.candidates = config, cases, candidates
+        count = candidates * len(cases)
+        self._env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
+        self._price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
+
+    def close(self) -> None:
+        """Release the threads of the environment."""
+        self._env.close()
+
+    def costs(self, controllers: Sequence[Controller | None]) -> Floats:
+        """Mean absolute error and price on changes of the command of each candidate's cases, m, (candidates, cases).
+
+        A failed axis pays the length of the stroke in every period that is left. A candidate that is ``None``, raises
+        or returns no finite commands pays :data:`REFUSED`.
+        """
+        config, cases, size = self.config, self.cases, len(self.cases)
+        count = self.candidates * size
+        observation, _ = self._env.reset(
+            seed=list(cases.seeds) * self.candidates,
+            options={
+                "leakage_flow_lpm": np.tile(cases.leakage_flow_lpm, self.candidates),
+                "reference": list(cases.families) * self.candidates,
+            },
+        )
+        axes = self._env.axes
+        reference = axes.reference[:, : config.steps + 1].copy()
+        before = axes.column("command").copy()
+        memories: list[Any] = [None] * self.candidates
+        able = [controller is not None for controller in controllers]
+        alive, total = np.ones(count, dtype=np.bool_), np.zeros(count)
+        action = np.zeros((count, 1), dtype=np.float32)
+        started = np.ones(size, dtype=np.bool_)
+        for step in range(config.steps):
+            for number, controller in enumerate(controllers):
+                part = slice(number * size, (number + 1) * size)
+                action[part] = 0.0
+                if controller is not None and able[number]:
+                    try:
+                        commands, memories[number] = controller.predict(observation[part], memories[number], started)
+                        able[number] = bool(np.isfinite(commands).all())
+                    except Exception:
+                        able[number] = False
+                    if able[number]:
+                        action[part] = commands
+            observation, _, terminated, _, _ = self._env.step(action)
+            command = np.clip(action[:, 0].astype(np.float64), -1.0, 1.0)
+            error = np.abs(reference[:, step + 1] - axes.column("position"))
+            paid = error + self._price * (command - before) ** 2
+            total += np.where(alive, paid, config.plant.cylinder.stroke)
+            before = command
+            alive &= ~terminated
+            started = np.zeros(size, dtype=np.bool_)
+        result = (total / config.steps).reshape(self.candidates, size)
+        result[~np.array(able)] = REFUSED
+        return result
+
+    def scores(self, controllers: Sequence[Controller | None]) -> list[Score]:
+        """:class:`Score` of each candidate."""
+        families = np.array(self.cases.families)
+        groups = [families == name for name in dict.fromkeys(self.cases.families)]
+        return [
+            Score(float(row.mean()), float(np.exp(np.mean([np.log(row[group].mean()) for group in groups]))))
+            for row in self.costs(controllers)
+        ]
+
+
+class Space:
+    """The search space of a class of gains as a unit cube; fields with ``logarithmic`` count by their logarithm."""
+
+    def __init__(self, gains: type[Group]) -> None:
+        self.gains = gains
+        self.names = tuple(search_space(gains))
+        ends = np.array([(low, high) for low, high, _ in search_space(gains).values()])
+        self._logarithmic = np.array([logarithmic for _, _, logarithmic in search_space(gains).values()])
+        scaled = self._scaled(ends.T)
+        self._low, self._width = scaled[0], scaled[1] - scaled[0]
+
+    def _scaled(self, values: Floats) -> Floats:
+        return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)
+
+    def point(self, gains: Group) -> Floats:
+        """Gains as a point of the cube, (n,); a gain outside its search range is moved to the nearer end."""
+        values = np.array([float(getattr(gains, name)) for name in self.names])
+        tiny = np.exp(self._low)
+        scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
+        return np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+
+    def values(self, point: Floats) -> dict[str, float]:
+        """The gains at a point of the cube, by name."""
+        scaled = self._low + self._width * np.clip(point, 0.0, 1.0)
+        values = np.where(self._logarithmic, np.exp(np.where(self._logarithmic, scaled, 0.0)), scaled)
+        return dict(zip(self.names, values.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The best candidate so far."""
+
+    gains: Group
+    score: Score
+    evaluations: int
+
+
+def tune(
+    kind: str,
+    config: TaskConfig,
+    objective: Objective = "equal",
+    evaluations: int = EVALUATIONS,
+    seed: int = 0,
+    cases: int = 42,
+    start: Group | None = None,
+    log: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[Tuned], None] | None = None,
+    population: int = POPULATION,
+) -> Tuned:
+    """Tune the gains of a kind of :data:`~agents.controllers.registry.CONTROLLERS`.
+
+    Args:
+        kind: the controller.
+        config: the task.
+        objective: ``mean`` (mean absolute error) or ``equal`` (geometric mean over the families); see :class:`Score`.
+        evaluations: candidates in all, rounded up to whole generations.
+        seed: of the optimiser and of the training cases.
+        cases: training cases of each candidate; a multiple of leak levels × families gives each the same number.
+        start: gains from which the search starts; their class's defaults by default. Fields that are not searched keep
+            these values.
+        log: CSV file with the costs of every generation. It is the checkpoint too.
+        resume: continue from ``log``; the result is bit-equal to that of a run without a break.
+        progress: called after every generation with the best so far.
+        population: candidates of a generation.
+
+    Raises:
+        ConfigurationError: unknown kind, or a log that is damaged or was written with other settings.
+    """
+    if kind not in CONTROLLERS:
+        raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}")
+    make, group = CONTROLLERS[kind]
+    space, base = Space(group), start or group()
+    settings = {
+        "kind": kind,
+        "objective": objective,
+        "seed": seed,
+        "cases": cases,
+        "population": population,
+        "start": base.model_dump(mode="json"),
+        "task": config.model_dump(mode="json"),
+    }
+    done = _read(log, settings) if log is not None and resume else []
+    trial = Trial(config, TuningCases.of(config, cases, seed), population)
+    optimiser = CMA(
+        space.point(base),
+        _SIGMA,
+        bounds=np.tile([0.0, 1.0], (len(space.names), 1)),
+        seed=seed,
+        population_size=population,
     )
-    for env in environments.values():
-        env.close()
-    return gains_from_vector(result.x), float(result.fun)
+    rows, best = list(done), None
+    generations = -(-evaluations // population)
+    try:
+        for generation in range(generations):
+            points = [optimiser.ask() for _ in range(population)]
+            gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
+            if generation < len(done):
+                scores = done[generation]
+            else:
+                scores = trial.scores([_controller(make, one, config) for one in gains])
+                rows.append(scores)
+            costs = [getattr(score, objective) for score in scores]
+            leader = int(np.argmin(costs))
+            found = gains[leader]
+            if found is not None and (best is None or costs[leader] < getattr(best.score, objective)):
+                best = Tuned(found, scores[leader], 0)
+            optimiser.tell(list(zip(points, costs, strict=True)))
+            if generation >= len(done) and log is not None:
+                _write(log, settings, rows)
+            if best is not None and generation >= len(done) and progress is not None:
+                progress(Tuned(best.gains, best.score, (generation + 1) * population))
+    finally:
+        trial.close()
+    if best is None:
+        raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
+    return Tuned(best.gains, best.score, generations * population)
+
+
+def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
+    """The gains of a candidate; ``None`` if their class refuses them."""
+    try:
+        return validate(group, values, "candidate")
+    except ConfigurationError:
+        return None
+
+
+def _controller(make: Callable[[Any, TaskConfig], Controller], gains: Group | None, config: TaskConfig) -> Any:
+    """The controller of a candidate; ``None`` if it cannot be made (an unsolvable Riccati equation, say)."""
+    if gains is None:
+        return None
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return make(gains, config)
+    except Exception:
+        return None
+
+
+# The log ------------------------------------------------------------------------------------------------------------
+
+
+def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Score]]) -> None:
+    text = io.StringIO()
+    text.write(f"# {json.dumps(settings)}\n")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["generation", "candidate", "mean", "equal"])
+    for generation, scores in enumerate(rows):
+        for candidate, score in enumerate(scores):
+            table.writerow([generation, candidate, repr(score.mean), repr(score.equal)])
+    write_text(log, text.getvalue())
+
+
+def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
+    """The generations of a log.
+
+    Raises:
+        ConfigurationError: the log is damaged or belongs to other settings.
+    """
+    first, _, table = read_text(log).partition("\n")
+    try:
+        written = json.loads(first.removeprefix("# "))
+        scores: dict[int, list[Score]] = {}
+        for row in csv.DictReader(io.StringIO(table)):
+            scores.setdefault(int(row["generation"]), []).append(Score(float(row["mean"]), float(row["equal"])))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
+    other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]
+    if other:
+        raise ConfigurationError(f"{log}: was written with another {other[0]}; --overwrite begins anew")
+    if any(len(row) != settings["population"] for row in scores.values()):
+        raise ConfigurationError(f"{log}: is damaged (a generation is incomplete); --overwrite begins anew")
+    return [scores[generation] for generation in sorted(scores)]

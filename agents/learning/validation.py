@@ -1,4 +1,4 @@
-"""Errors of a policy on a small fixed set of validation plants, for the log of its training."""
+"""Errors of a policy on validation plants, for the log of its training, and of its base on training plants."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from agents.controllers.base import Controller
 from agents.running.cases import Cases, run_cases
-from agents.running.seeds import VALIDATION_SEEDS
+from agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
 
 
@@ -27,3 +27,12 @@ def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float
     run = run_cases(config, controller, validation_cases(config))
     errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
     return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())
+
+
+def family_errors(config: TaskConfig, controller: Controller, plants: int = 16) -> dict[str, float]:
+    """Mean absolute tracking error (m) of a controller in each family of references, on training plants."""
+    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
+    seeds = np.tile(TRAINING_SEEDS.stop - plants + np.arange(plants), len(families))
+    run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
+    errors = np.abs(run.position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
+    return dict(zip(families, errors.tolist(), strict=True))

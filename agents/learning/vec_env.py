@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
 from agents.learning.features import FEATURE_LIMIT, FeatureState, PolicyFeatures
+from agents.learning.privileged import Privileged
+from agents.learning.settings import Prices
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
 
@@ -48,6 +50,8 @@ class AxisVecEnv(VecEnv):
         paired: reward relative to a twin under the corrected controller; needs features in the residual form.
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
+        told_critic: append to the inputs what only a critic may know (:class:`~agents.learning.privileged.Privileged`).
+        prices: further costs; see :class:`~agents.learning.settings.Prices`.
         overrides: single fields of the task.
 
     Raises:
@@ -63,6 +67,8 @@ class AxisVecEnv(VecEnv):
         reward_scale: float = 1.0,
         paired: bool = False,
         stagger: bool = False,
+        told_critic: bool = False,
+        prices: Prices | None = None,
         **overrides: Any,
     ) -> None:
         if paired and (features is None or features.base is None):
@@ -82,9 +88,13 @@ class AxisVecEnv(VecEnv):
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
         self._stagger = stagger
+        self._prices = prices if prices is not None else Prices()
+        self.told_critic = told_critic
+        self._privileged = Privileged(self.env.config) if told_critic else None
         observed: spaces.Space[Any] = self.env.single_observation_space
         if features is not None:
-            observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size,), np.float32)
+            told = self._privileged.size if self._privileged is not None else 0
+            observed = spaces.Box(-FEATURE_LIMIT, FEATURE_LIMIT, (features.size + told,), np.float32)
         super().__init__(count, observed, self.env.single_action_space)
 
     def reset(self) -> VecEnvObs:
@@ -113,6 +123,12 @@ class AxisVecEnv(VecEnv):
         if self.features is None:
             return observation
         inputs, self._state = self.features(observation[: self.num_envs], self._state, restarted)
+        return self._with_privileged(inputs, slice(self.num_envs))
+
+    def _with_privileged(self, inputs: NDArray[np.float32], axes: slice | NDArray[np.int64]) -> NDArray[np.float32]:
+        """The policy's inputs of some axes, within their limits, and what the critic is told besides."""
+        if self._privileged is not None:
+            inputs = np.concatenate([inputs, self._privileged(self.env.axes, axes)], axis=1)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
 
     def step_async(self, actions: Array) -> None:
@@ -128,7 +144,10 @@ class AxisVecEnv(VecEnv):
             command = self.features.command(command, self._state)
         if self._paired:
             command = np.concatenate([command, self._twin_commands])
+        axes = self.env.axes
+        change = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
+        worth = rewards - self._prices_of_commands(change, axes.column("change"))
         reward = rewards[:count]
         ended = terminated | truncated
         done = ended[:count]
@@ -136,8 +155,9 @@ class AxisVecEnv(VecEnv):
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(count)]
         if self._paired:  # an axis and its twin restart together
-            reward = reward - rewards[count:]
+            worth = worth[:count] - worth[count:]
             done = done | ended[count:]
+        worth -= self._prices_of_correction(axes.column("command")[:count])
         if done.any():
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
             mask = np.concatenate([done, done]) if self._paired else done
@@ -145,7 +165,23 @@ class AxisVecEnv(VecEnv):
         inputs = self._inputs(observation, done)
         self._returns[done] = 0.0
         self._lengths[done] = 0
-        return inputs, (reward * self.reward_scale).astype(np.float32), done, infos
+        return inputs, (worth * self.reward_scale).astype(np.float32), done, infos
+
+    def _prices_of_commands(self, before: Array, change: Array) -> Array:
+        """Price of a period's change of each command, given the change ``before``."""
+        prices = self._prices
+        return prices.travel * np.abs(change) + prices.reversal * (change * before < 0.0)
+
+    def _prices_of_correction(self, command: Array) -> Array:
+        """Price of each correction that led to ``command``."""
+        prices, state = self._prices, self._state
+        if state is None or not (prices.lasting or prices.change):
+            return np.zeros(self.num_envs)
+        assert self.features is not None
+        correction = command[:, None].astype(np.float32) - state.base_command
+        lasting, change = self.features.lasting_after(correction, state), correction - state.correction
+        price: Array = (prices.lasting * lasting**2 + prices.change * change**2)[:, 0]
+        return price
 
     def _fill_infos(
         self, infos: list[dict[str, Any]], ended: NDArray[np.int64], last: Array, terminated: NDArray[np.bool_]
@@ -155,7 +191,7 @@ class AxisVecEnv(VecEnv):
         if self.features is not None:
             assert self._state is not None
             inputs, _ = self.features(inputs, self._state.rows(ended), None)
-            inputs = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
+            inputs = self._with_privileged(inputs, ended)
         for row, axis in enumerate(ended):
             infos[axis] = {
                 "terminal_observation": inputs[row],
@@ -168,8 +204,8 @@ class AxisVecEnv(VecEnv):
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
         arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
         if self._state is not None:
-            _, ring, slot, command = self._state
-            arrays |= {"ring": ring, "slot": np.array(slot), "base_command": command}
+            stored = self._state._asdict()
+            arrays |= {name: np.asarray(stored[name]) for name in FeatureState._fields if name != "base"}
         for name, memory in (("base", self._state.base if self._state is not None else None), ("twin", self._twins)):
             if memory is not None:
                 arrays |= {f"{name}.{field}": value for field, value in memory._asdict().items()}
@@ -201,7 +237,8 @@ class AxisVecEnv(VecEnv):
             slot = int(state["slot"])
             if not 0 <= slot < state["ring"].shape[1]:
                 raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            self._state = FeatureState(memory("base"), state["ring"], slot, state["base_command"])
+            arrays = {name: state[name] for name in FeatureState._fields if name not in ("base", "slot")}
+            self._state = FeatureState(base=memory("base"), slot=slot, **arrays)
 
     def close(self) -> None:
         """Stop the worker threads."""

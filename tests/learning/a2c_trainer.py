@@ -3,7 +3,6 @@
 from pydantic import Field
 from stable_baselines3 import A2C
 
-from agents.controllers import ObservationLayout
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.progress import training_logger
@@ -24,7 +23,7 @@ class A2CTrainer:
     def train(self, config, settings, *, seed, folder, resume, base, progress):
         if resume:
             raise ConfigurationError("a2c: cannot resume")
-        features = PolicyFeatures(ObservationLayout.of(config), base.gains if base is not None else None)
+        features = PolicyFeatures(config, base)
         env = AxisVecEnv(config, settings.axes, features, seed)
         model = A2C("MlpPolicy", env, settings.learning_rate, seed=seed, device="cpu")
         model.set_logger(training_logger(folder))

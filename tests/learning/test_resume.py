@@ -9,14 +9,16 @@ import time
 import numpy as np
 import pytest
 
-from agents.controllers import PIDGains
+from agents.controllers import PID, PIDGains
 from agents.learning.checkpoint import CHECKPOINT_FILE
 from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.training import PPOSettings, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import train_ppo
 from agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
+BASE = PID(PIDGains(), CONFIG)
 SETTINGS = PPOSettings(
     total_steps=1280, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), validation_every=500
 )
@@ -25,7 +27,7 @@ KIND = "training checkpoint"
 
 
 def train(folder, **options):
-    return train_ppo(CONFIG, options.pop("settings", SETTINGS), PIDGains(), seed=1, folder=folder, **options)
+    return train_ppo(CONFIG, options.pop("settings", SETTINGS), BASE, seed=1, folder=folder, **options)
 
 
 def result(policy, folder):
@@ -95,13 +97,13 @@ def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
         train(tmp_path, progress=interrupt_at(256))
     with pytest.raises(ConfigurationError, match="another settings \\('discount' differs\\)"):
         train(tmp_path, resume=True, settings=SETTINGS.model_copy(update={"discount": 0.5}))
-    for message, config, gains, seed in (
-        ("another task \\('episode_duration' differs\\)", TaskConfig(episode_duration=0.2), PIDGains(), 1),
-        ("another features \\('pid_gains' differs\\)", CONFIG, PIDGains(proportional=3.0), 1),
-        ("another seed; cannot resume", CONFIG, PIDGains(), 2),
+    for message, config, base, seed in (
+        ("another task \\('episode_duration' differs\\)", TaskConfig(episode_duration=0.2), BASE, 1),
+        ("another features \\('base' differs\\)", CONFIG, PID(PIDGains(proportional=3.0), CONFIG), 1),
+        ("another seed; cannot resume", CONFIG, BASE, 2),
     ):
         with pytest.raises(ConfigurationError, match=message):
-            train_ppo(config, SETTINGS, gains, seed, tmp_path, resume=True)
+            train_ppo(config, SETTINGS, base, seed, tmp_path, resume=True)
 
 
 def test_a_training_that_begins_anew_drops_the_checkpoint_before_anything_else(tmp_path):

@@ -7,7 +7,8 @@ from stable_baselines3 import A2C, PPO, SAC
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
-from agents.learning.training import PPOSettings, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import train_ppo
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -20,7 +21,7 @@ SETTINGS = PPOSettings(total_steps=128, axes=4, steps_per_rollout=16, minibatche
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_there_and_back_with_the_critic(tmp_path, activation):
     settings = SETTINGS.model_copy(update={"activation": activation})
-    train_ppo(CONFIG, settings, PIDGains()).save(tmp_path / "policy")
+    train_ppo(CONFIG, settings, PID(PIDGains(), CONFIG)).save(tmp_path / "policy")
     policy = PolicyController.load(tmp_path / "policy")
     env = AxisVecEnv(CONFIG, 4, policy.features)
     model = policy.to_sb3(env, n_steps=16, batch_size=32, seed=0)
@@ -111,7 +112,7 @@ def test_algorithms_of_stable_baselines3_learn_on_it_and_act_as_controllers(algo
 
 
 def test_a_state_that_was_given_is_never_changed():
-    features = PolicyFeatures(LAYOUT, PIDGains())
+    features = PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG))
     weight = np.random.default_rng(1).standard_normal((1, features.size)).astype(np.float32)
     policy = PolicyController(features, [(weight, np.zeros(1, dtype=np.float32))])
     rows = np.random.default_rng(0).standard_normal((60, 3, len(LAYOUT.names))).astype(np.float32)
@@ -129,7 +130,7 @@ def test_a_state_that_was_given_is_never_changed():
 
 
 def test_memory_of_some_axes_goes_on_alone():
-    features = PolicyFeatures(LAYOUT, PIDGains())
+    features = PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG))
     rows = np.random.default_rng(0).standard_normal((50, 4, len(LAYOUT.names))).astype(np.float32)
     state = None
     for row in rows[:40]:
@@ -140,4 +141,4 @@ def test_memory_of_some_axes_goes_on_alone():
         inputs, state = features(row, state, None)
         few, part = features(row[some], part, None)
         np.testing.assert_array_equal(few, inputs[some])
-    assert isinstance(features.pid, PID)
+    assert isinstance(features.base, PID)

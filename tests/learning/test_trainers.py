@@ -5,8 +5,8 @@ import pytest
 
 from agents.controllers import PID, PIDGains
 from agents.learning.progress import STEPS, read_progress
+from agents.learning.settings import PPOSettings
 from agents.learning.trainers import TRAINERS, trainer
-from agents.learning.training import PPOSettings
 from agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
@@ -38,11 +38,11 @@ def test_ppo_is_a_trainer(tmp_path):
     settings = PPOSettings(total_steps=64, axes=4, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(4,))
     options = {"seed": 0, "folder": tmp_path, "resume": False, "progress": None}
     policy = ppo.train(CONFIG, settings, base=BASE, **options)
-    assert policy.features.gains == BASE.gains
+    assert policy.features.base is BASE
     assert (tmp_path / "checkpoint.safetensors").exists()
-    with pytest.raises(ConfigurationError, match="needs the gains of a PID"):
+    with pytest.raises(ConfigurationError, match="needs a controller that the policy corrects"):
         ppo.train(CONFIG, settings, base=None, **options)
-    with pytest.raises(ConfigurationError, match="corrects a PID, not PolicyController"):
+    with pytest.raises(ConfigurationError, match="PolicyController: is no controller of CONTROLLERS"):
         ppo.train(CONFIG, settings, base=policy, **options)
 
 

@@ -9,7 +9,8 @@ import pytest
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.policy import PolicyController
 from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.training import PPOSettings, make_env, make_features, make_model, train_ppo
+from agents.learning.settings import PPOSettings
+from agents.learning.training import make_env, make_features, make_model, train_ppo
 from agents.learning.validation import validation_cases, validation_errors
 from agents.learning.vec_env import AxisVecEnv
 from agents.running.seeds import VALIDATION_SEEDS
@@ -17,7 +18,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 
 CONFIG = TaskConfig(episode_duration=0.1)
-GAINS = PIDGains()
+BASE = PID(PIDGains(), CONFIG)
 SETTINGS = PPOSettings(
     total_steps=1024, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), torch_threads=1
 )
@@ -28,8 +29,8 @@ def weights_of(policy):
 
 
 def test_same_seed_gives_the_same_weights_and_another_does_not():
-    first, second = (train_ppo(CONFIG, SETTINGS, GAINS, seed=1) for _ in range(2))
-    other = train_ppo(CONFIG, SETTINGS, GAINS, seed=2)
+    first, second = (train_ppo(CONFIG, SETTINGS, BASE, seed=1) for _ in range(2))
+    other = train_ppo(CONFIG, SETTINGS, BASE, seed=2)
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
@@ -37,7 +38,7 @@ def test_same_seed_gives_the_same_weights_and_another_does_not():
 
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_policy_controller_acts_as_the_model_does(activation):
-    features = make_features(CONFIG, SETTINGS, GAINS)
+    features = make_features(CONFIG, SETTINGS, BASE)
     env = AxisVecEnv(CONFIG, 16, features)
     model = make_model(env, SETTINGS.model_copy(update={"activation": activation}), 0)
     policy = PolicyController.from_sb3(model)
@@ -55,10 +56,10 @@ def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
         seen.append((steps, seconds, weights_of(policy)))
         return steps >= 512
 
-    plain = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), GAINS, seed=1, check=lambda *_: False)
-    reference = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), GAINS, seed=1)
+    plain = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1, check=lambda *_: False)
+    reference = train_ppo(CONFIG, SETTINGS.model_copy(update={"epochs": 1}), BASE, seed=1)
     np.testing.assert_array_equal(weights_of(plain), weights_of(reference))
-    policy = train_ppo(CONFIG, SETTINGS, GAINS, seed=1, check=check)
+    policy = train_ppo(CONFIG, SETTINGS, BASE, seed=1, check=check)
     assert [steps for steps, _, _ in seen] == [0, 256, 512]
     assert all(second >= 0.0 for _, second, _ in seen)
     assert not np.array_equal(seen[0][2], seen[1][2])
@@ -68,7 +69,7 @@ def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
 @pytest.mark.parametrize("residual", [True, False])
 def test_weights_round_trip(tmp_path, residual):
     settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256})
-    policy = train_ppo(CONFIG, settings, GAINS)
+    policy = train_ppo(CONFIG, settings, BASE)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy.safetensors")
     assert again.activation == policy.activation
@@ -95,7 +96,7 @@ def test_learning_rate_falls_along_a_cosine_to_a_tenth():
 def test_log_of_a_training(tmp_path):
     """Schedules are followed, rows come once per update, and stable-baselines3's figures are in them."""
     settings = SETTINGS.model_copy(update={"validation_every": 600, "learning_rate": 0.01})
-    policy = train_ppo(CONFIG, settings, GAINS, seed=1, folder=tmp_path)
+    policy = train_ppo(CONFIG, settings, BASE, seed=1, folder=tmp_path)
     rows = read_progress(tmp_path / PROGRESS_FILE)
     share = np.array([0.25, 0.5, 0.75, 1.0])
     assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
@@ -115,21 +116,21 @@ def test_log_of_a_training(tmp_path):
     last = {name: rows[-1][f"validation/{name}"] for name in ("mean_error_mm", "worst_error_mm", "failures")}
     assert last == {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures}
     assert worst > mean > 0.0
-    base = validation_errors(CONFIG, PID(GAINS, CONFIG))
+    base = validation_errors(CONFIG, BASE)
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
 
 
 def test_the_log_is_found_by_stable_baselines3s_own_reader(tmp_path):
     pandas = pytest.importorskip("pandas")
-    train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path)
+    train_ppo(CONFIG, SETTINGS, BASE, folder=tmp_path)
     frame = pandas.read_csv(tmp_path / PROGRESS_FILE)
     assert list(frame[STEPS]) == [256, 512, 768, 1024]
 
 
 def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):
-    silent = train_ppo(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), GAINS, seed=3)
+    silent = train_ppo(CONFIG, SETTINGS.model_copy(update={"validation_every": 0}), BASE, seed=3)
     logged = train_ppo(
-        *(CONFIG, SETTINGS.model_copy(update={"validation_every": 256}), GAINS),
+        *(CONFIG, SETTINGS.model_copy(update={"validation_every": 256}), BASE),
         **{"seed": 3, "folder": tmp_path, "checkpoint_seconds": 0.0},
     )
     np.testing.assert_array_equal(weights_of(silent), weights_of(logged))
@@ -146,7 +147,7 @@ def test_validation_covers_families_and_leaks_on_validation_plants():
 
 def test_progress_tells_where_a_training_stands():
     seen = []
-    train_ppo(CONFIG, SETTINGS, GAINS, progress=seen.append)
+    train_ppo(CONFIG, SETTINGS, BASE, progress=seen.append)
     assert [progress.steps for progress in seen] == [256, 512, 768, 1024]
     assert all(progress.total_steps == 1024 for progress in seen)
     assert all(progress.mean_reward < 0.0 for progress in seen[1:])
@@ -155,12 +156,12 @@ def test_progress_tells_where_a_training_stands():
 def test_minibatches_of_two_samples_and_seconds_of_training():
     smallest = {"axes": 4, "steps_per_rollout": 4, "minibatches": 8, "total_steps": 16, "hidden_sizes": [4]}
     began = time.monotonic()
-    policy = train_ppo(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), GAINS)
+    policy = train_ppo(CONFIG, validate(PPOSettings, smallest, "ppo.yaml"), BASE)
     assert 0.0 <= policy.training["seconds"] <= time.monotonic() - began + 0.1
 
 
 def test_the_residual_form_starts_as_the_pid():
-    features = make_features(CONFIG, SETTINGS, GAINS)
+    features = make_features(CONFIG, SETTINGS, BASE)
     env = make_env(CONFIG, SETTINGS, features, 0)
     model = make_model(env, SETTINGS, 0)
     output, _ = model.predict(env.reset(), deterministic=True)
@@ -173,14 +174,14 @@ def test_the_residual_form_starts_as_the_pid():
 
 def test_practice_changes_what_occurs_and_not_what_the_policy_sees():
     def env(**practice):
-        features = make_features(CONFIG, SETTINGS, GAINS)
+        features = make_features(CONFIG, SETTINGS, BASE)
         return make_env(CONFIG, SETTINGS.model_copy(update={"practice": practice}), features, 0)
 
     assert env(leakage={"healthy_share": 1.0}).env.config.leakage.healthy_share == 1.0
     for practice, message in (
         ({"control_period": 0.01}, "must leave the control period"),
         ({"references": {"preview_times": [0.01]}}, "must leave the control period and the names"),
-        ({"nonsense": 1}, "ppo.practice: task: nonsense = 1: unknown key"),
+        ({"nonsense": 1}, "practice: task: nonsense = 1: unknown key"),
     ):
         with pytest.raises(ConfigurationError, match=message) as caught:
             env(**practice)
@@ -209,7 +210,7 @@ def test_impossible_settings_are_refused_with_one_line(change, message):
 
 @pytest.fixture
 def saved(tmp_path):
-    policy = train_ppo(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), GAINS)
+    policy = train_ppo(CONFIG, SETTINGS.model_copy(update={"total_steps": 256}), BASE)
     policy.save(tmp_path / "policy")
     return tmp_path / "policy"
 
@@ -246,7 +247,7 @@ def test_foreign_and_damaged_weights_are_refused(saved):
 
 def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
     events = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    train_ppo(CONFIG, SETTINGS, GAINS, folder=tmp_path)
+    train_ppo(CONFIG, SETTINGS, BASE, folder=tmp_path)
     stored = events.EventAccumulator(str(tmp_path))
     stored.Reload()
     rows = read_progress(tmp_path / PROGRESS_FILE)

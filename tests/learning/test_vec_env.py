@@ -10,11 +10,11 @@ from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
 LAYOUT = ObservationLayout.of(CONFIG)
-GAINS = PIDGains()
+BASE = PID(PIDGains(), CONFIG)
 
 
-def make(count=6, gains=GAINS, **options):
-    return AxisVecEnv(CONFIG, count, PolicyFeatures(LAYOUT, gains, 0.5), **options)
+def make(count=6, base=BASE, **options):
+    return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, base, 0.5), **options)
 
 
 def test_residual_of_zero_is_the_pid():
@@ -22,10 +22,10 @@ def test_residual_of_zero_is_the_pid():
     env.reset()
     plain = ServoHydraulicVectorEnv(6, CONFIG, autoreset_mode="SameStep")
     observation, _ = plain.reset(seed=11)
-    pid, memory, ended = PID(GAINS, CONFIG), None, None
+    memory, ended = None, None
     for _ in range(45):
         inputs, reward, done, _ = env.step(np.zeros((6, 1)))
-        action, memory = pid.predict(observation, memory, ended)
+        action, memory = BASE.predict(observation, memory, ended)
         observation, expected, terminated, truncated, _ = plain.step(action)
         ended = terminated | truncated
         np.testing.assert_array_equal(reward, expected.astype(np.float32))
@@ -70,7 +70,7 @@ def test_stagger_spreads_the_ends():
 
 
 def test_history_holds_differences_at_the_lags():
-    features = PolicyFeatures(LAYOUT, None)
+    features = PolicyFeatures(CONFIG, None)
     generator = np.random.default_rng(1)
     rows = generator.standard_normal((60, 3, len(LAYOUT.names))).astype(np.float32)
     memory = None
@@ -83,7 +83,7 @@ def test_history_holds_differences_at_the_lags():
 
 
 def test_history_restarts_with_the_episode():
-    features = PolicyFeatures(LAYOUT, None)
+    features = PolicyFeatures(CONFIG, None)
     rows = np.random.default_rng(1).standard_normal((5, 2, len(LAYOUT.names))).astype(np.float32)
     memory = None
     for row in rows[:-1]:
@@ -91,6 +91,30 @@ def test_history_restarts_with_the_episode():
     inputs, _ = features(rows[-1], memory, np.array([True, False]))
     assert np.all(inputs[0, len(LAYOUT.names) :] == 0.0)
     assert np.any(inputs[1, len(LAYOUT.names) :] != 0.0)
+
+
+def test_the_full_preview_holds_every_sample():
+    """A sine's own samples ahead, once the memory is filled; at a start in between, straight lines."""
+    config = TaskConfig(episode_duration=0.3, references={"weights": {"sine": 1.0}}, sensors={"enabled": False})
+    features = PolicyFeatures(config, None, full_preview=True)
+    env = ServoHydraulicVectorEnv(3, config)
+    observation, _ = env.reset(seed=1)
+    memory = None
+    horizon = max(config.preview_samples)
+    hidden = [0, *(1 + ahead for ahead in range(1, horizon + 1) if ahead not in config.preview_samples)]
+    for step in range(20):
+        inputs, memory = features(observation, memory, None)
+        rebuilt = 0.01 * inputs[:, len(LAYOUT.names) : len(LAYOUT.names) + len(hidden)]
+        reference = env.axes.reference
+        for column, place in enumerate(hidden):
+            if step >= horizon:
+                expected = reference[:, step + place - 1] - reference[:, step]
+                np.testing.assert_allclose(rebuilt[:, column], expected, atol=1e-7)
+        observation, *_ = env.step(np.zeros((3, 1), dtype=np.float32))
+    assert np.ptp(rebuilt) > 1e-4
+    again, _ = features(observation, memory, np.array([True, False, False]))
+    np.testing.assert_allclose(again[0, len(LAYOUT.names)], 0.0)
+    assert again.shape[1] == features.size
 
 
 def test_vec_env_methods():
@@ -108,7 +132,7 @@ def test_vec_env_methods():
 
 def test_pairing_needs_a_pid():
     with pytest.raises(ConfigurationError, match="residual form"):
-        make(gains=None, paired=True)
+        make(base=None, paired=True)
 
 
 SHORT_STROKE = {
@@ -122,7 +146,7 @@ SHORT_STROKE = {
 
 
 def test_a_physical_failure_is_no_time_limit():
-    env = AxisVecEnv(TaskConfig(episode_duration=0.9, **SHORT_STROKE), 3, PolicyFeatures(LAYOUT, None), seed=1)
+    env = AxisVecEnv(TaskConfig(episode_duration=0.9, **SHORT_STROKE), 3, PolicyFeatures(CONFIG, None), seed=1)
     env.reset()
     rewards, ended = np.zeros(3), []
     for _ in range(env.env.config.steps - 1):
@@ -140,7 +164,7 @@ def test_a_physical_failure_is_no_time_limit():
 
 def test_an_axis_and_its_twin_restart_together():
     config = TaskConfig(episode_duration=0.9, **SHORT_STROKE)
-    env = AxisVecEnv(config, 3, PolicyFeatures(LAYOUT, GAINS, 2.0), seed=1, paired=True)
+    env = AxisVecEnv(config, 3, PolicyFeatures(CONFIG, BASE, 2.0), seed=1, paired=True)
     env.reset()
     for _ in range(200):
         _, _, done, _ = env.step(np.ones((3, 1)))
@@ -166,8 +190,8 @@ def test_reward_scale_multiplies_and_the_return_is_the_environments():
 
 
 def test_inputs_are_cut_off():
-    env = make(gains=None)
-    env.features = PolicyFeatures(LAYOUT, None)
+    env = make(base=None)
+    env.features = PolicyFeatures(CONFIG, None)
     env.reset()
     assert env._inputs(np.full((6, len(LAYOUT.names)), 1e6, dtype=np.float32), None).max() == 50.0
     assert env._inputs(np.full((6, len(LAYOUT.names)), -1e6, dtype=np.float32), None).min() == -50.0
@@ -176,7 +200,7 @@ def test_inputs_are_cut_off():
 @pytest.mark.parametrize("kind", ["plain", "features", "paired"])
 def test_state_goes_back_and_into_another_adaptor(kind):
     def build(seed):
-        features = None if kind == "plain" else PolicyFeatures(LAYOUT, GAINS, 0.5)
+        features = None if kind == "plain" else PolicyFeatures(CONFIG, BASE, 0.5)
         return AxisVecEnv(CONFIG, 4, features, seed=seed, paired=kind == "paired")
 
     def run(env):

@@ -1,0 +1,114 @@
+"""Settings of the trainers."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from hydro_env.files import Group
+
+LARGEST_ROLLOUT = 10_000_000
+"""Largest number of samples of a rollout; it takes some gigabytes of memory."""
+
+
+class Prices(Group):
+    """Costs of a control period on top of the task's reward; commands in parts of 10 V.
+
+    The costs of the command are counted relative to the twin, if there is one.
+    """
+
+    lasting: float = Field(
+        0.0, ge=0.0, le=1e6, description="on the squared slow average of the correction, which the integrator fights"
+    )
+    change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
+    travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")
+    reversal: float = Field(0.0, ge=0.0, le=1e6, description="on each reversal of the command's motion")
+
+
+class TrainingSettings(Group):
+    """Settings that all trainers of this package share: what the policy sees, corrects and is paid for."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    residual: bool = Field(True, description="true: the policy corrects another controller; false: it acts on its own")
+    residual_scale: float = Field(0.2, gt=0.0, le=2.0, description="command per 1 of the policy's output")
+    see_correction: bool = Field(
+        False, description="the policy sees its last correction and their slow average (residual form only)"
+    )
+    full_preview: bool = Field(
+        False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
+    )
+    paired: bool = Field(
+        True, description="reward relative to a twin under the corrected controller (residual form only)"
+    )
+    family_units: bool = Field(
+        False, description="reward in parts of the corrected controller's mean error in the family of the reference"
+    )
+    prices: Prices = Field(default_factory=Prices)
+    practice: dict[str, Any] = Field(
+        default_factory=dict, description="fields of the task that differ in training, such as the share of leaks"
+    )
+    reward_scale: float = Field(0.2, gt=0.0, le=1e6)
+    total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
+    axes: int = Field(256, ge=1, le=65_536)
+    hidden_sizes: tuple[Annotated[int, Field(ge=1, le=4096)], ...] = Field((128, 128), min_length=1, max_length=16)
+    activation: Literal["tanh", "relu"] = Field(
+        "relu", description="of the hidden layers; relu takes a third less time"
+    )
+    discount: float = Field(0.98, gt=0.0, lt=1.0)
+    validation_every: int = Field(1_000_000, ge=0, description="steps between errors on validation plants; 0: none")
+    torch_threads: int = Field(1, ge=1, le=256)
+
+    @model_validator(mode="after")
+    def _of_a_correction(self) -> Self:
+        if not self.residual:
+            for name in ("family_units", "see_correction"):
+                if getattr(self, name):
+                    raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
+            for name in ("lasting", "change"):
+                if getattr(self.prices, name):
+                    raise ValueError(f"prices.{name}: needs residual: true, a controller that the policy corrects")
+        return self
+
+
+class PPOSettings(TrainingSettings):
+    """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
+
+    told_critic: bool = Field(
+        False, description="the critic is told leak, plant, true state and sensor biases; the actor is not"
+    )
+    steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
+    minibatches: int = Field(4, ge=1)
+    epochs: int = Field(4, ge=1, le=1000)
+    learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; falls to a tenth along a cosine")
+    advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
+    clip_range: float = Field(0.2, gt=0.0, le=10.0)
+    entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
+    initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
+    final_log_standard_deviation: float = Field(
+        -3.0, ge=-10.0, le=2.0, description="linear schedule; the gradient alone would reduce it too early"
+    )
+
+    @model_validator(mode="after")
+    def _batches(self) -> PPOSettings:
+        rollout = self.axes * self.steps_per_rollout
+        if rollout > LARGEST_ROLLOUT:
+            raise ValueError(f"axes × steps_per_rollout = {rollout} must not exceed {LARGEST_ROLLOUT}")
+        if rollout % self.minibatches or rollout // self.minibatches < 2:
+            raise ValueError(
+                f"minibatches = {self.minibatches} must divide axes × steps_per_rollout = {rollout} "
+                "into parts of at least 2"
+            )
+        return self
+
+    def learning_rate_at(self, remaining: float) -> float:
+        """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
+        share = min(1.0 - remaining, 1.0)  # the last rollout may go past the end
+        return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
+
+    def log_standard_deviation_at(self, share: float) -> float:
+        """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
+        first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
+        return first + (last - first) * share

@@ -1,0 +1,162 @@
+"""The critic may be told what is hidden; the actor, its weights and its reward's units stay those of a rig."""
+
+import numpy as np
+import pytest
+
+from agents.controllers import PID, PIDGains
+from agents.learning.features import LASTING_TIME, PolicyFeatures
+from agents.learning.policy import PolicyController
+from agents.learning.settings import PPOSettings, Prices
+from agents.learning.training import in_family_units, make_env, make_features, make_model, train_ppo
+from agents.learning.validation import family_errors
+from agents.learning.vec_env import AxisVecEnv
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import validate
+
+CONFIG = TaskConfig(episode_duration=0.1)
+BASE = PID(PIDGains(), CONFIG)
+SMALL = PPOSettings(
+    total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=2, hidden_sizes=(8,), told_critic=True
+)
+
+
+def axes(count=6, **options):
+    return AxisVecEnv(CONFIG, count, PolicyFeatures(CONFIG, BASE, 0.5, see_correction=True), seed=3, **options)
+
+
+def test_only_the_critic_reads_what_it_is_told():
+    features = make_features(CONFIG, SMALL, BASE)
+    env = make_env(CONFIG, SMALL, features, 0)
+    model = make_model(env, SMALL, 0)
+    inputs = env.reset()
+    assert inputs.shape[1] > features.size
+    other = inputs.copy()
+    other[:, features.size :] += 1.0
+    outputs, values = [], []
+    for given in (inputs, other):
+        outputs.append(model.predict(given, deterministic=True)[0])
+        values.append(model.policy.predict_values(model.policy.obs_to_tensor(given)[0]).detach().numpy())
+    np.testing.assert_array_equal(*outputs)
+    assert np.all(np.abs(values[0] - values[1]) > 1e-6)
+    observation, _ = ServoHydraulicVectorEnv(16, env.env.config).reset(seed=0)
+    first = PolicyController.from_sb3(model)
+    assert first.layers[0][0].shape[1] == features.size
+    command, _ = first.predict(observation[:1])
+    assert command.shape == (1, 1)
+
+
+def test_told_are_leak_plant_state_bias_family_and_time():
+    env = axes(told_critic=True)
+    env.set_options({"leakage_flow_lpm": [0.01, 0.1, 1.0, 1.0, 1.0, 1.0], "reference": "sine"})
+    told = env.reset()[:, env.features.size :]
+    np.testing.assert_allclose(told[:3, 0], [-2.0, -1.0, 0.0], atol=1e-6)
+    family = told[:, -1 - len(REFERENCE_FAMILIES) : -1]
+    assert np.all(family.argmax(axis=1) == REFERENCE_FAMILIES.index("sine"))
+    assert np.all(family.sum(axis=1) == 1.0)
+    assert np.all(told[:, -1] == 1.0)
+    _, _, _, _ = env.step(np.zeros((6, 1)))
+    later = env._inputs(env.env.axes.observation, None)[:, env.features.size :]
+    np.testing.assert_allclose(later[:, -1], 0.95)
+    assert np.all(np.isfinite(told))
+    assert np.abs(told).max() < 20.0
+
+
+def test_the_last_inputs_of_an_episode_hold_the_last_hidden_state():
+    env = axes(told_critic=True)
+    env.reset()
+    for _ in range(20):
+        inputs, _, done, infos = env.step(np.zeros((6, 1)))
+    assert done.all()
+    last = np.stack([info["terminal_observation"] for info in infos])
+    assert last.shape == inputs.shape
+    assert np.all(last[:, -1] == 0.0)
+    assert np.all(inputs[:, -1] == 1.0)
+
+
+def test_weights_with_such_a_critic_go_to_a_file_and_to_stable_baselines3_and_back(tmp_path):
+    policy = train_ppo(CONFIG, SMALL, BASE)
+    policy.save(tmp_path / "policy")
+    again = PolicyController.load(tmp_path / "policy")
+    env = AxisVecEnv(CONFIG, 4, again.features, told_critic=True)
+    model = again.to_sb3(env, n_steps=16, batch_size=32)
+    back = PolicyController.from_sb3(model)
+    for name in ("layers", "critic"):
+        for mine, other in zip(getattr(policy, name), getattr(back, name), strict=True):
+            np.testing.assert_array_equal(mine[0], other[0])
+            np.testing.assert_array_equal(mine[1], other[1])
+    model.learn(64)
+    with pytest.raises(ConfigurationError, match="told_critic=True"):
+        again.to_sb3(AxisVecEnv(CONFIG, 4, again.features))
+
+
+def test_the_policy_sees_what_it_did():
+    env = axes()
+    env.reset()
+    place = len(env.features.layout.names) + 1
+    slow, blend = 0.0, CONFIG.control_period / (CONFIG.control_period + LASTING_TIME)
+    for step in range(1, 15):
+        inputs, _, _, _ = env.step(np.full((6, 1), 0.2))
+        slow += blend * (0.1 - slow)
+        np.testing.assert_allclose(inputs[:, place], 0.1, atol=1e-6, err_msg=str(step))
+        np.testing.assert_allclose(inputs[:, place + 1], slow, atol=1e-6)
+    for _ in range(6):
+        inputs, _, done, _ = env.step(np.full((6, 1), 0.2))
+    assert done.all()
+    assert np.all(inputs[:, place : place + 2] == 0.0)
+
+
+def test_prices_by_hand():
+    plain, priced = axes(), axes(prices=Prices(lasting=3.0, change=5.0, travel=0.7, reversal=0.4))
+    plain.reset()
+    priced.reset()
+    correction, slow, before = 0.0, 0.0, None
+    blend = CONFIG.control_period / (CONFIG.control_period + LASTING_TIME)
+    outputs = np.random.default_rng(0).uniform(-0.4, 0.4, 15)
+    for output in outputs:
+        start = plain.env.axes.column("command").copy()
+        _, reward, _, _ = plain.step(np.full((6, 1), output))
+        _, less, _, _ = priced.step(np.full((6, 1), output))
+        change = plain.env.axes.column("command") - start
+        slow += blend * (0.5 * output - slow)
+        expected = 3.0 * slow**2 + 5.0 * (0.5 * output - correction) ** 2 + 0.7 * np.abs(change)
+        if before is not None:
+            expected = expected + 0.4 * (change * before < 0.0)
+        correction, before = 0.5 * output, change
+        np.testing.assert_allclose(reward - less, expected, atol=2e-5)
+
+
+def test_a_twin_pays_for_its_commands_too():
+    env = axes(paired=True, prices=Prices(lasting=1.0, change=1.0, travel=1.0, reversal=1.0))
+    env.reset()
+    for _ in range(25):
+        assert np.all(env.step(np.zeros((6, 1)))[1] == 0.0)
+
+
+def test_reward_in_units_of_the_family():
+    measured = family_errors(CONFIG, BASE, plants=4)
+    exact = TaskConfig(episode_duration=0.1, reward={"effort": 0.0})
+    config = in_family_units(exact, measured)
+    plain, scaled = (AxisVecEnv(task, 12, PolicyFeatures(task, BASE), seed=3) for task in (exact, config))
+    plain.reset()
+    scaled.reset()
+    family = plain.env.axes.column("reference_family").astype(int)
+    factor = np.array([exact.reward.error_scale / measured.get(name, np.nan) for name in REFERENCE_FAMILIES])[family]
+    assert len(set(factor)) > 2
+    for _ in range(10):
+        _, reward, _, _ = plain.step(np.zeros((12, 1)))
+        _, other, _, _ = scaled.step(np.zeros((12, 1)))
+        np.testing.assert_allclose(other, reward * factor, rtol=1e-5)
+    lowest = min(measured.values())
+    assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
+    assert sorted(measured) == sorted(name for name in REFERENCE_FAMILIES if name != "user")
+    assert measured["step"] > measured["point_to_point"] > 0.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"family_units": True}, {"see_correction": True}, {"prices": {"lasting": 1.0}}, {"prices": {"change": 1.0}}],
+)
+def test_what_only_a_correction_has_is_refused_for_a_policy_on_its_own(change):
+    with pytest.raises(ConfigurationError, match="needs residual: true") as caught:
+        validate(PPOSettings, {"residual": False, **change}, "ppo.yaml")
+    assert "\n" not in str(caught.value)
