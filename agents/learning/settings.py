@@ -24,7 +24,9 @@ class Prices(Group):
     )
     change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
     travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")
-    reversal: float = Field(0.0, ge=0.0, le=1e6, description="on each reversal of the command's motion")
+    reversal: float = Field(
+        0.0, ge=0.0, le=1e6, description="on the smaller of the two swings that a reversal of the command joins"
+    )
 
 
 class TrainingSettings(Group):
