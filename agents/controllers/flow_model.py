@@ -37,8 +37,8 @@ class FlowModel:
     """Speed of the piston from the opening of the valve, and the inverse; for N axes.
 
     In each chamber A v = q − C dp/dt with the compliance C = V/β of its oil. Weighted with A/C and added up, the
-    pressures appear as the force of the oil alone: v = Σ (A/C) q / k − dF/dt / k, with k = Σ A²/C. The flow gains follow
-    from the measured pressures. So the model holds while the pressures move from one level to another, for example
+    pressures appear as the force of the oil alone: v = Σ (A/C) q / k − dF/dt / k, with k = Σ A²/C. The flow gains
+    follow from the measured pressures. So the model holds while the pressures move from one level to another, for example
     after a reversal of an unequal cylinder.
     """
 
@@ -80,12 +80,14 @@ class FlowModel:
     def speed(self, opening: Array, flow: Flow) -> Array:
         """Speed (m/s) at an opening of the valve (−1 to 1) without leak and at constant force, (N,)."""
         width = np.sqrt(opening * opening + self._c.underlap_squared)
-        return 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
+        speed: Array = 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
+        return speed
 
     def opening(self, speed: Array, flow: Flow) -> Array:
         """Opening of the valve that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
         root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
-        return 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
+        opening: Array = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
+        return opening
 
     def full_speeds(self, force: Array, supply: Array) -> tuple[Array, Array]:
         """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""

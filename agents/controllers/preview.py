@@ -36,8 +36,10 @@ class Preview:
         self._share = (ahead - known[self._right - 1]) / distance
 
     def start(self, batch: Floats) -> Array:
-        """The memory at the start of an episode, (N, horizon + 2): the axis has been at rest, samples in between are
-        interpolated."""
+        """The memory at the start of an episode, (N, horizon + 2).
+
+        The axis has been at rest; samples between those shown are interpolated.
+        """
         now, ahead = self._shown(batch)
         known = np.concatenate([now[:, None], ahead], axis=1)
         between = known[:, self._right - 1] * (1.0 - self._share) + known[:, self._right] * self._share
