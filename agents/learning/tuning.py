@@ -39,7 +39,7 @@ EVALUATIONS = 2800
 """Candidates in all."""
 
 EFFORT_TIME = 3e-3
-"""s; a squared change of the command from one period to the next costs as much as the way at full speed in this time."""
+"""s; the squared change of the command in a period costs as much as the way at full speed in this time."""
 
 REFUSED = 1e3
 """m; cost of a candidate that is refused or fails."""
@@ -169,7 +169,8 @@ class Space:
         values = np.array([float(getattr(gains, name)) for name in self.names])
         tiny = np.exp(self._low)
         scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
-        return np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        point: Floats = np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        return point
 
     def values(self, point: Floats) -> dict[str, float]:
         """The gains at a point of the cube, by name."""
