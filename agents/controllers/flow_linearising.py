@@ -107,6 +107,8 @@ class FlowLinearising:
     """
 
     memory = FlowLinearisingState
+    estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
+    """What :meth:`estimates` gives."""
 
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
         self.gains = gains
@@ -116,7 +118,7 @@ class FlowLinearising:
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
         self._model = FlowModel(plant)
         self._preview = Preview(config)
-        full_speed = float(np.mean(speed_limits(plant)))
+        self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
         self._ahead = g.prediction * delay
         self._weights = self._reference_weights()
         self._times = period * np.arange(1.0, self._preview.horizon + 1)
@@ -189,6 +191,23 @@ class FlowLinearising:
         command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), now
+
+    def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
+        """What the controller estimates, (N, 5), numbers of order 1.
+
+        Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of
+        full speed, speed in parts of it.
+        """
+        x = memory.estimate
+        speed = (1.0 + x[:, FLOW_GAIN]) * memory.speed + x[:, LEAK] * memory.leak + x[:, OFFSET]
+        columns = [
+            1e4 * (memory.reference[:, 1] - x[:, POSITION]),
+            10.0 * x[:, FLOW_GAIN],
+            x[:, LEAK] * LEAKAGE_TEST_PRESSURE / LITRE_PER_MINUTE,
+            100.0 * x[:, OFFSET] / self._full_speed,
+            speed / self._full_speed,
+        ]
+        return np.stack(columns, axis=1).astype(np.float32)
 
     def _fresh(self, batch: Floats, position: Array, pressures: Array, command: Array) -> FlowLinearisingState:
         """Memory of axes that rest."""

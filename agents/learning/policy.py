@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field
 from agents.controllers.base import Floats, as_batch
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
+from agents.learning.normalisation import Normalisation
 from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -36,6 +37,8 @@ class _StoredFeatures(Group):
     residual_scale: float = Field(gt=0.0, le=2.0)
     see_correction: bool = False
     full_preview: bool = False
+    see_estimates: bool = False
+    normalised: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[int, ...]
 
@@ -205,6 +208,8 @@ class PolicyController:
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
+        if self.features.normalisation is not None:
+            tensors |= {f"normalisation.{name}": array for name, array in self.features.normalisation._asdict().items()}
         settings = {
             "features": self.features.describe(),
             "layer_sizes": _sizes(self.layers),
@@ -235,7 +240,12 @@ class PolicyController:
                     raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
                 base = make_controller(base.kind, described.task, base.settings)
             features = PolicyFeatures(
-                described.task, base, described.residual_scale, described.see_correction, described.full_preview
+                described.task,
+                base,
+                described.residual_scale,
+                described.see_correction,
+                described.full_preview,
+                described.see_estimates,
             )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
@@ -246,11 +256,22 @@ class PolicyController:
                 raise ConfigurationError(
                     f"{path}: {name} = {list(found)}: must begin with {features.size}, end with 1 and stay within 4096"
                 )
+        if described.normalised:
+            features.normalisation = _stored_normalisation(tensors, features.size, path)
         layers = _stored_layers(tensors, "layer", sizes, path)
         critic = _stored_layers(tensors, "critic", critic_sizes, path) if "critic0.weight" in tensors else None
         return cls(
             features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic, stored.output
         )
+
+
+def _stored_normalisation(tensors: dict[str, NDArray[Any]], size: int, path: str | Path) -> Normalisation:
+    ones = np.ones(size, dtype=np.float32)
+    require(tensors, {f"normalisation.{name}": ones for name in Normalisation._fields}, path)
+    found = Normalisation(*(tensors[f"normalisation.{name}"] for name in Normalisation._fields))
+    if not (found.unit > 0.0).all():
+        raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
+    return found
 
 
 def _sizes(layers: Layers) -> list[int]:

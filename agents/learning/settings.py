@@ -42,6 +42,10 @@ class TrainingSettings(Group):
     full_preview: bool = Field(
         False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
     )
+    see_estimates: bool = Field(
+        False, description="the policy sees what the corrected controller estimates (residual form only)"
+    )
+    normalise: bool = Field(False, description="inputs in units of their own size, as observed on training plants")
     paired: bool = Field(
         True, description="reward relative to a twin under the corrected controller (residual form only)"
     )
@@ -66,7 +70,7 @@ class TrainingSettings(Group):
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
         if not self.residual:
-            for name in ("family_units", "see_correction"):
+            for name in ("family_units", "see_correction", "see_estimates"):
                 if getattr(self, name):
                     raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
             for name in ("lasting", "change"):
