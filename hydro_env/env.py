@@ -42,10 +42,11 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Description
 
-    A servo valve meters oil into an asymmetric cylinder that moves a mass against a spring (the test rig of
-    Kovari 2015, Table 1). In each control period (5 ms) the controller computes a command from the measured signals;
-    it reaches the valve 1 ms after sampling (or after a latency that is drawn: ``command_latency_range``). Every episode draws a new leakage past the piston, new values of the
-    parameters that are not known exactly, an initial position and a reference.
+    A servo valve meters oil into an asymmetric cylinder that moves a mass against a spring (the test rig of Kovari
+    2015, Table 1). In each control period (5 ms) the controller computes a command from the measured signals; it
+    reaches the valve 1 ms after sampling (or after a latency that is drawn: ``command_latency_range``). Every episode
+    draws a new leakage past the piston, new values of the parameters that are not known exactly, an initial position
+    and a reference.
 
     ## Action Space
 
@@ -99,8 +100,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
     (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
-    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it). With ``persist: True`` they also apply to
-    the automatic resets that follow.
+    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it). With ``persist:
+    True`` they also apply to the automatic resets that follow.
 
     ``info`` (for evaluation, not for the controller): ``leakage_resistance``, ``leakage_flow_lpm``, ``leakage_class``
     (0 healthy, 1 incipient, 2 moderate, 3 severe), ``position``, ``velocity``, ``reference``, ``tracking_error`` (SI),

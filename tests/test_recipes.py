@@ -197,23 +197,23 @@ def try_agents() -> None:
     from agents.study.training import train_controller
 
     study = StudySettings.from_yaml("configs/studies/quick.yaml")
-    assert list(study.controllers) == ["PID", "damped", "PPO", "SAC"]
-    assert study.trained == ["PPO", "SAC"]
+    assert list(study.controllers) == ["PID", "damped", "PPO", "TD3"]
+    assert study.trained == ["PPO", "TD3"]
     damped = study.make("damped")
-    trainer = study.controllers["SAC"].trainer
+    trainer = study.controllers["TD3"].trainer
     assert trainer is not None
     with tempfile.TemporaryDirectory() as name, ProgressDisplay() as display:
         folder = Path(name)
         short = trainer.settings(total_steps=160)
-        trained = train_controller(study, "SAC", folder, 0, False, None, display, settings=short)
+        trained = train_controller(study, "TD3", folder, 0, False, None, display, settings=short)
         loaded = trainer.load(folder / "policy")
     observation = np.random.default_rng(0).normal(size=(7, len(study.make("PID").layout.names))).astype(np.float32)
     np.testing.assert_array_equal(loaded.predict(observation)[0], trained.predict(observation)[0])
     sizes = {"leak_levels": [0.1, 2.0], "families": ["sweep"], "plants": 3}
-    made = evaluate(study.task, {"PID": study.make("PID"), "damped": damped, "SAC": loaded}, settings=sizes)
+    made = evaluate(study.task, {"PID": study.make("PID"), "damped": damped, "TD3": loaded}, settings=sizes)
     assert not made.errors
     error = made.cases.groupby("controller")["mean_error_mm"].mean()
-    assert error["damped"] < error["SAC"]  # which has hardly learned
+    assert error["damped"] < error["TD3"]  # which has hardly learned
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ from agents.benchmark.kernel_access import BareKernel
 from agents.benchmark.table import Case, Row, one_row
 from agents.benchmark.timing import Extent, rate, time_in
 from agents.benchmark.training_rows import TRAININGS, default_study, native_model
-from agents.learning.features import PolicyFeatures
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicEnv, ServoHydraulicVectorEnv
 
 VECTOR_SIZE = 1024
@@ -134,8 +133,7 @@ def _iteration_case(extent: Extent) -> Case:
         functions = (
             (env, "step", "environment"),
             (env.env.axes, "step", "compiled step"),
-            (PolicyFeatures, "__call__", "features"),
-            (env, "_drive_twins", "features"),
+            (env, "_inputs", "features"),
             (model.policy, "forward", "inference"),
             (model, "train", "update"),
             (model.rollout_buffer, "_get_samples", "minibatches"),

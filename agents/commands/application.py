@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from agents.commands.check_rig import check_rig
 from agents.commands.evaluate import evaluate
+from agents.commands.ladder import ladder
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.simulate import simulate
 from agents.commands.study import study
@@ -111,6 +112,7 @@ app.command("check-rig")(check_rig)
 app.command("train")(train)
 app.command("evaluate")(evaluate)
 app.command("study")(study)
+app.command("ladder")(ladder)
 
 
 class _Stopped(KeyboardInterrupt):

@@ -1,216 +1,268 @@
 """Flow linearisation: the command is the valve opening whose flow gives the wanted speed at the measured pressures.
 
-Sources: Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6: flow of the edges, flow gain, oil columns.
-Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 5 and 6: inverse valve characteristic, exact linearisation,
-pressure feedback. Kalman filter with parameters as states: Ljung & Söderström, *Theory and Practice of Recursive
-Identification* (1983), chapter 2.
+Sources: Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 5 and 6: inverse valve characteristic, exact
+linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
-from agents.controllers.preview import Preview, path_weights, speed_weights
+from agents.controllers.flow_model import Flow, FlowModel
+from agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
+from agents.controllers.preview import Preview, path_weights
 from hydro_env import TaskConfig
 from hydro_env.files import Group
-from hydro_env.plant.analysis import closed_port_natural_frequency, closed_port_stiffness, speed_limits
-from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Array = NDArray[np.float64]
 
+_REVERSAL = 0.3
+"""Reference speed, in parts of the speed of the Stribeck effect, at which friction counts as turned round."""
+
+_LEAST_GAIN = 0.3
+"""Smallest flow gain, in parts of the data sheet's, that the estimate may give."""
+
 
 class FlowLinearisingGains(Group):
-    """Gains of :class:`FlowLinearising`; all are factors of what the data sheet of the rig gives."""
+    """Gains of :class:`FlowLinearising`: factors of what the data sheet of the rig gives, and uncertainties.
 
-    position_gain: float = gain(0.5, (0.1, 2.0), "1", "on the error, per delay", high=100.0, logarithmic=True)
+    A *delay* is the time from a sample to the motion that follows from it: latency, half a control period, and valve. A
+    *pace* is the longer of that and half a period of the hydraulic oscillation.
+    """
+
+    position_gain: float = gain(0.4, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
     braking: float = gain(
-        1.0, (0.1, 10.0), "1", "error, per way at full speed within the delay, beyond which φ is a root",
-        high=1e4, logarithmic=True,
-    )  # fmt: skip
-    lead: float = gain(1.0, (0.0, 2.5), "1", "of the reference speed, in delays", high=10.0)
-    prediction: float = gain(0.5, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
-    set_off_share: float = gain(1.0, (0.0, 2.0), "1", "set-off before a jump, per half of its time at full speed", high=10.0)
-    set_off_delay: float = gain(1.0, (0.0, 4.0), "1", "set-off before a jump, in delays", high=10.0)
-    pressure_trust: float = gain(0.9, (0.0, 1.3), "1", "exponent on the flow gain from pressures over its nominal", high=2.0)
-    flow_gain: float = gain(1.0, (0.8, 1.25), "1", "of the flow gain of the data sheet", low=0.1, high=10.0, logarithmic=True)
-    damping: float = gain(0.0, (-0.5, 0.5), "1", "dynamic pressure feedback", low=-10.0, high=10.0)
-    damping_filter: float = gain(1.0, (0.1, 5.0), "1", "of its high-pass, in delays", low=1e-3, high=100.0, logarithmic=True)
-    gain_spread: float = gain(0.1, (0.003, 0.5), "1", "uncertainty of the flow gain", high=10.0, logarithmic=True)
-    leak_spread: float = gain(1.0, (0.01, 10.0), "l/min at 100 bar", "uncertainty of the leak", high=100.0, logarithmic=True)
-    offset_spread: float = gain(0.01, (1e-4, 0.2), "1", "uncertainty of the offset, per full speed", high=10.0, logarithmic=True)
-    offset_drift: float = gain(0.02, (1e-3, 1.0), "1/√s", "of the offset, per full speed", high=10.0, logarithmic=True)
-    motion_spread: float = gain(0.01, (5e-4, 0.5), "1/√s", "of the speed, per full speed", high=10.0, logarithmic=True)
+        4.0,
+        (0.3, 20.0),
+        "1",
+        "error beyond which the speed grows with its root, per way at full speed in a pace",
+        low=1e-3,
+        high=1e4,
+        logarithmic=True,
+    )
+    lead: float = gain(1.25, (0.5, 2.0), "1", "of the reference speed, in delays", high=10.0)
+    smoothing: float = gain(0.8, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
+    prediction: float = gain(0.2, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
+    set_off_share: float = gain(
+        1.1, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
+    )
+    set_off_delay: float = gain(1.4, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
+    damping: float = gain(0.2, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
+    damping_filter: float = gain(
+        0.7, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
+    )
+    friction: float = gain(1.0, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
+    flow_gain_spread: float = gain(
+        0.14, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
+    )
+    flow_gain_drift: float = gain(
+        0.1, (1e-3, 1.0), "1/√s", "drift of the flow gain", low=1e-9, high=10.0, logarithmic=True
+    )
+    leak_spread: float = gain(
+        3.0, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
+    )
+    offset_spread: float = gain(
+        0.05, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
+    offset_drift: float = gain(
+        1e-3, (1e-4, 0.3), "1/√s", "drift of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
+    motion_spread: float = gain(
+        1e-3, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
 
 
 class FlowLinearisingState(NamedTuple):
-    """Memory of the controller."""
+    """Memory of the controller; the first axis of each array counts the N axes."""
 
-    reference: Array  # (N, horizon + 2), m, one period ago to the farthest preview
+    reference: Array  # (N, samples), m, as Preview keeps it
     supply: Array  # (N,), Pa
-    spool: Array  # (N,), as measured
     force: Array  # (N,), N, of the oil on the piston
     slow_force: Array  # (N,), N, low-passed
-    flow_speed: Array  # (N,), m/s
-    leak_speed: Array
-    estimate: Array  # (N, 4): position (m), share of flow gain, leak (share), offset speed (m/s)
+    speed: Array  # (N,), m/s, of the flow by the data sheet
+    leak: Array  # (N,), m/s per leak conductance
+    estimate: Array  # (N, 4), as MotionFilter keeps it
     covariance: Array  # (N, 4, 4)
 
 
 class FlowLinearising:
+    """command = opening(wanted speed), wanted speed = reference speed + φ(error) + friction − damping.
+
+    * The opening inverts the flow of the valve at the measured pressures (:class:`FlowModel`), corrected by what
+      :class:`MotionFilter` learns from spool, pressures and position: flow gain, leak, and an offset, which takes the
+      place of an integral. It works on the measured spool, so that a saturated valve cannot wind it up.
+    * Reference speed and error look ahead by the delay of the loop. Jumps are no speed: they are taken out of the
+      reference, and the axis sets off before a jump by about half the time that it needs for it.
+    * φ is linear near zero and a root beyond: the error at which braking from that speed must begin.
+    * At a reversal friction changes its sign. The flow that compresses the oil by as much is fed forward.
+    * Damping subtracts the high-passed force of the oil (dynamic pressure feedback).
+
+    The start is bumpless: the offset takes over the command that holds the axis. The pressures at rest tell the supply
+    pressure.
+    """
+
     memory = FlowLinearisingState
+    estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
+    """What :meth:`estimates` gives."""
 
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
         self.gains = gains
         self.config = config
         self.layout = ObservationLayout.of(config)
-        self.preview = Preview(config)
-        g, plant, c = gains, config.plant, plant_coefficients(config.plant)
-        period, horizon = config.control_period, self.preview.horizon
-        self._c = c
-        stiffness_a, stiffness_b = c.area_a / c.volume_a0, c.area_b / c.volume_b0
-        total = c.area_a * stiffness_a + c.area_b * stiffness_b
-        self._share_a, self._share_b = stiffness_a / total, stiffness_b / total  # 1/m²
-        self._stiffness = closed_port_stiffness(plant)
-        frequency = closed_port_natural_frequency(plant)
-        valve = plant.valve
-        self.delay = config.command_latency + 0.5 * period + 2.0 * valve.damping_ratio / valve.natural_frequency
-        out, back = speed_limits(plant)
-        self.full_speed = 0.5 * (out + back)
-        self._jump = max(out, back) * period
-        self._out, self._back = out, back
-        lead, ahead = g.lead * self.delay, g.prediction * self.delay
-        self._weights = np.column_stack(
-            [speed_weights(lead, horizon, period), path_weights(ahead, horizon, period)]
+        self.delay = _delay(config)
+        self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
+        g, plant, period, delay = gains, config.plant, config.control_period, self.delay
+        self._model = FlowModel(plant)
+        self._preview = Preview(config)
+        self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
+        self._ahead = g.prediction * delay
+        self._weights = self._reference_weights()
+        self._times = period * np.arange(1.0, self._preview.horizon + 1)
+        self._jump = max(speed_limits(plant)) * period
+        self._gain, self._linear = g.position_gain / self.pace, g.braking * full_speed * self.pace
+        self._blend = period / (period + g.damping_filter * self.pace)
+        self._damping = g.damping * closed_port_natural_frequency(plant)
+        self._friction = g.friction * plant.friction.largest_force / period
+        self._turned = _REVERSAL * plant.friction.stribeck_velocity
+        noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
+        leak = g.leak_spread * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+        self._filter = MotionFilter(
+            noise,
+            np.array([noise, g.flow_gain_spread, leak, g.offset_spread * full_speed]),
+            np.array([g.motion_spread * full_speed, g.flow_gain_drift, 0.0, g.offset_drift * full_speed]),
+            period,
         )
-        self._ahead = ahead
-        self._step_times = period * np.arange(0.0, horizon + 1)
-        self._gain = g.position_gain / self.delay
-        self._near = g.braking * self.full_speed * self.delay
-        self._blend = period / (period + g.damping_filter * self.delay)
-        self._damp = g.damping * frequency / self._stiffness * 1.0
-        self._nominal = c.edge_gain * (self._share_a + self._share_b) * np.sqrt(0.5 * (c.relief_pressure - c.tank_pressure))
-        leak = g.leak_spread * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE * (self._share_a + self._share_b)
-        self._leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE * (self._share_a + self._share_b)
-        noise = max(config.sensors.position.noise, 1e-6) if config.sensors.enabled else 1e-6
-        self._noise = noise**2
-        spread = np.array([noise, g.gain_spread, g.leak_spread, g.offset_spread * self.full_speed])
-        self._spread = np.diag(spread**2)
-        self._drift_position = (g.motion_spread * self.full_speed) ** 2 * period
-        self._drift_offset = (g.offset_drift * self.full_speed) ** 2 * period
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+    def _reference_weights(self) -> Array:
+        """Weights (horizon + 1, 3) of the reference's steps: speed, way to the predicted position, earlier speed."""
+        period, horizon, lead = self.config.control_period, self._preview.horizon, self.gains.lead * self.delay
+        width = self.gains.smoothing * self.delay
+
+        def speed(time: float) -> Array:
+            ends = [path_weights(time + side * width, horizon, period) for side in (-1.0, 1.0)]
+            weights: Array = (ends[1] - ends[0]) / (2.0 * width)
+            return weights
+
+        return np.stack([speed(lead), path_weights(self._ahead, horizon, period), speed(lead - period)], axis=1)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: FlowLinearisingState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], FlowLinearisingState]:
+        """Commands for the observations; see :class:`~agents.controllers.base.Controller`."""
         del deterministic
         batch, single = as_batch(observation)
-        g, c, period = self.gains, self._c, self.layout.control_period
         si = self.layout.si
-        position = si(batch, "position")
-        pressure_a, pressure_b = si(batch, "pressure_a"), si(batch, "pressure_b")
-        spool, command_before = si(batch, "spool_position"), si(batch, "previous_command")
-        force = c.area_a * pressure_a - c.area_b * pressure_b
-        if state is None or (episode_start is not None and np.any(episode_start)):
-            supply = pressure_a + pressure_b - c.tank_pressure
-            extend, retract = self._flow_gains(pressure_a, pressure_b, supply)
-            zeros = np.zeros(len(batch))
-            estimate = np.stack([position, zeros, zeros, -self._speed(command_before, extend, retract)], axis=1)
-            covariance = np.broadcast_to(self._spread, (len(batch), 4, 4))
-            fresh = FlowLinearisingState(
-                self.preview.start(batch), supply, spool, force, force, zeros, zeros, estimate, covariance
-            )
-            begun = np.ones(len(batch), dtype=np.bool_) if state is None else np.asarray(episode_start)
-            old = restarted(state, fresh, episode_start)
+        position, spool, command_before = (
+            si(batch, "position"),
+            si(batch, "spool_position"),
+            si(batch, "previous_command"),
+        )
+        pressures = np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
+
+        started = np.ones(len(batch), np.bool_) if state is None else episode_start
+        old = state
+        if old is None or (started is not None and np.any(started)):
+            old = restarted(state, self._fresh(batch, position, pressures, command_before), started)
+            started = np.asarray(started, dtype=np.bool_)
         else:
-            begun = None
-            old = state
-        reference = self.preview.advanced(old.reference, batch)
-        if begun is not None:
-            reference = np.where(begun[:, None], old.reference, reference)
+            started = None
+        flow = self._model.at(position, pressures, old.supply)
+        now = self._observed(old, batch, flow, position, spool)
+        if started is not None:
+            now = restarted(now, old, started)
+            now = now._replace(speed=self._model.speed(spool, flow), leak=flow.leak)
 
-        # Supply at rest
-        still = 1.0 / (1.0 + (spool / 0.02) ** 2)
-        supply = old.supply + still * (period / 0.2) * (pressure_a + pressure_b - c.tank_pressure - old.supply)
-        extend, retract = self._flow_gains(pressure_a, pressure_b, supply)
+        estimate = now.estimate
+        scale = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
+        other = estimate[:, LEAK] * flow.leak + estimate[:, OFFSET]
+        soon = scale * self._model.speed(0.5 * (spool + command_before), flow) + other
+        place = estimate[:, POSITION] + self._ahead * soon
+        wanted, error = self._wanted(now, place, flow)
+        wanted += self._correction(error)
+        wanted -= self._damping / flow.stiffness * (flow.force - now.slow_force)
+        command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
+        action = command.astype(np.float32)[:, None]
+        return (action[0] if single else action), now
 
-        # Observer
-        flow_speed = self._speed(spool, extend, retract)
-        leak_speed = -self._leak * (pressure_a - pressure_b)
-        x, p = old.estimate, old.covariance
-        f = np.empty((len(batch), 4))
-        f[:, 0] = 1.0
-        f[:, 1] = 0.5 * period * (old.flow_speed + flow_speed)
-        f[:, 2] = 0.5 * period * (old.leak_speed + leak_speed)
-        f[:, 3] = period
-        squeezed = (force - old.force) / self._stiffness
-        row = np.einsum("nij,nj->ni", p, f)  # P f
-        place = np.einsum("ni,ni->n", x, f) + f[:, 1] - squeezed
-        p00 = np.einsum("ni,ni->n", row, f) + self._drift_position
-        innovation = position - place
-        total = p00 + self._noise
-        k = row / total[:, None]
-        k[:, 0] = p00 / total
-        if begun is not None:
-            k[begun] = 0.0
-            place[begun] = position[begun]
-        estimate = x + k * innovation[:, None]
-        estimate[:, 0] = place + k[:, 0] * innovation
-        new_p = p.copy()
-        new_p[:, 0, :] = row
-        new_p[:, :, 0] = row
-        new_p[:, 0, 0] = p00
-        column = new_p[:, 0, :].copy()
-        new_p -= k[:, :, None] * column[:, None, :]
-        if begun is not None:
-            new_p[begun] = p[begun]
-        new_p[:, 3, 3] += self._drift_offset
+    def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
+        """What the controller estimates, (N, 5), numbers of order 1.
 
-        # Where the axis will be
-        scale = 1.0 + np.maximum(estimate[:, 1], -0.5)
-        other = estimate[:, 2] * leak_speed + estimate[:, 3]
-        soon = scale * self._speed(0.5 * (spool + command_before), extend, retract) + other
-        place = estimate[:, 0] + self._ahead * soon
+        Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of
+        full speed, speed in parts of it.
+        """
+        x = memory.estimate
+        speed = (1.0 + x[:, FLOW_GAIN]) * memory.speed + x[:, LEAK] * memory.leak + x[:, OFFSET]
+        columns = [
+            1e4 * (memory.reference[:, 1] - x[:, POSITION]),
+            10.0 * x[:, FLOW_GAIN],
+            x[:, LEAK] * LEAKAGE_TEST_PRESSURE / LITRE_PER_MINUTE,
+            100.0 * x[:, OFFSET] / self._full_speed,
+            speed / self._full_speed,
+        ]
+        return np.stack(columns, axis=1).astype(np.float32)
 
-        # Wanted speed
-        steps = np.diff(reference, axis=1)
+    def _fresh(self, batch: Floats, position: Array, pressures: Array, command: Array) -> FlowLinearisingState:
+        """Memory of axes that rest."""
+        supply = self._model.supply(pressures)
+        flow = self._model.at(position, pressures, supply)
+        speed = self._model.speed(command, flow)
+        estimate, covariance = self._filter.start(position, -speed)
+        reference = self._preview.start(batch)
+        return FlowLinearisingState(reference, supply, flow.force, flow.force, speed, flow.leak, estimate, covariance)
+
+    def _observed(
+        self, old: FlowLinearisingState, batch: Floats, flow: Flow, position: Array, spool: Array
+    ) -> FlowLinearisingState:
+        """Memory one period later: what the observations tell about the period that has passed."""
+        half = 0.5 * self.layout.control_period
+        speed = self._model.speed(spool, flow)
+        squeezed = (old.force - flow.force) / flow.stiffness
+        estimate, covariance = self._filter.advanced(
+            old.estimate, old.covariance, half * (old.speed + speed), half * (old.leak + flow.leak), squeezed, position
+        )
+        slow_force = old.slow_force + self._blend * (flow.force - old.slow_force)
+        reference = self._preview.advanced(old.reference, batch)
+        return FlowLinearisingState(
+            reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
+        )
+
+    def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
+        """Reference speed with the flow that turns friction round (m/s), and error ahead (m), each (N,)."""
+        steps = np.diff(now.reference, axis=1)
         jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
         smooth = (steps - jumps) @ self._weights
-        full = np.where(jumps > 0.0, self._out, self._back)
-        early = g.set_off_share * 0.5 * np.abs(jumps) / full + g.set_off_delay * self.delay
-        jumped = np.where(early >= self._step_times, jumps, 0.0)[:, 1:].sum(axis=1)
-        error = reference[:, 1] + smooth[:, 1] + jumped - place
+        turned = np.tanh(smooth[:, ::2] / self._turned)
+        wanted = smooth[:, 0] + self._friction / flow.stiffness * (turned[:, 0] - turned[:, 1])
+        target = now.reference[:, 1] + smooth[:, 1]
+        if jumps.any():
+            ahead = jumps[:, 1:]
+            out, back = self._model.full_speeds(flow.force, now.supply)
+            full = np.where(ahead > 0.0, out[:, None], back[:, None])
+            early = self.gains.set_off_share * 0.5 * np.abs(ahead) / full + self.gains.set_off_delay * self.delay
+            target += np.where(early >= self._times, ahead, 0.0).sum(axis=1)
+        return wanted, target - place
+
+    def _correction(self, error: Array) -> Array:
+        """φ(error), m/s: linear near zero, a root beyond."""
         size = np.abs(error)
-        near = self._near
-        root = np.sqrt(near * np.maximum(2.0 * size - near, near))
-        correction = self._gain * np.where(size > near, np.sign(error) * root, error)
-        slow_force = old.slow_force + self._blend * (force - old.slow_force)
-        wanted = smooth[:, 0] + correction - self._damp * (force - slow_force)
+        root = np.sqrt(self._linear * np.maximum(2.0 * size - self._linear, self._linear))
+        return self._gain * np.where(size > self._linear, np.copysign(root, error), error)
 
-        # Command
-        flow = (wanted - other) / scale
-        command = np.clip(self._opening(flow, extend, retract), -1.0, 1.0)
-        action = command.astype(np.float32)[:, None]
-        new = FlowLinearisingState(reference, supply, spool, force, slow_force, flow_speed, leak_speed, estimate, new_p)
-        return (action[0] if single else action), new
 
-    def _flow_gains(self, pressure_a, pressure_b, supply):
-        c = self._c
-        low = 0.02 * (c.relief_pressure - c.tank_pressure)
-        root = lambda drop: np.sqrt(np.maximum(drop, low))
-        a, b = self._share_a * c.edge_gain, self._share_b * c.edge_gain
-        extend = a * root(supply - pressure_a) + b * root(pressure_b - c.tank_pressure)
-        retract = a * root(pressure_a - c.tank_pressure) + b * root(supply - pressure_b)
-        trust, nominal, gain = self.gains.pressure_trust, self._nominal, self.gains.flow_gain
-        return gain * nominal * (extend / nominal) ** trust, gain * nominal * (retract / nominal) ** trust
-
-    def _speed(self, spool, extend, retract):
-        width = np.sqrt(spool * spool + self._c.underlap_squared)
-        return 0.5 * (extend * (width + spool) - retract * (width - spool))
-
-    def _opening(self, speed, extend, retract):
-        quarter = 0.25 * self._c.underlap_squared
-        forward = (speed + np.sqrt(speed * speed + 4.0 * quarter * extend * retract)) / (2.0 * extend)
-        backward = (-speed + np.sqrt(speed * speed + 4.0 * quarter * extend * retract)) / (2.0 * retract)
-        return forward - backward
+def _delay(config: TaskConfig) -> float:
+    """Time in s from a sample to the motion that follows from it: latency, half a period held, valve."""
+    valve = config.plant.valve
+    lag = {"ideal": 0.0, "spool": 1.0, "drive": 1.0}[valve.model] * 2.0 * valve.damping_ratio / valve.natural_frequency
+    coil = valve.coil_inductance / valve.coil_resistance if valve.model == "drive" else 0.0
+    return config.command_latency + 0.5 * config.control_period + lag + coil

@@ -6,8 +6,6 @@ a controller that remembers them soon knows every sample up to the farthest. Unt
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,8 +36,10 @@ class Preview:
         self._share = (ahead - known[self._right - 1]) / distance
 
     def start(self, batch: Floats) -> Array:
-        """The memory at the start of an episode, (N, horizon + 2): the axis has been at rest, samples in between are
-        interpolated."""
+        """The memory at the start of an episode, (N, horizon + 2).
+
+        The axis has been at rest; samples between those shown are interpolated.
+        """
         now, ahead = self._shown(batch)
         known = np.concatenate([now[:, None], ahead], axis=1)
         between = known[:, self._right - 1] * (1.0 - self._share) + known[:, self._right] * self._share
@@ -65,21 +65,10 @@ class Preview:
 def path_weights(time: float, horizon: int, period: float) -> Array:
     """Weights (horizon + 1,) of the reference's steps that give how far it moves from now to ``time`` (s) ahead.
 
-    ``steps = np.diff(samples, axis=1)``, the step before now first. Beyond the preview the reference is taken to go on
-    at its last speed.
+    ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is taken to
+    move on at the speed of its last or first step.
     """
     weights: Array = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
-    weights[0] = 0.0
+    weights[0] = min(time / period, 0.0)
     weights[-1] += max(time / period - horizon, 0.0)
-    return weights
-
-
-def speed_weights(time: float, horizon: int, period: float) -> Array:
-    """Weights (horizon + 1,), 1/s, of the reference's steps that give its speed ``time`` (s) ahead.
-
-    The speed of a step holds at its middle; in between it is interpolated, beyond the ends it is constant.
-    """
-    middles = np.arange(-0.5, horizon)
-    at: Any = time / period
-    weights: Array = np.array([np.interp(at, middles, row) for row in np.eye(horizon + 1)]) / period
     return weights

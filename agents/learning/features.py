@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
 from agents.controllers.preview import Preview
 from agents.controllers.registry import kind_of
-from hydro_env import TaskConfig
+from agents.learning.normalisation import Normalisation, observed
+from hydro_env import ConfigurationError, TaskConfig
 
 HISTORY_SIGNALS = (
     "position",
@@ -79,6 +80,11 @@ class PolicyFeatures:
         residual_scale: command per 1 of the policy's output in the residual form.
         see_correction: whether the policy sees its last correction and the slow average of its corrections.
         full_preview: whether the policy sees every sample of the preview; it remembers those that are not shown.
+        see_estimates: whether the policy sees what the corrected controller estimates.
+        normalisation: of the inputs; ``None`` leaves them as they are.
+
+    Raises:
+        ConfigurationError: the corrected controller estimates nothing.
     """
 
     def __init__(
@@ -88,8 +94,15 @@ class PolicyFeatures:
         residual_scale: float = 0.2,
         see_correction: bool = False,
         full_preview: bool = False,
+        see_estimates: bool = False,
+        normalisation: Normalisation | None = None,
     ) -> None:
         self.config = config
+        self.normalisation = normalisation
+        self.see_estimates = see_estimates and base is not None
+        estimates = tuple(getattr(base, "estimate_names", ()))
+        if self.see_estimates and not estimates:
+            raise ConfigurationError(f"see_estimates: {type(base).__name__} estimates nothing")
         self.layout = layout = ObservationLayout.of(config)
         self.base = base
         self.residual_scale = residual_scale if base is not None else 1.0
@@ -104,6 +117,7 @@ class PolicyFeatures:
         self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
         own = 0 if base is None else 3 if self.see_correction else 1
         rebuilt = len(self._rebuilt) if full_preview else 0
+        own += len(estimates) if self.see_estimates else 0
         self.size = len(layout.names) + own + rebuilt + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
 
     def __call__(
@@ -140,11 +154,38 @@ class PolicyFeatures:
         if self.full_preview:
             seen.append(((reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE).astype(np.float32))
         if self.base is None:
-            return np.concatenate([*seen, changes], axis=1), state
+            return self._normalised([*seen, changes]), state
         command, memory = self.base.predict(observation, state.base, episode_start)
         own = [command, correction, lasting] if self.see_correction else [command]
+        if self.see_estimates:
+            own.append(self.base.estimates(memory))  # type: ignore[attr-defined]
         state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
-        return np.concatenate([*seen, *own, changes], axis=1), state
+        return self._normalised([*seen, *own, changes]), state
+
+    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
+        return inputs if self.normalisation is None else self.normalisation(inputs)
+
+    def normalised(self) -> PolicyFeatures:
+        """The same features, normalised by what they are on training plants under the corrected controller.
+
+        Without one, the axes get commands at random.
+        """
+        plain = self._with(None)
+        generator = np.random.default_rng(0)
+
+        def act(observation: Floats, memory: Any, step: int) -> tuple[NDArray[Any], NDArray[Any], Any]:
+            started = np.full(len(observation), step == 0)
+            inputs, memory = plain(observation, memory, started)
+            spread = 0.0 if self.base is not None else 0.2
+            output = spread * generator.standard_normal((len(observation), 1))
+            return inputs, plain.command(output, memory), memory
+
+        return self._with(observed(self.config, act))
+
+    def _with(self, normalisation: Normalisation | None) -> PolicyFeatures:
+        options = (self.residual_scale, self.see_correction, self.full_preview, self.see_estimates)
+        return PolicyFeatures(self.config, self.base, *options, normalisation)
 
     def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
         """The slow average of the correction after a period with ``correction``, (N, 1)."""
@@ -170,6 +211,8 @@ class PolicyFeatures:
             "residual_scale": self.residual_scale,
             "see_correction": self.see_correction,
             "full_preview": self.full_preview,
+            "see_estimates": self.see_estimates,
+            "normalised": self.normalisation is not None,
             "history_signals": list(HISTORY_SIGNALS),
             "history_lags": list(HISTORY_LAGS),
         }

@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field
 from agents.controllers.base import Floats, as_batch
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
+from agents.learning.normalisation import Normalisation
 from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -36,6 +37,8 @@ class _StoredFeatures(Group):
     residual_scale: float = Field(gt=0.0, le=2.0)
     see_correction: bool = False
     full_preview: bool = False
+    see_estimates: bool = False
+    normalised: bool = False
     history_signals: tuple[str, ...]
     history_lags: tuple[int, ...]
 
@@ -50,6 +53,7 @@ class _StoredPolicy(Group):
     critic_layer_sizes: tuple[int, ...] | None = Field(None, min_length=2, max_length=33)
     log_standard_deviation: float = Field(ge=-20.0, le=5.0)
     activation: Literal["tanh", "relu"] = "tanh"
+    output: Literal["linear", "tanh"] = "linear"
     training: dict[str, Any] = {}
 
 
@@ -66,6 +70,7 @@ class PolicyController:
         activation: activation of the hidden layers, ``tanh`` or ``relu``.
         training: record of the training (JSON).
         critic: layers of the value network, which may have more inputs; ``None`` if unknown.
+        output: ``linear`` (limited to ±1, as PPO's) or ``tanh`` (as SAC's).
     """
 
     def __init__(
@@ -76,6 +81,7 @@ class PolicyController:
         training: dict[str, Any] | None = None,
         activation: str = "tanh",
         critic: Layers | None = None,
+        output: str = "linear",
     ) -> None:
         self.features = features
         self.layers = layers
@@ -83,6 +89,7 @@ class PolicyController:
         self.training = training or {}
         self.activation = activation
         self.critic = critic
+        self.output = output
         self._generator = np.random.default_rng(0)
 
     def predict(
@@ -103,14 +110,14 @@ class PolicyController:
         output = values @ weight.T + bias
         if not deterministic:
             output = output + np.exp(self.log_standard_deviation) * self._generator.standard_normal(output.shape)
-        command = self.features.command(output, state)
+        command = self.features.command(np.tanh(output) if self.output == "tanh" else output, state)
         return (command[0] if single else command), state
 
     @classmethod
     def from_sb3(
         cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
     ) -> PolicyController:
-        """Copy actor and critic of a PPO or A2C model of stable-baselines3 that was trained on ``AxisVecEnv``.
+        """Copy the actor of a PPO, A2C, SAC or TQC model that was trained on ``AxisVecEnv``, and PPO's or A2C's critic.
 
         Args:
             model: a model with an ``MlpPolicy`` of tanh or relu layers.
@@ -123,13 +130,21 @@ class PolicyController:
         policy, env = model.policy, model.get_env()
         features = features or getattr(env, "features", None)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
-        if not hasattr(policy, "action_net") or activation not in ("tanh", "relu"):
+        off_policy = hasattr(policy, "actor")
+        if not (off_policy or hasattr(policy, "action_net")) or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
-        actor = _layers([*policy.mlp_extractor.policy_net, policy.action_net])
+        body = (
+            [*policy.actor.latent_pi, policy.actor.mu]
+            if off_policy
+            else [*policy.mlp_extractor.policy_net, policy.action_net]
+        )
+        actor = _layers(body)
         if features is None or actor[0][0].shape[1] != features.size or len(actor[-1][1]) != 1:
             raise ConfigurationError(
                 "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
             )
+        if off_policy:
+            return cls(features, actor, training=training, activation=activation, output="tanh")
         critic = _layers([*policy.mlp_extractor.value_net, policy.value_net])
         return cls(features, actor, float(policy.log_std.detach().mean()), training, activation, critic)
 
@@ -146,6 +161,8 @@ class PolicyController:
         Raises:
             ConfigurationError: the environment's inputs are not those of this policy.
         """
+        if self.output != "linear":
+            raise ConfigurationError("to_sb3: only policies of PPO and A2C go back to stable-baselines3")
         import torch
         from stable_baselines3 import PPO
 
@@ -191,12 +208,15 @@ class PolicyController:
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
+        if self.features.normalisation is not None:
+            tensors |= {f"normalisation.{name}": array for name, array in self.features.normalisation._asdict().items()}
         settings = {
             "features": self.features.describe(),
             "layer_sizes": _sizes(self.layers),
             "critic_layer_sizes": None if self.critic is None else _sizes(self.critic),
             "log_standard_deviation": self.log_standard_deviation,
             "activation": self.activation,
+            "output": self.output,
             "training": self.training,
         }
         return save_weights(path, KIND, tensors, settings)
@@ -220,7 +240,12 @@ class PolicyController:
                     raise ConfigurationError(f"features.base.kind = '{base.kind}': unknown to this version")
                 base = make_controller(base.kind, described.task, base.settings)
             features = PolicyFeatures(
-                described.task, base, described.residual_scale, described.see_correction, described.full_preview
+                described.task,
+                base,
+                described.residual_scale,
+                described.see_correction,
+                described.full_preview,
+                described.see_estimates,
             )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
@@ -231,9 +256,22 @@ class PolicyController:
                 raise ConfigurationError(
                     f"{path}: {name} = {list(found)}: must begin with {features.size}, end with 1 and stay within 4096"
                 )
+        if described.normalised:
+            features.normalisation = _stored_normalisation(tensors, features.size, path)
         layers = _stored_layers(tensors, "layer", sizes, path)
         critic = _stored_layers(tensors, "critic", critic_sizes, path) if "critic0.weight" in tensors else None
-        return cls(features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic)
+        return cls(
+            features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic, stored.output
+        )
+
+
+def _stored_normalisation(tensors: dict[str, NDArray[Any]], size: int, path: str | Path) -> Normalisation:
+    ones = np.ones(size, dtype=np.float32)
+    require(tensors, {f"normalisation.{name}": ones for name in Normalisation._fields}, path)
+    found = Normalisation(*(tensors[f"normalisation.{name}"] for name in Normalisation._fields))
+    if not (found.unit > 0.0).all():
+        raise ConfigurationError(f"{path}: tensor 'normalisation.unit' must be positive")
+    return found
 
 
 def _sizes(layers: Layers) -> list[int]:

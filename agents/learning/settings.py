@@ -24,7 +24,9 @@ class Prices(Group):
     )
     change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
     travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")
-    reversal: float = Field(0.0, ge=0.0, le=1e6, description="on each reversal of the command's motion")
+    reversal: float = Field(
+        0.0, ge=0.0, le=1e6, description="on the smaller of the two swings that a reversal of the command joins"
+    )
 
 
 class TrainingSettings(Group):
@@ -40,6 +42,10 @@ class TrainingSettings(Group):
     full_preview: bool = Field(
         False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
     )
+    see_estimates: bool = Field(
+        False, description="the policy sees what the corrected controller estimates (residual form only)"
+    )
+    normalise: bool = Field(False, description="inputs in units of their own size, as observed on training plants")
     paired: bool = Field(
         True, description="reward relative to a twin under the corrected controller (residual form only)"
     )
@@ -64,7 +70,7 @@ class TrainingSettings(Group):
     @model_validator(mode="after")
     def _of_a_correction(self) -> Self:
         if not self.residual:
-            for name in ("family_units", "see_correction"):
+            for name in ("family_units", "see_correction", "see_estimates"):
                 if getattr(self, name):
                     raise ValueError(f"{name}: needs residual: true, a controller that the policy corrects")
             for name in ("lasting", "change"):

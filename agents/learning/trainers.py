@@ -8,6 +8,7 @@ from typing import Any, Protocol, cast
 
 from agents.controllers.base import ClassicalController, Controller
 from agents.controllers.registry import imported, kind_of
+from agents.learning.off_policy import OffPolicyTrainer
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress
 from agents.learning.settings import PPOSettings
@@ -95,7 +96,11 @@ class PPOTrainer:
         return PolicyController.load(path)
 
 
-TRAINERS: dict[str, Trainer] = {"ppo": PPOTrainer()}
+TRAINERS: dict[str, Trainer] = {
+    "ppo": PPOTrainer(),
+    "sac": OffPolicyTrainer("SAC", "stable_baselines3", "stable-baselines3"),
+    "tqc": OffPolicyTrainer("TQC", "sb3_contrib", "sb3-contrib"),
+}
 """Trainers by their ``kind`` in a YAML file."""
 
 

@@ -34,7 +34,9 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Classica
     if settings.residual and base is None:
         raise ConfigurationError("the residual form needs a controller that the policy corrects")
     corrected = base if settings.residual else None
-    return PolicyFeatures(config, corrected, settings.residual_scale, settings.see_correction, settings.full_preview)
+    options = (settings.residual_scale, settings.see_correction, settings.full_preview, settings.see_estimates)
+    features = PolicyFeatures(config, corrected, *options)
+    return features.normalised() if settings.normalise else features
 
 
 def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:

@@ -39,7 +39,7 @@ EVALUATIONS = 2800
 """Candidates in all."""
 
 EFFORT_TIME = 3e-3
-"""s; a squared change of the command from one period to the next costs as much as the way at full speed in this time."""
+"""s; the squared change of the command in a period costs as much as the way at full speed in this time."""
 
 REFUSED = 1e3
 """m; cost of a candidate that is refused or fails."""
@@ -169,7 +169,8 @@ class Space:
         values = np.array([float(getattr(gains, name)) for name in self.names])
         tiny = np.exp(self._low)
         scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
-        return np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        point: Floats = np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        return point
 
     def values(self, point: Floats) -> dict[str, float]:
         """The gains at a point of the cube, by name."""
@@ -313,7 +314,10 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
         written = json.loads(first.removeprefix("# "))
         scores: dict[int, list[Score]] = {}
         for row in csv.DictReader(io.StringIO(table)):
-            scores.setdefault(int(row["generation"]), []).append(Score(float(row["mean"]), float(row["equal"])))
+            generation = scores.setdefault(int(row["generation"]), [])
+            if int(row["candidate"]) != len(generation):
+                raise ValueError(f"candidate {row['candidate']} is out of order")
+            generation.append(Score(float(row["mean"]), float(row["equal"])))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
     other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]

@@ -170,7 +170,9 @@ class AxisVecEnv(VecEnv):
     def _prices_of_commands(self, before: Array, change: Array) -> Array:
         """Price of a period's change of each command, given the change ``before``."""
         prices = self._prices
-        return prices.travel * np.abs(change) + prices.reversal * (change * before < 0.0)
+        reversed_swing = np.where(change * before < 0.0, np.minimum(np.abs(change), np.abs(before)), 0.0)
+        price: Array = prices.travel * np.abs(change) + prices.reversal * reversed_swing
+        return price
 
     def _prices_of_correction(self, command: Array) -> Array:
         """Price of each correction that led to ``command``."""

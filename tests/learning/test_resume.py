@@ -12,7 +12,7 @@ import pytest
 from agents.controllers import PID, PIDGains
 from agents.learning.checkpoint import CHECKPOINT_FILE
 from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.settings import PPOSettings
+from agents.learning.settings import PPOSettings, Prices
 from agents.learning.training import train_ppo
 from agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
@@ -51,9 +51,18 @@ def interrupt_at(steps):
     return report
 
 
-@pytest.mark.parametrize("paired", [True, False])
-def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, paired):
-    settings = SETTINGS.model_copy(update={"paired": paired, "residual": paired})
+ALL = {
+    "told_critic": True,
+    "see_correction": True,
+    "full_preview": True,
+    "family_units": True,
+    "prices": Prices(lasting=1.0, change=1.0, travel=1.0, reversal=1.0),
+}
+
+
+@pytest.mark.parametrize("changes", [{}, {"paired": False, "residual": False}, ALL], ids=["plain", "alone", "all"])
+def test_interrupted_training_ends_as_an_uninterrupted_one(tmp_path, changes):
+    settings = SETTINGS.model_copy(update=changes)
     expected = result(train(tmp_path / "whole", settings=settings), tmp_path / "whole" / PROGRESS_FILE)
     folder, seen = tmp_path / "parts", []
     for steps in (256, 512, 1024):  # the interrupt comes when a rollout is over and its update is not

@@ -120,7 +120,7 @@ def test_prices_by_hand():
         slow += blend * (0.5 * output - slow)
         expected = 3.0 * slow**2 + 5.0 * (0.5 * output - correction) ** 2 + 0.7 * np.abs(change)
         if before is not None:
-            expected = expected + 0.4 * (change * before < 0.0)
+            expected = expected + 0.4 * np.where(change * before < 0.0, np.minimum(abs(change), abs(before)), 0.0)
         correction, before = 0.5 * output, change
         np.testing.assert_allclose(reward - less, expected, atol=2e-5)
 

@@ -49,7 +49,7 @@ def test_ppo_is_a_trainer(tmp_path):
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        ("sac", "trainer 'sac': unknown; known: ppo, or my_module:MyTrainer"),
+        ("td3", "trainer 'td3': unknown; known: ppo, sac, tqc, or my_module:MyTrainer"),
         ("absent_module:Trainer", "absent_module"),
         ("a2c_trainer:Absent", "Absent"),
         ("a2c_trainer:A2CSettings", "lacks settings, train, load"),
@@ -61,3 +61,51 @@ def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         trainer(kind)
     assert "\n" not in str(caught.value)
+
+
+def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
+    from agents.learning.off_policy import SACSettings
+
+    sac = trainer("sac")
+    small = {"axes": 8, "hidden_sizes": [8], "batch_size": 16, "learning_starts": 64, "gradient_steps": 1}
+    settings = validate(SACSettings, {**small, "total_steps": 800, "log_every": 200}, "sac.yaml")
+    seen = []
+    options = {"seed": 0, "folder": tmp_path, "resume": False, "base": BASE}
+    policy = sac.train(CONFIG, settings, progress=seen.append, **options)
+    assert [progress.steps for progress in seen] == [200, 400, 600, 800]
+    policy.save(tmp_path / "policy")
+    again = sac.load(tmp_path / "policy")
+    assert again.output == "tanh"
+    cases = Cases(np.arange(4))
+    run = run_cases(CONFIG, again, cases)
+    np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
+    assert not np.array_equal(run.command, run_cases(CONFIG, BASE, cases).command)
+    assert np.isfinite(read_progress(tmp_path / "progress.csv")[-1]["train/critic_loss"])
+    with pytest.raises(ConfigurationError, match="only policies of PPO and A2C"):
+        again.to_sb3(None)
+
+    # A resumed training goes on with the networks and the number of steps.
+    longer = settings.model_copy(update={"total_steps": 1600})
+    seen.clear()
+    resumed = sac.train(CONFIG, longer, progress=seen.append, **{**options, "resume": True})
+    assert [progress.steps for progress in seen] == [1000, 1200, 1400, 1600]
+    assert resumed.training["steps"] == 1600
+    other = longer.model_copy(update={"gradient_steps": 2})
+    with pytest.raises(ConfigurationError, match="made with other settings; cannot resume"):
+        sac.train(CONFIG, other, progress=None, **{**options, "resume": True})
+
+
+def test_the_output_of_sac_is_squashed_as_in_its_model():
+    from stable_baselines3 import SAC
+
+    from agents.learning.features import PolicyFeatures
+    from agents.learning.policy import PolicyController
+    from agents.learning.vec_env import AxisVecEnv
+
+    env = AxisVecEnv(CONFIG, 4, PolicyFeatures(CONFIG, BASE, 0.3))
+    model = SAC("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, policy_kwargs={"net_arch": [8]})
+    policy = PolicyController.from_sb3(model)
+    inputs = env.reset()
+    output, _ = model.predict(inputs, deterministic=True)
+    command, _ = policy.predict(env.env.axes.observation.copy())
+    np.testing.assert_allclose(command, policy.features.command(output, env._state), atol=1e-6)

@@ -68,7 +68,8 @@ def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
 
 @pytest.mark.parametrize("residual", [True, False])
 def test_weights_round_trip(tmp_path, residual):
-    settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256})
+    seen = {"see_correction": residual, "full_preview": True}
+    settings = SETTINGS.model_copy(update={"residual": residual, "total_steps": 256, **seen})
     policy = train_ppo(CONFIG, settings, BASE)
     policy.save(tmp_path / "policy")
     again = PolicyController.load(tmp_path / "policy.safetensors")

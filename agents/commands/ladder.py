@@ -1,0 +1,38 @@
+"""``hydro ladder``: trainings that differ in one thing each, on several seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agents.commands.options import Output, Overwrite, Resume, say
+
+
+def ladder(
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="YAML file of a ladder; `configs/ladders` holds examples.")
+    ] = None,
+    output: Output = Path("results/ladder"),
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=1024, help="Trainings that run side by side.")] = 1,
+    rung: Annotated[
+        list[str] | None, typer.Option("--rung", help="Train this rung alone; repeat the option for several.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=1000, help="Trainings per rung.")] = None,
+    test: Annotated[
+        bool, typer.Option("--test", help="Judge on test plants; only once every choice has been made.")
+    ] = False,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train every rung of a ladder on several seeds and write one table: which change is worth how much.
+
+    The trainings are independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
+    """
+    from agents.running.folders import config_folder
+    from agents.study.ladder import LadderSettings, run_ladder
+
+    settings = LadderSettings.from_yaml(config or config_folder() / "ladders" / "default.yaml")
+    file = run_ladder(settings, output, jobs, rung, seeds, test, resume, overwrite)
+    say(file.read_text(encoding="utf-8"), f"written: {file}")

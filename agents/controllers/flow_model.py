@@ -1,0 +1,98 @@
+"""The flow of valve and chambers as an engineer knows it from the data sheet, at the measured pressures.
+
+Sources: Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6: flow of the edges, stiffness of the oil columns,
+speed at full opening. Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 4 to 6: effective bulk modulus of oil
+with air, inverse valve characteristic, exact linearisation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import PlantParameters
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
+
+Array = NDArray[np.float64]
+
+_LOWEST_DROP = 0.02
+"""Smallest pressure drop over an edge that counts, in parts of the supply; a smaller one would ask for full opening."""
+
+
+class Flow(NamedTuple):
+    """What the pressures of N axes mean for their motion, each (N,)."""
+
+    extending: Array  # speed per opening of the edges P→A and B→T, m/s
+    retracting: Array  # speed per opening of the edges A→T and P→B, m/s
+    leak: Array  # speed per leak conductance, m/s per m³/(s Pa)
+    force: Array  # of the oil on the piston, N
+    stiffness: Array  # of both oil columns, N/m
+
+
+class FlowModel:
+    """Speed of the piston from the opening of the valve, and the inverse; for N axes.
+
+    In each chamber A v = q − C dp/dt with the compliance C = V/β of its oil. Weighted with A/C and added up, the
+    pressures appear as the force of the oil alone: v = Σ (A/C) q / k − dF/dt / k, with k = Σ A²/C. The flow gains
+    follow from the measured pressures. So the model also holds while the pressures move from one level to another, for
+    example after a reversal of an unequal cylinder.
+    """
+
+    def __init__(self, plant: PlantParameters) -> None:
+        self._c = c = plant_coefficients(plant)
+        self._areas = np.array([[c.area_a], [c.area_b]])
+        self._signs = np.array([[1.0], [-1.0]])
+        self._volumes = np.array([[c.volume_a0], [c.volume_b0]])
+        self._lowest = _LOWEST_DROP * (c.relief_pressure - c.tank_pressure)
+        self._full = c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3)
+
+    def supply(self, pressures: Array) -> Array:
+        """Supply pressure (Pa), (N,), of axes at rest whose pressures are ``pressures``, (2, N).
+
+        At rest the valve holds both chambers by the same openings: P_s − p_a = p_b − P_T, whatever the internal leak.
+        """
+        supply: Array = pressures.sum(axis=0) - self._c.tank_pressure
+        return supply
+
+    def at(self, position: Array, pressures: Array, supply: Array) -> Flow:
+        """:class:`Flow` at positions (N,) in m, pressures (2, N) and supply pressures (N,) in Pa."""
+        c = self._c
+        absolute = np.maximum(pressures, 0.0) + ATMOSPHERIC_PRESSURE
+        softness = 1.0 / c.bulk_modulus + c.free_air_pressure / (absolute * absolute)
+        columns = self._areas / (softness * (self._volumes + self._signs * self._areas * position))
+        stiffness = (self._areas * columns).sum(axis=0)
+        shares = columns / stiffness
+        filling = shares * np.sqrt(np.maximum(supply - pressures, self._lowest))
+        emptying = shares * np.sqrt(np.maximum(pressures - c.tank_pressure, self._lowest))
+        forces = self._areas * pressures
+        return Flow(
+            c.edge_gain * (filling[0] + emptying[1]),
+            c.edge_gain * (emptying[0] + filling[1]),
+            (shares[0] + shares[1]) * (pressures[1] - pressures[0]),
+            forces[0] - forces[1],
+            stiffness,
+        )
+
+    def speed(self, opening: Array, flow: Flow) -> Array:
+        """Speed (m/s) at an opening of the valve (−1 to 1) without leak and at constant force, (N,)."""
+        width = np.sqrt(opening * opening + self._c.underlap_squared)
+        speed: Array = 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
+        return speed
+
+    def opening(self, speed: Array, flow: Flow) -> Array:
+        """Opening of the valve that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
+        root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
+        opening: Array = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
+        return opening
+
+    def full_speeds(self, force: Array, supply: Array) -> tuple[Array, Array]:
+        """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""
+        c = self._c
+        out = c.area_a * supply - c.area_b * c.tank_pressure - force
+        back = c.area_b * supply - c.area_a * c.tank_pressure + force
+        least = self._lowest * (c.area_a + c.area_b)
+        return self._full * np.sqrt(np.maximum(out, least)), self._full * np.sqrt(np.maximum(back, least))

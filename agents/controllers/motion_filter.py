@@ -1,0 +1,70 @@
+"""A Kalman filter that learns what the data sheet does not tell: flow gain, leak and offset of the speed.
+
+Source: Ljung & Söderström, *Theory and Practice of Recursive Identification* (1983), chapter 2: parameters that drift,
+estimated as states.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+POSITION, FLOW_GAIN, LEAK, OFFSET = range(4)
+"""Entries of the estimate: position (m), flow gain minus that of the data sheet (parts), leak conductance
+(m³/(s Pa)), offset of the speed (m/s)."""
+
+
+class MotionFilter:
+    """Estimates (N, 4) of N axes and their covariances (N, 4, 4).
+
+    In a period the position grows by its known part, by the flow gain's deviation times the way of the flow, by leak
+    and by offset. Position is measured with white noise.
+
+    Args:
+        noise: standard deviation of the measured position, m.
+        spread: standard deviations of the estimate at the start, (4,).
+        drift: standard deviations that a second of operation adds, (4,), each per √s.
+        period: control period, s.
+    """
+
+    def __init__(self, noise: float, spread: Array, drift: Array, period: float) -> None:
+        self._noise = noise**2
+        self._spread = np.diag(spread**2)
+        self._drift = np.diag(drift**2 * period)
+        self._period = period
+
+    def start(self, position: Array, offset: Array) -> tuple[Array, Array]:
+        """Estimate and covariance at the start from measured positions (m) and known offsets (m/s), each (N,)."""
+        zeros = np.zeros(len(position))
+        estimate = np.stack([position, zeros, zeros, offset], axis=1)
+        return estimate, np.tile(self._spread, (len(position), 1, 1))
+
+    def advanced(
+        self, estimate: Array, covariance: Array, way: Array, leak_way: Array, other: Array, measured: Array
+    ) -> tuple[Array, Array]:
+        """Estimate and covariance one period later.
+
+        Args:
+            estimate: (N, 4).
+            covariance: (N, 4, 4).
+            way: m that the flow of the valve has moved the piston by the data sheet, (N,).
+            leak_way: m per leak conductance, (N,).
+            other: m of known motion besides, (N,).
+            measured: position measured now, m, (N,).
+        """
+        slope = np.empty_like(estimate)
+        slope[:, POSITION], slope[:, FLOW_GAIN], slope[:, LEAK], slope[:, OFFSET] = 1.0, way, leak_way, self._period
+        predicted = estimate.copy()
+        predicted[:, POSITION] = np.einsum("ni,ni->n", estimate, slope) + way + other
+        # F P Fᵀ + Q: only the row and the column of the position change.
+        row = np.einsum("nij,nj->ni", covariance, slope)
+        row[:, POSITION] = np.einsum("ni,ni->n", row, slope)
+        spread = covariance + self._drift
+        spread[:, POSITION, 1:] = spread[:, 1:, POSITION] = row[:, 1:]
+        spread[:, POSITION, POSITION] = row[:, POSITION] = row[:, POSITION] + self._drift[POSITION, POSITION]
+        gain = row / (row[:, :1] + self._noise)
+        predicted += gain * (measured - predicted[:, POSITION])[:, None]
+        spread -= gain[:, :, None] * row[:, None, :]
+        return predicted, spread

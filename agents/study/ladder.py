@@ -1,0 +1,277 @@
+"""A ladder: trainings that differ in one thing each, on several seeds, judged on the same cases."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+from joblib import Parallel, delayed
+from pydantic import Field, model_validator
+
+from agents.controllers.base import Controller
+from agents.controllers.registry import CONTROLLERS, make_controller
+from agents.evaluation.metrics import rollout_metrics
+from agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from agents.learning.trainers import Trainer, trainer
+from agents.running.cases import Cases, run_cases
+from agents.running.console import ProgressDisplay
+from agents.running.folders import output_folder
+from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from agents.study.ladder_table import ladder_table, rung_scores
+from agents.study.settings import ControllerEntry, Name
+from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_json, read_yaml, validate, write_whole
+from hydro_env.task.configuration import merged
+
+LADDER_SEEDS = VALIDATION_SEEDS.start + 100_000
+"""First validation seed of the cases."""
+
+JOB_FILE = "job.json"
+TABLES = ("ladder.md", "ladder.csv", "scores.csv")
+
+
+class Rung(Group):
+    """One kind of training."""
+
+    after: str | None = Field(None, description="an earlier rung, whose kind, corrected controller and settings hold")
+    kind: str | None = Field(None, description="ppo, sac, or module:attribute for your own trainer")
+    corrects: str | None = Field(None, description="name of the controller that it corrects")
+    settings: dict[str, Any] = Field(default_factory=dict, description="of the training; on top of the earlier rung's")
+
+
+class LadderSettings(Group):
+    """A ladder; ``configs/ladders`` holds examples."""
+
+    title: str = "Ladder of trainings"
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    controllers: dict[Name, ControllerEntry] = Field(
+        min_length=1, description="classical controllers by name; errors are compared with the first one's"
+    )
+    seeds: int = Field(5, ge=1, le=1000, description="trainings of each rung")
+    settings: dict[str, Any] = Field(default_factory=dict, description="of every training")
+    rungs: dict[Name, Rung] = Field(min_length=1)
+    evaluation: ProtocolSettings = Field(default_factory=lambda: ProtocolSettings(plants=8))
+
+    @model_validator(mode="after")
+    def _known(self) -> LadderSettings:
+        earlier: list[str] = []
+        for name, entry in self.controllers.items():
+            if entry.kind not in CONTROLLERS:
+                raise ValueError(f"controllers.{name}: kind = '{entry.kind}': must be one of {', '.join(CONTROLLERS)}")
+        for name, rung in self.rungs.items():
+            if name in self.controllers:
+                raise ValueError(f"rungs.{name}: is the name of a controller")
+            if rung.after is not None and rung.after not in earlier:
+                raise ValueError(f"rungs.{name}: after = '{rung.after}': must be a rung before it")
+            if rung.kind is None and rung.after is None:
+                raise ValueError(f"rungs.{name}: kind is missing")
+            if rung.corrects is not None and rung.corrects not in self.controllers:
+                raise ValueError(
+                    f"rungs.{name}: corrects = '{rung.corrects}': must be one of {', '.join(self.controllers)}"
+                )
+            earlier.append(name)
+        return self
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> LadderSettings:
+        """Read a ladder; the task, and the settings of a controller, may be paths relative to its file.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key or impossible value.
+        """
+        values, folder = read_yaml(path), Path(path).parent
+        if isinstance(values.get("task"), str):
+            values["task"] = read_yaml(folder / values["task"])
+        controllers = values.get("controllers")
+        for entry in controllers.values() if isinstance(controllers, dict) else ():
+            if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
+                entry["settings"] = read_yaml(folder / entry["settings"])
+        ladder = validate(cls, values, str(path))
+        for name in ladder.controllers:
+            ladder.make(name)
+        for name in ladder.rungs:
+            ladder.resolved(name)
+        return ladder
+
+    def make(self, name: str) -> Controller:
+        """A classical controller of the ladder."""
+        entry = self.controllers[name]
+        return make_controller(entry.kind, self.task, entry.settings)
+
+    def resolved(self, name: str) -> Resolved:
+        """What a rung trains, with all that it takes over from earlier rungs.
+
+        Raises:
+            ConfigurationError: its trainer is unknown, or the settings do not fit it.
+        """
+        chain = [self.rungs[name]]
+        while chain[0].after is not None:
+            chain.insert(0, self.rungs[chain[0].after])
+        settings: dict[str, Any] = self.settings
+        for rung in chain:
+            settings = merged(settings, rung.settings)
+        kind = next(rung.kind for rung in reversed(chain) if rung.kind is not None)
+        corrects = next((rung.corrects for rung in reversed(chain) if rung.corrects is not None), None)
+        made = trainer(kind)
+        checked = validate(made.settings, settings, f"rungs.{name}")
+        if getattr(checked, "residual", False) and corrects is None:
+            raise ConfigurationError(
+                f"rungs.{name}: is trained as a correction (residual: true): give 'corrects: NAME'"
+            )
+        return Resolved(made, kind, corrects if getattr(checked, "residual", True) else None, checked)
+
+    def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
+        """The cases and a table of level, family and plant of each: validation plants, or test plants."""
+        cases, table = tracking_cases(self.evaluation)
+        return (cases if test else replace(cases, seeds=cases.seeds - TEST_SEEDS.start + LADDER_SEEDS)), table
+
+
+class Resolved(NamedTuple):
+    """What a rung trains."""
+
+    trainer: Trainer
+    kind: str
+    corrects: str | None
+    settings: Group
+
+
+def run_ladder(
+    ladder: LadderSettings,
+    folder: Path,
+    jobs: int = 1,
+    rungs: list[str] | None = None,
+    seeds: int | None = None,
+    test: bool = False,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Path:
+    """Train and judge every rung on every seed as independent jobs; write the tables of all that is finished.
+
+    Args:
+        ladder: the ladder.
+        folder: for the results; each job has a folder of its own.
+        jobs: how many jobs run side by side.
+        rungs: names of the rungs to train; default: all.
+        seeds: number of seeds, instead of the ladder's.
+        test: judge on test plants instead of validation plants, once all choices are made.
+        resume: go on with what is in the folder.
+        overwrite: begin anew.
+
+    Returns:
+        The file with the table.
+
+    Raises:
+        ConfigurationError: an unknown rung, a folder in use, results of other settings, or a training that failed;
+            the results of the others are kept.
+    """
+    chosen = rungs or list(ladder.rungs)
+    for name in chosen:
+        if name not in ladder.rungs:
+            raise ConfigurationError(f"rung '{name}': unknown; known: {', '.join(ladder.rungs)}")
+    todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
+    writes = [*TABLES, *(f"rungs/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
+    with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
+        scores: list[pd.DataFrame] = []
+        errors: list[str] = []
+        display.update("ladder", 0, len(todo))
+        for name, seed, result in _results(ladder, folder, todo, jobs, test):
+            if isinstance(result, str):
+                errors.append(f"rung {name}, seed {seed}: {result}")
+            else:
+                scores.append(rung_scores(name, seed, ladder.resolved(name).corrects, result, classical))
+            display.update("ladder", len(scores) + len(errors), len(todo), f"{name}, seed {seed}")
+            write_tables(ladder, folder, classical, scores)
+    if errors:
+        raise ConfigurationError("; ".join(errors))
+    return folder / TABLES[0]
+
+
+def _results(
+    ladder: LadderSettings, folder: Path, todo: list[tuple[str, int]], jobs: int, test: bool
+) -> Iterator[tuple[str, int, pd.DataFrame | str]]:
+    """Results of the jobs, as they end."""
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+    yield from parallel(delayed(run_rung)(ladder, name, seed, folder, test) for name, seed in todo)
+
+
+def run_rung(
+    ladder: LadderSettings, name: str, seed: int, folder: Path, test: bool
+) -> tuple[str, int, pd.DataFrame | str]:
+    """Train one rung on one seed and judge it, or read what an earlier run has left.
+
+    Returns:
+        Name, seed, and a table of metrics with one row per case; or the reason why there is none.
+    """
+    own = folder / "rungs" / name / f"seed {seed}"
+    own.mkdir(parents=True, exist_ok=True)
+    try:
+        controller, seconds = _trained(ladder, name, seed, own)
+        file = own / f"scores_{'test' if test else 'validation'}.csv"
+        if not file.exists():
+            write_whole(file, judged(ladder, controller, test).to_csv(index=False).encode())
+        return name, seed, pd.read_csv(file).assign(seconds=seconds)
+    except ConfigurationError as error:
+        return name, seed, str(error)
+
+
+def _trained(ladder: LadderSettings, name: str, seed: int, own: Path) -> tuple[Controller, float]:
+    """The controller of a job and the seconds of its training."""
+    resolved = ladder.resolved(name)
+    described = {
+        "kind": resolved.kind,
+        "settings": resolved.settings.model_dump(mode="json"),
+        "corrects": ladder.controllers[resolved.corrects].model_dump(mode="json") if resolved.corrects else None,
+        "task": ladder.task.model_dump(mode="json"),
+        "seed": seed,
+    }
+    job, weights = own / JOB_FILE, own / WEIGHTS
+    if job.exists():
+        before = read_json(job)
+        changed = next((key for key, value in described.items() if before.get(key) != value), None)
+        if changed is not None:
+            raise ConfigurationError(f"{job}: was made with another '{changed}'; --overwrite begins anew")
+    else:
+        write_whole(job, (json.dumps(described, indent=2) + "\n").encode())
+    if not weights.with_suffix(".json").exists():
+        base = ladder.make(resolved.corrects) if resolved.corrects is not None else None
+        controller = resolved.trainer.train(
+            ladder.task,
+            resolved.settings,
+            seed=seed,
+            folder=own,
+            resume=any(own.glob(CHECKPOINTS)),
+            base=base,
+            progress=None,
+        )
+        controller.save(weights)
+    controller = resolved.trainer.load(weights)
+    return controller, float(getattr(controller, "training", {}).get("seconds", float("nan")))
+
+
+def judged(ladder: LadderSettings, controller: Controller, test: bool) -> pd.DataFrame:
+    """Metrics of a controller, one row per case."""
+    cases, table = ladder.cases(test)
+    assert cases.families is not None
+    preview = max(ladder.task.references.preview_times, default=0.0)
+    rollout = run_cases(ladder.task, controller, cases)
+    return table.assign(**rollout_metrics(rollout, cases.families, ladder.task.control_period, preview))
+
+
+def write_tables(
+    ladder: LadderSettings, folder: Path, classical: dict[str, pd.DataFrame], scores: list[pd.DataFrame]
+) -> None:
+    """Write the ladder as Markdown and CSV, and the scores of each seed."""
+    reference = next(iter(classical))
+    rows = [rung_scores(name, -1, None, frame, classical) for name, frame in classical.items()]
+    all_scores = pd.concat([*rows, *scores], ignore_index=True)
+    order = [*ladder.controllers, *ladder.rungs]
+    text, table = ladder_table(all_scores, order, reference)
+    write_whole(folder / TABLES[0], f"# {ladder.title}\n\n{text}".encode())
+    write_whole(folder / TABLES[1], table.to_csv(index=False).encode())
+    write_whole(folder / TABLES[2], all_scores.to_csv(index=False).encode())

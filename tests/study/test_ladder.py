@@ -1,0 +1,134 @@
+"""A ladder trains every rung on every seed, resumes, and gives the same table however its jobs are run."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from agents.running.folders import config_folder
+from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
+from agents.study.ladder_table import ratios, rung_scores
+from hydro_env import ConfigurationError
+from hydro_env.files import validate
+
+SMALL = {"steps_per_rollout": 8, "minibatches": 1, "epochs": 1}
+LADDER = {
+    "task": {"episode_duration": 0.1},
+    "controllers": {"PID": {"kind": "pid"}},
+    "seeds": 2,
+    "settings": {"total_steps": 64, "axes": 8, "hidden_sizes": [4], "validation_every": 0},
+    "evaluation": {"plants": 3, "leak_levels": [0.01, 4.0], "families": ["step", "sine"]},
+    "rungs": {
+        "alone": {"kind": "ppo", "settings": {**SMALL, "residual": False, "paired": False}},
+        "correction": {"kind": "ppo", "corrects": "PID", "settings": SMALL},
+        "told": {"after": "correction", "settings": {"told_critic": True, "prices": {"lasting": 1.0}}},
+    },
+}
+
+
+def ladder(**changes):
+    return validate(LadderSettings, {**LADDER, **changes}, "ladder.yaml")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ladder")
+    file = run_ladder(ladder(), folder)
+    return folder, file.read_text()
+
+
+def without_times(folder):
+    table = pd.read_csv(folder / "ladder.csv")
+    return table.drop(columns=[name for name in table if name.startswith("seconds")])
+
+
+def test_every_rung_has_a_row_and_the_controllers_too(done):
+    folder, text = done
+    table = pd.read_csv(folder / "ladder.csv")
+    assert list(table["rung"]) == ["PID", "alone", "correction", "told"]
+    assert list(table["seeds"]) == [0, 2, 2, 2]
+    assert table["mean"][0] == table["worst case"][0] == 1.0
+    assert np.isnan(table["geo to corrected"][1])
+    np.testing.assert_allclose(table["mean to corrected"][2:], table["mean"][2:])
+    assert text.count("\n| ") == 5
+    assert len(pd.read_csv(folder / "scores.csv")) == 1 + 3 * 2
+
+
+def test_a_rung_takes_over_what_it_does_not_change():
+    resolved = ladder().resolved("told")
+    assert resolved.corrects == "PID"
+    assert resolved.settings.told_critic
+    assert resolved.settings.steps_per_rollout == 8
+    assert resolved.settings.hidden_sizes == (4,)
+    assert ladder().resolved("alone").corrects is None
+
+
+def test_side_by_side_and_resumed_the_table_is_the_same(done, tmp_path):
+    folder, _ = done
+    run_ladder(ladder(), tmp_path, rungs=["told"], seeds=1)
+    trained = (tmp_path / "rungs" / "told" / "seed 0" / "policy.safetensors").stat().st_mtime_ns
+    run_ladder(ladder(), tmp_path, jobs=2, resume=True)
+    assert (tmp_path / "rungs" / "told" / "seed 0" / "policy.safetensors").stat().st_mtime_ns == trained
+    pd.testing.assert_frame_equal(without_times(folder), without_times(tmp_path), check_exact=True)
+
+
+def test_results_of_other_settings_are_not_mixed_in(done):
+    folder, _ = done
+    other = ladder(settings={**LADDER["settings"], "total_steps": 128})
+    with pytest.raises(ConfigurationError, match=r"rung alone, seed 0: .*was made with another 'settings'"):
+        run_ladder(other, folder, rungs=["alone"], seeds=1, resume=True)
+    assert json.loads((folder / "rungs" / "alone" / "seed 0" / JOB_FILE).read_text())["seed"] == 0
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        run_ladder(ladder(), folder)
+
+
+def test_a_training_that_fails_loses_only_its_own_row(tmp_path):
+    rungs = {"wrong": {"kind": "ppo", "corrects": "PID", "settings": {**SMALL, "practice": {"nonsense": 1}}}}
+    with pytest.raises(ConfigurationError, match="rung wrong, seed 0: practice"):
+        run_ladder(ladder(seeds=1, rungs={**rungs, "alone": LADDER["rungs"]["alone"]}), tmp_path)
+    assert list(pd.read_csv(tmp_path / "ladder.csv")["rung"]) == ["PID", "alone"]
+
+
+def test_choices_are_made_on_validation_plants():
+    settings = ladder()
+    chosen, test = settings.cases(False)[0], settings.cases(True)[0]
+    assert all(int(seed) in VALIDATION_SEEDS for seed in chosen.seeds)
+    assert all(int(seed) in TEST_SEEDS for seed in test.seeds)
+    np.testing.assert_array_equal(chosen.leakage_flow_lpm, test.leakage_flow_lpm)
+
+
+def test_ratios_by_hand():
+    cases = pd.DataFrame({"family": ["step", "step", "sine"], "mean_error_mm": [2.0, 4.0, 0.5]})
+    reference = pd.DataFrame({"family": ["step", "step", "sine"], "mean_error_mm": [4.0, 4.0, 1.0]})
+    mean, geo = ratios(cases, reference)
+    assert mean == pytest.approx(6.5 / 9.0)
+    assert geo == pytest.approx(np.sqrt(0.75 * 0.5))
+    more = {"leakage_flow_lpm": [0.1, 1.0, 1.0], "failed": 0.0, "steady_state_error_mm": 1.0, "valve_travel_per_s": 2.0}
+    row = rung_scores("x", 0, "PID", cases.assign(**more, seconds=7.0), {"PID": reference.assign(**more)}).iloc[0]
+    assert row["worst case"] == 1.0
+    assert row["1 l/min"] == pytest.approx(4.5 / 5.0)
+    assert (row["step"], row["travel"], row["seconds"]) == (0.75, 1.0, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rungs": {"a": {"after": "b", "kind": "ppo"}}}, "rungs.a: after = 'b': must be a rung before it"),
+        ({"rungs": {"a": {}}}, "rungs.a: kind is missing"),
+        ({"rungs": {"a": {"kind": "ppo", "corrects": "b"}}}, "rungs.a: corrects = 'b': must be one of PID"),
+        ({"rungs": {"PID": {"kind": "ppo"}}}, "rungs.PID: is the name of a controller"),
+        ({"controllers": {"PID": {"kind": "ppo"}}}, "controllers.PID: kind = 'ppo': must be one of pid"),
+    ],
+)
+def test_an_impossible_ladder_is_refused_with_one_line(changes, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ladder(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_shipped_ladder_can_be_trained():
+    settings = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml")
+    assert len(settings.rungs) >= 10
+    assert settings.seeds >= 5
