@@ -183,7 +183,7 @@ def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> 
         low, high = draw.bounds(value)
         if draw.times is not None:
             low, high = (end * own_value(rig.plant, draw.times) for end in (low, high))
-        if not low <= value <= high and value != draw.otherwise:
+        if not (draw.relative or low <= value <= high or value == draw.otherwise):
             raise ConfigurationError(
                 f"{rig.source}: {path} = {value:g}: the task draws it from {low:g} to {high:g}, the range of another "
                 f"rig; give randomisation.{path} a 'factor' there, or leave it out"
