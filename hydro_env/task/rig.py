@@ -150,23 +150,29 @@ class _Scales(NamedTuple):
 
     reach: float  # stroke
     speed: float  # at full opening, against the external force
-    acceleration: float  # as the speed, but no more than the supply can give
+    acceleration: float  # speed in as many natural periods as there, but no more than the supply can give
     pressure: float  # supply
     force: float  # that the supply gives
 
 
 def _scales(plant: PlantParameters) -> _Scales:
-    from hydro_env.plant.analysis import force_limits, full_pressure_forces, speed_limits  # compiled code
+    from hydro_env.plant.analysis import (  # compiled code
+        closed_port_natural_frequency,
+        force_limits,
+        full_pressure_forces,
+        speed_limits,
+    )
 
     paper = PlantParameters()
     if plant == paper:
         return _Scales(1.0, 1.0, 1.0, 1.0, 1.0)
     speed = sum(speed_limits(plant, plant.load.external_force)) / sum(speed_limits(paper))
+    frequency = closed_port_natural_frequency(plant) / closed_port_natural_frequency(paper)
     available = min(force_limits(plant)) / (plant.load.mass + plant.cylinder.piston_mass)
     return _Scales(
         reach=plant.cylinder.stroke / paper.cylinder.stroke,
         speed=speed,
-        acceleration=min(speed, SHARE_OF_ACCELERATION * available / 4.0),
+        acceleration=min(speed, speed * frequency, SHARE_OF_ACCELERATION * available / 4.0),
         pressure=plant.supply.pressure / paper.supply.pressure,
         force=sum(full_pressure_forces(plant)) / sum(full_pressure_forces(paper)),
     )

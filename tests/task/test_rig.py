@@ -91,6 +91,12 @@ def test_a_heavy_load_lowers_the_acceleration_of_references(small):
     assert config.references.acceleration_limit == pytest.approx(0.25 * back / 5003.0)
 
 
+def test_a_soft_oil_column_lowers_the_acceleration_of_references(small):
+    """A quarter of the stiffness halves the natural frequency."""
+    PlantParameters().replace(fluid={"bulk_modulus": 0.35e9}, load={"spring_stiffness": 0.0}).to_yaml(small)
+    assert task_config(rig=small).references.acceleration_limit == pytest.approx(2.0, rel=0.01)
+
+
 def test_a_weak_supply_makes_no_weak_cylinder(small):
     PlantParameters().replace(supply={"model": "constant", "pressure": 35e5}).to_yaml(small)
     assert task_config(rig=small).failure.pressure_rating == TaskConfig().failure.pressure_rating
