@@ -23,9 +23,9 @@ from agents.commands.options import (
 def evaluate(
     output: Output = Path("results/evaluate"),
     config: Config = None,
+    agent: Agents = None,
     task: Task = None,
     rig: OtherRig = None,
-    agent: Agents = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")

@@ -2,6 +2,8 @@
 
 import json
 import math
+import re
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -250,3 +252,15 @@ def test_a_wrong_rig_is_named_with_its_key(text, message, tmp_path):
     assert str(caught.value).startswith(f"{file}: ")
     assert message in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_rig_of_the_page_works(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "own_rig.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL)
+    file = tmp_path / "rig.yaml"
+    file.write_text(block)
+    values = drawn(task_config(rig=file))
+    assert 118.0 <= values["load.mass"].min() < values["load.mass"].max() <= 122.0
+    assert 0.95 * 70e5 <= values["supply.pressure"].min() < values["supply.pressure"].max() <= 1.05 * 70e5
+    for name in TASKS:
+        assert f"`{name}`" in page
