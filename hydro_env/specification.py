@@ -14,6 +14,9 @@ from pydantic import BaseModel
 
 from hydro_env.task.configuration import TaskConfig
 
+NAMED = ("config", "task", "rig", "plant")
+"""Keywords that may name a file."""
+
 
 class PlainSpec:
     """Gives an environment its ``spec``; comes before Gymnasium's class among the bases."""
@@ -34,7 +37,8 @@ class PlainSpec:
     def spec(self, value: EnvSpec | None) -> None:
         if value is not None:
             kwargs = _plain(value.kwargs)
-            if isinstance(kwargs.get("config"), str):
+            if any(isinstance(kwargs.get(name), str) for name in NAMED):
+                kwargs = {key: inner for key, inner in kwargs.items() if key not in NAMED}
                 kwargs["config"] = _plain(self.config)
             value = dataclasses.replace(value, kwargs=kwargs, max_episode_steps=self.config.steps)
         self._spec = value

@@ -7,13 +7,25 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents
+from agents.commands.options import (
+    Agents,
+    Config,
+    OtherRig,
+    Output,
+    Overwrite,
+    Task,
+    command_line,
+    named_agents,
+    tell_rigs,
+)
 
 
 def evaluate(
     output: Output = Path("results/evaluate"),
     config: Config = None,
     agent: Agents = None,
+    task: Task = None,
+    rig: OtherRig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
@@ -25,6 +37,9 @@ def evaluate(
     All controllers get the same plants, references and noise. Trained controllers take the shipped weights unless
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
     a controller fails, the results of the others are kept.
+
+    With `--rig` the task is moved to another rig, and a line says which controllers were tuned or trained for which
+    rig: the command itself tunes nothing.
     """
     from agents.evaluation.opponents import load_head
     from agents.evaluation.protocol import ProtocolSettings
@@ -35,11 +50,12 @@ def evaluate(
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_yaml
 
-    study = default_study(config)
+    study = default_study(config, task, rig)
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
         study = study.model_copy(update={"evaluation": changed})
     controllers = study.with_weights(named_agents(agent))
+    tell_rigs(study, controllers)
     watching = load_head(head, study.task)
     settings_file = "evaluation.yaml"
     with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hydro_env import ConfigurationError
+from hydro_env.folders import config_file
+
+if TYPE_CHECKING:
+    from agents.controllers.base import Controller
+    from agents.study.settings import StudySettings
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
 Seed = Annotated[
@@ -27,8 +32,35 @@ Agents = Annotated[
         "task), or the path of weights. A name of the study replaces that controller. Repeat the option for several.",
     ),
 ]
+
+
+def _rig_file(given: Path | None) -> Path | None:
+    return config_file("rigs", given) if given is not None else None
+
+
 Rig = Annotated[
-    Path | None, typer.Option("--rig", help="YAML file of a rig; without it the paper's. `configs/rigs` holds some.")
+    Path | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        callback=_rig_file,
+        help="A rig: a name in `configs/rigs` or a YAML file; without it the paper's.",
+    ),
+]
+OtherRig = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        callback=_rig_file,
+        help="Move the study to this rig: a name in `configs/rigs` or a YAML file.",
+    ),
+]
+Task = Annotated[
+    str | None,
+    typer.Option(
+        "--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file, instead of the study's task."
+    ),
 ]
 Config = Annotated[
     Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds examples.")
@@ -60,3 +92,17 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
             raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
         agents[name] = what
     return agents
+
+
+def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
+    """Say in one line on standard error which controllers were made for another rig than that of the study."""
+    from agents.evaluation.opponents import trained_for
+
+    untuned = [name for name in study.tuned if name in controllers]
+    foreign = [
+        name for name, controller in controllers.items() if trained_for(controller) not in (None, study.task.plant)
+    ]
+    parts = [f"{', '.join(untuned)}: gains as given, not tuned for this rig"] if untuned else []
+    parts += [f"{', '.join(foreign)}: trained for another rig"] if foreign else []
+    if parts:
+        print(f"hydro: {'; '.join(parts)}; hydro study --rig tunes and trains them", file=sys.stderr)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.commands.options import Config, Output, Overwrite, Resume, Seed, command_line
+from agents.commands.options import Config, OtherRig, Output, Overwrite, Resume, Seed, Task, command_line
 
 
 def study(
     output: Output = Path("results/study"),
     config: Config = None,
+    task: Task = None,
+    rig: OtherRig = None,
     seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
@@ -18,9 +20,12 @@ def study(
 
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
+
+    With `--rig` the task is moved to another rig: references, sensors and reward follow from its stroke, speed and
+    pressure. Gains belong to a rig; the classical controllers are therefore tuned for it first.
     """
     from agents.study.run import run_study
     from agents.study.settings import default_study
 
-    settings = default_study(config)
+    settings = default_study(config, task, rig)
     run_study(settings, output, settings.seed if seed is None else seed, resume, overwrite, command_line())

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agents.commands.options import Agents, Config, Output, Overwrite, Resume, Seed, named_agents, say
+from agents.commands.options import (
+    Agents,
+    Config,
+    OtherRig,
+    Output,
+    Overwrite,
+    Resume,
+    Seed,
+    Task,
+    named_agents,
+    say,
+    tell_rigs,
+)
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
@@ -33,6 +45,8 @@ def train(
     output: Output = Path("results/train"),
     config: Config = None,
     agent: Agents = None,
+    task: Task = None,
+    rig: OtherRig = None,
     steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
     objective: Annotated[
         Objective | None,
@@ -55,11 +69,13 @@ def train(
     The gains of a classical controller go to KIND.yaml, the best so far after every generation.
     The head learns from episodes under every controller of the study; trained controllers take the shipped weights
     unless `--agent` gives others.
+
+    With `--rig` the task is moved to another rig. A controller that is to be corrected is tuned for it first.
     """
     from agents.controllers.registry import CONTROLLERS
     from agents.study.settings import default_study
 
-    study = default_study(config)
+    study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed
     part = what.lower()
     classical = part in CONTROLLERS
@@ -91,7 +107,14 @@ def _controller(
 ) -> Path:
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, train_controller
+    from agents.study.training import (
+        CHECKPOINTS,
+        TRAINING_FILES,
+        TUNING_FILES,
+        WEIGHTS,
+        train_controller,
+        tune_controller,
+    )
     from hydro_env.files import validate
 
     settings = study.training_settings(name)
@@ -101,12 +124,16 @@ def _controller(
     if corrected in study.trained:
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
     base = study.make(corrected) if corrected is not None else None
-    if resume and not any(folder.glob(CHECKPOINTS)):
+    files = (*TRAINING_FILES, *TUNING_FILES) if corrected in study.tuned else TRAINING_FILES
+    if resume and not any(file for kept in (CHECKPOINTS, *TUNING_FILES) for file in folder.glob(kept)):
         raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint; leave --resume out")
     with (
-        output_folder(folder, f"train {name}", TRAINING_FILES, resume=resume, overwrite=overwrite),
+        output_folder(folder, f"train {name}", files, resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,
     ):
+        if corrected in study.tuned:
+            base = tune_controller(study, corrected, folder, seed, display)
+            resume = any(folder.glob(CHECKPOINTS))
         train_controller(study, name, folder, seed, resume, base, display, settings)
     return folder / f"{WEIGHTS}.safetensors"
 
@@ -116,7 +143,9 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     from agents.running.folders import output_folder
     from agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
-    controllers = list(study.with_weights(agents).values())
+    named = study.with_weights(agents)
+    controllers = list(named.values())
+    tell_rigs(study, named)
     if resume and not any(folder.glob(HEAD_CHECKPOINTS)):
         raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint of the head; leave --resume out")
     with (

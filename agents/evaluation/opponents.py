@@ -1,11 +1,9 @@
-"""Participants of an evaluation: tasks and controllers by name, file or object, checked against each other."""
+"""Participants of an evaluation: controllers by name, file or object, checked against the task."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.registry import CONTROLLERS, make_controller
@@ -13,27 +11,13 @@ from agents.leakage.head import LeakageHead
 from agents.learning.trainers import TRAINERS, Trainer
 from agents.running.cases import check_predict
 from agents.running.folders import config_folder, pretrained_folder
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
-from hydro_env.task.configuration import task_config
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 HEAD_FILE = "leakage_head"
 SHIPPED_WEIGHTS = {"ppo": "policy"}
 """Names of the files in the folder of shipped weights, by kind."""
-
-
-def task_named(task: TaskConfig | Mapping[str, Any] | str | Path | None) -> TaskConfig:
-    """A task from its name in ``configs/tasks``, a YAML file, a mapping, or None (the default task).
-
-    Raises:
-        ConfigurationError: no such file, unknown key, or impossible value.
-    """
-    if isinstance(task, str):
-        named = config_folder() / "tasks" / f"{task}.yaml"
-        if named.exists():
-            task = named
-    return task_config(task)
 
 
 def shipped(kind: str, config: TaskConfig) -> Controller:
@@ -88,6 +72,12 @@ def opponent(
     except ConfigurationError as error:
         raise type(error)(f"{name}: {error}") from error
     return controller
+
+
+def trained_for(controller: Controller) -> PlantParameters | None:
+    """The nominal rig of the task for which a policy was trained; ``None`` for any other controller."""
+    task = getattr(getattr(controller, "features", None), "config", None)
+    return task.plant if isinstance(task, TaskConfig) else None
 
 
 def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:

@@ -26,14 +26,14 @@ from agents.evaluation.detection import (
     signal_columns,
 )
 from agents.evaluation.metrics import rollout_metrics
-from agents.evaluation.opponents import check_head, opponent, task_named
+from agents.evaluation.opponents import check_head, opponent
 from agents.evaluation.tables import ratio_table, summary_table
 from agents.leakage.head import LeakageHead
 from agents.running.cases import Cases, ControllerError, run_cases
 from agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
-from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 
 SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
@@ -119,7 +119,7 @@ def evaluate(
         ConfigurationError: impossible task or settings, a text that names no controller, weights of another task, or
             all controllers failed.
     """
-    config = task_named(task)
+    config = task_config(task)
     if not isinstance(settings, ProtocolSettings):
         settings = validate(ProtocolSettings, settings or {}, "evaluation")
     if not controllers:

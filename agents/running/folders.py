@@ -1,4 +1,4 @@
-"""Folders of configuration files, shipped weights and results."""
+"""Folders of shipped weights and results; that of configuration files is found by :mod:`hydro_env.folders`."""
 
 from __future__ import annotations
 
@@ -13,18 +13,13 @@ from pathlib import Path
 
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_json, write_whole
+from hydro_env.folders import config_folder as config_folder
 
 if sys.platform != "win32":
     import fcntl
 
 MANIFEST_FILE = ".hydro.json"
 _PACKAGE = Path(__file__).resolve().parents[1]
-
-
-def config_folder() -> Path:
-    """``configs/``: beside the package in a checkout, inside it when installed."""
-    beside = _PACKAGE.parent / "configs"
-    return beside if (beside / "studies").is_dir() else _PACKAGE / "configs"
 
 
 def pretrained_folder() -> Path:

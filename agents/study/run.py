@@ -6,13 +6,15 @@ Each phase writes its result into the output folder; an interrupted study can th
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
 
-from agents.controllers.base import Controller
+from agents.controllers.base import ClassicalController, Controller
+from agents.controllers.registry import make_controller
 from agents.evaluation.opponents import opponent
 from agents.evaluation.protocol import Evaluation
 from agents.leakage.head import LeakageHead
@@ -25,19 +27,25 @@ from agents.study.results import REPORT_FILES, evaluate_study, print_summary
 from agents.study.settings import StudySettings
 from agents.study.training import (
     CHECKPOINTS,
+    GAINS,
     HEAD_CHECKPOINTS,
     HEAD_FILES,
     HEAD_WEIGHTS,
     TRAINING_FILES,
+    TUNING_FILES,
     WEIGHTS,
     read_curve,
     train_controller,
     train_leakage_head,
+    tune_controller,
 )
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
+TUNED_FILE = "tuned_study.yaml"
+"""The study with the gains that tuning found, for `hydro evaluate --config` and `hydro train --config`."""
+
 HEAD_PHASE = "train leakage head"
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings that trained weights depend on; the others may change when a study resumes."""
@@ -60,7 +68,8 @@ def run_study(
     """
     study.check()
     below = [f"controllers/{name}/{file}" for name in study.trained for file in TRAINING_FILES]
-    writes = [CONFIG_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
+    below += [f"controllers/{name}/{file}" for name in study.tuned for file in TUNING_FILES]
+    writes = [CONFIG_FILE, TUNED_FILE, STATE_FILE, *HEAD_FILES, *below, *REPORT_FILES]
     with output_folder(folder, "study", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         _write_settings(study, folder, seed)
         _try_out(study)
@@ -69,10 +78,12 @@ def run_study(
         curves = []
         for name, entry in study.controllers.items():
             if entry.trainer is None:
-                controllers[name] = study.make(name)
+                controllers[name] = _tuned(study, name, folder, seed, phases, display)
                 continue
             controllers[name] = _trained(study, name, folder, seed, controllers, phases, display)
             curves.append(read_curve(folder / "controllers" / name).assign(controller=name))
+        if study.tuned:
+            write_yaml(folder / TUNED_FILE, _with_gains(study, controllers))
         head = _head(study, folder, seed, controllers, phases, display)
         evaluation = evaluate_study(
             study,
@@ -106,6 +117,15 @@ def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
     write_yaml(file, described)
 
 
+def _with_gains(study: StudySettings, controllers: Mapping[str, Controller]) -> dict[str, Any]:
+    """The settings of a study with the gains of its tuned controllers, which then need no tuning."""
+    settings: dict[str, Any] = study.model_dump(mode="json")
+    for name in study.tuned:
+        gains = cast(ClassicalController, controllers[name]).gains
+        settings["controllers"][name] |= {"settings": gains.model_dump(mode="json"), "tune": None}
+    return settings
+
+
 def _try_out(study: StudySettings) -> None:
     """Run each controller that needs no training for two episodes, before hours of training.
 
@@ -118,6 +138,19 @@ def _try_out(study: StudySettings) -> None:
             run_cases(study.task, study.make(name), cases, states=False)
         except ConfigurationError as error:
             raise ConfigurationError(f"controllers.{name}: {error}") from error
+
+
+def _tuned(
+    study: StudySettings, name: str, folder: Path, seed: int, phases: Phases, display: ProgressDisplay
+) -> Controller:
+    """A controller that needs no training, tuned first if the study says so."""
+    if name not in study.tuned:
+        return study.make(name)
+    own = folder / "controllers" / name
+    if f"tune {name}" in phases.done:
+        display.say(f"{name}: already tuned")
+        return make_controller(study.controllers[name].kind, study.task, read_yaml(own / GAINS))
+    return phases.run(f"tune {name}", lambda: tune_controller(study, name, own, seed, display))
 
 
 def _trained(

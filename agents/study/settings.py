@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -15,11 +15,21 @@ from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
-from agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.folders import config_file
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import task_from
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
+
+
+class TuningSettings(Group):
+    """Tuning of a classical controller (:func:`agents.learning.tuning.tune`) before it takes part in a study."""
+
+    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
+    evaluations: int = Field(840, ge=1, le=10_000_000, description="candidates in all")
+    cases: int = Field(42, ge=1, le=100_000, description="training cases of each candidate")
 
 
 class ControllerEntry(Group):
@@ -30,6 +40,9 @@ class ControllerEntry(Group):
         default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
+    tune: TuningSettings | None = Field(
+        None, description="for a classical controller: tune its gains first, from its settings on; --rig always does"
+    )
 
     @cached_property
     def trainer(self) -> Trainer | None:
@@ -77,15 +90,19 @@ class StudySettings(Group):
     def from_yaml(cls, path: str | Path) -> StudySettings:
         """Read a study; a group, and the settings of a controller, may be the path of another YAML file.
 
-        Such a path is relative to the file of the study.
+        Such a path is relative to the file of the study. The task may be the name of one in ``configs/tasks``.
 
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
         values = read_yaml(path)
         folder = Path(path).parent
+        task = values.get("task")
+        if isinstance(task, str):
+            values["task"] = task_config(task, folder=folder)
+        elif isinstance(task, dict) and isinstance(task.get("plant"), str):
+            values["task"] = task_from(TaskConfig, task, f"{path}: task", folder)
         groups: dict[str, type[Group]] = {
-            "task": TaskConfig,
             "leakage_head": HeadTrainingSettings,
             "evaluation": ProtocolSettings,
         }
@@ -127,7 +144,13 @@ class StudySettings(Group):
                     raise ConfigurationError(f"{where}: {error}") from error
                 if entry.corrects is not None:
                     raise ConfigurationError(f"{source}: controllers.{name}: corrects: only a trained one can correct")
+                if entry.tune is not None and entry.kind not in CONTROLLERS:
+                    raise ConfigurationError(
+                        f"{source}: controllers.{name}: tune: only {', '.join(CONTROLLERS)} can be tuned"
+                    )
             else:
+                if entry.tune is not None:
+                    raise ConfigurationError(f"{source}: controllers.{name}: tune: it is trained, not tuned")
                 settings = validate(trainer.settings, entry.settings, where)
                 if getattr(settings, "residual", False) and entry.corrects is None:
                     raise ConfigurationError(
@@ -160,6 +183,11 @@ class StudySettings(Group):
         """Names of the controllers that are trained."""
         return [name for name, entry in self.controllers.items() if entry.trainer is not None]
 
+    @property
+    def tuned(self) -> list[str]:
+        """Names of the classical controllers that are tuned before they take part."""
+        return [name for name, entry in self.controllers.items() if entry.tune is not None]
+
     def with_weights(self, agents: Mapping[str, str]) -> dict[str, Controller]:
         """All controllers ready to act, without any training.
 
@@ -187,6 +215,33 @@ class StudySettings(Group):
         return controllers
 
 
-def default_study(path: Path | None = None) -> StudySettings:
-    """The study of a file, or that of ``make study``."""
-    return StudySettings.from_yaml(path if path is not None else config_folder() / "studies" / "default.yaml")
+def default_study(
+    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
+) -> StudySettings:
+    """The study of a file, or that of ``make study``; of another task or on another rig.
+
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first.
+
+    Args:
+        path: YAML file of the study; default: ``configs/studies/default.yaml``.
+        task: name or file of the task, instead of the study's.
+        rig: name or file of the rig to which the task is moved.
+
+    Raises:
+        ConfigurationError: a file that is wrong, or settings that do not fit each other.
+    """
+    study = StudySettings.from_yaml(path if path is not None else config_file("studies", "default"))
+    if task is None and rig is None:
+        return study
+    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
+    if rig is not None:
+        changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
+        changes["controllers"] = {
+            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
+            if entry.kind in CONTROLLERS
+            else entry
+            for name, entry in study.controllers.items()
+        }
+    study = study.model_copy(update=changes)
+    study.check("study" if path is None else str(path))
+    return study

@@ -1,4 +1,4 @@
-"""Trains the controllers and the leakage head of a study, with progress on the console."""
+"""Tunes and trains the controllers and trains the leakage head of a study, with progress on the console."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from pathlib import Path
 import pandas as pd
 
 from agents.controllers.base import Controller
+from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import train_head
 from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
+from agents.learning.tuning import Tuned, tune
 from agents.running.console import ProgressDisplay
 from agents.study.settings import StudySettings
-from hydro_env.files import Group
+from hydro_env.files import Group, validate, write_yaml
 
 WEIGHTS = "policy"
 HEAD_WEIGHTS = "leakage_head"
@@ -22,6 +24,11 @@ CHECKPOINTS = "checkpoint*"
 HEAD_CHECKPOINTS = "head_checkpoint*"
 TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
 """Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
+
+GAINS = "gains.yaml"
+TUNING_LOG = "tuning.csv"
+TUNING_FILES = (GAINS, TUNING_LOG)
+"""Files that the tuning of a controller writes."""
 
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
@@ -70,6 +77,46 @@ def train_controller(
     )
     controller.save(folder / WEIGHTS)
     return controller
+
+
+def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, display: ProgressDisplay) -> Controller:
+    """Tune one classical controller of a study, and write its gains into the folder; goes on where it was stopped.
+
+    Args:
+        study: the study.
+        name: name of a controller with ``tune``.
+        folder: for gains and log.
+        seed: seed of the search.
+        display: shows the progress.
+
+    Raises:
+        ConfigurationError: a log of other settings, or no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
+    """
+    entry = study.controllers[name]
+    budget = entry.tune
+    assert budget is not None
+
+    def report(best: Tuned) -> None:
+        note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
+        display.update(f"tune {name}", min(best.evaluations, budget.evaluations), budget.evaluations, note)
+
+    display.update(f"tune {name}", 0, budget.evaluations)
+    log = folder / TUNING_LOG
+    tuned = tune(
+        entry.kind,
+        study.task,
+        budget.objective,
+        budget.evaluations,
+        seed,
+        budget.cases,
+        start=validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}"),
+        log=log,
+        resume=log.exists(),
+        progress=report,
+    )
+    write_yaml(folder / GAINS, tuned.gains.model_dump(mode="json"))
+    return make_controller(entry.kind, study.task, tuned.gains.model_dump())
 
 
 def read_curve(folder: Path) -> pd.DataFrame:

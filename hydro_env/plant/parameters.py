@@ -58,10 +58,13 @@ class PlantParameters(Group):
     def from_yaml(cls, path: str | Path) -> PlantParameters:
         """Read a YAML file with the same groups and fields; see ``configs/rigs``.
 
+        The file may also hold ``randomisation``, which belongs to the task (:mod:`hydro_env.task.rig`).
+
         Raises:
             ConfigurationError: unreadable file, unknown key, or a value outside its bounds.
         """
-        return cls.from_dict(read_yaml(path), source=str(path))
+        values = {key: value for key, value in read_yaml(path).items() if key != "randomisation"}
+        return cls.from_dict(values, source=str(path))
 
     def to_yaml(self, path: str | Path) -> None:
         """Write all groups and fields as YAML; ``from_yaml`` gives back an equal object."""

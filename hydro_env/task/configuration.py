@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
-from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.files import Group, read_yaml, write_yaml
+from hydro_env.folders import config_file
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.rig import task_from
 from hydro_env.units import Number, quantity
 
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
@@ -24,30 +27,6 @@ LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 
 LEAKAGE_LIMIT = 20.0
 """l/min at 100 bar; beyond this there is no seal at all."""
-
-Range = tuple[Number, Number]
-
-
-def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
-    """A pair of rising numbers with its unit and its allowed range; a value outside must be a mistake."""
-    return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})
-
-
-class TaskGroup(Group):
-    """A group whose intervals rise within their bounds."""
-
-    @model_validator(mode="after")
-    def _intervals_rise(self) -> Self:
-        for name, info in type(self).model_fields.items():
-            extra = info.json_schema_extra
-            if isinstance(extra, dict) and "low" in extra:
-                low, high = getattr(self, name)
-                if not extra["low"] <= low <= high <= extra["high"]:
-                    unit = "" if extra["unit"] == "1" else f" {extra['unit']}"
-                    raise ValueError(
-                        f"{name} = [{low:g}, {high:g}]: must rise within {extra['low']:g} to {extra['high']:g}{unit}"
-                    )
-        return self
 
 
 class LeakageDraw(TaskGroup):
@@ -289,46 +268,56 @@ class TaskConfig(TaskGroup):
     def from_yaml(cls, path: str | Path, **overrides: Any) -> TaskConfig:
         """Read a task from YAML; keywords override its fields.
 
+        ``plant`` may be the name or the path (relative to the file) of a rig; the settings that are absent then follow
+        from that rig.
+
         Raises:
             ConfigurationError: unreadable file, unknown key, or an impossible value.
         """
-        return validate(cls, merged(read_yaml(path), overrides), str(path))
+        return task_from(cls, read_yaml(path), str(path), Path(path).parent, overrides=overrides)
 
     def to_yaml(self, path: str | Path) -> None:
         """Write the whole task as YAML."""
         write_yaml(path, self.model_dump(mode="json"))
 
 
-def task_config(config: TaskConfig | Mapping[str, Any] | str | Path | None, **overrides: Any) -> TaskConfig:
-    """A task from a file, a mapping or nothing, with single fields overridden; the argument of the environments.
+def task_config(
+    config: TaskConfig | Mapping[str, Any] | str | Path | None = None,
+    *,
+    task: str | Path | None = None,
+    rig: str | Path | None = None,
+    folder: Path | None = None,
+    **overrides: Any,
+) -> TaskConfig:
+    """A task from a name, a file, a mapping or nothing; the arguments of the environments.
+
+    Args:
+        config: the task; a text is a name in ``configs/tasks`` or the path of a YAML file.
+        task: the same, as a keyword.
+        rig: name in ``configs/rigs`` or path of a rig's YAML file, to which the task is moved: each setting that
+            followed from its own rig follows from the new one, and what the task sets otherwise stays.
+        folder: what relative paths are relative to; default: the current folder.
+        overrides: single fields; they come last.
 
     Raises:
-        ConfigurationError: unreadable file, unknown key, or an impossible value.
+        ConfigurationError: no such name, unreadable file, unknown key, or an impossible value.
     """
+    if task is not None and config is not None:
+        raise ConfigurationError("task: 'task' and 'config' are two names of one argument; give one of them")
+    config = task if config is None else config
     if config is not None and not isinstance(config, TaskConfig | Mapping | str | Path):
         raise ConfigurationError(f"task: config = {config!r}: must be a YAML file, a mapping or a TaskConfig")
+    if isinstance(config, TaskConfig) and rig is None and not overrides:
+        return config
+    source, values = "task", config.model_dump() if isinstance(config, TaskConfig) else config
     try:
-        if isinstance(config, str | Path):
-            return TaskConfig.from_yaml(config, **overrides)
-        if isinstance(config, TaskConfig):
-            return config if not overrides else validate(TaskConfig, merged(config.model_dump(), overrides), "task")
-        return validate(TaskConfig, merged(dict(config or {}), overrides), "task")
+        if isinstance(values, str | Path):
+            file = config_file("tasks", values, folder)
+            source, folder, values = str(file), file.parent, read_yaml(file)
+        return task_from(TaskConfig, dict(values or {}), source, folder, rig, overrides)
     except UnknownKeyError as error:
         unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
         if unknown is None:
             raise
         # Libraries leave a keyword out and try again where the message refuses it in Python's words.
         raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
-
-
-def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """``base`` updated by ``changes``, group by group.
-
-    ``references.weights`` and ``randomisation`` are replaced as a whole.
-    """
-    result = dict(base)
-    for key, value in changes.items():
-        old = result.get(key)
-        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key not in ("weights", "randomisation")
-        result[key] = merged(old, value) if deeper and isinstance(old, Mapping) else value
-    return result

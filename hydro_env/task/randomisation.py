@@ -14,62 +14,113 @@ from hydro_env.units import Number
 LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
 """Parameters that the group ``leakage`` of the task draws."""
 
+FORMS = ("uniform", "log_uniform", "factor", "log_factor")
+Bounds = tuple[Number, Number]
+
 
 class Distribution(Group):
     """Distribution of one parameter: uniform or log-uniform between two bounds.
 
-    ``times`` multiplies the draw by another parameter. The value is ``otherwise`` with ``otherwise_probability``.
+    ``uniform`` and ``log_uniform`` give the bounds in SI units; ``factor`` and ``log_factor`` give them as multiples of
+    the rig's own value, so that they fit any rig. ``times`` multiplies a draw in SI units by another parameter. The
+    value is ``otherwise`` with ``otherwise_probability``.
     """
 
-    uniform: tuple[Number, Number] | None = None
-    log_uniform: tuple[Number, Number] | None = None
+    uniform: Bounds | None = None
+    log_uniform: Bounds | None = None
+    factor: Bounds | None = Field(None, description="uniform; multiples of the rig's own value")
+    log_factor: Bounds | None = Field(None, description="log-uniform; multiples of the rig's own value")
     times: str | None = Field(None, description="path of a parameter that multiplies the draw")
     otherwise: Number | None = None
     otherwise_probability: Number = Field(0.0, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Distribution:
-        if (self.uniform is None) == (self.log_uniform is None):
-            raise ValueError("needs either 'uniform: [low, high]' or 'log_uniform: [low, high]'")
-        low, high = self.bounds
+        given = [name for name in FORMS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"needs either 'uniform: [low, high]' or one of {', '.join(FORMS[1:])}")
+        low, high = getattr(self, given[0])
         if not -math.inf < low <= high < math.inf:
             raise ValueError(f"bounds = [{low:g}, {high:g}]: must be finite and rising")
-        if self.log_uniform is not None and self.log_uniform[0] <= 0.0:
-            raise ValueError("log_uniform needs positive bounds")
+        if (self.logarithmic or self.relative) and low <= 0.0:
+            raise ValueError(f"{given[0]} needs positive bounds")
         if self.times is not None and self.times not in PARAMETER_PATHS:
             raise ValueError(f"times = {self.times!r} is no parameter of the plant")
+        if self.times is not None and self.relative:
+            raise ValueError(f"{given[0]} multiplies the rig's own value already: leave 'times' out")
         if (self.otherwise is None) != (self.otherwise_probability == 0.0):
             raise ValueError("'otherwise' and 'otherwise_probability' belong together")
         return self
 
     @property
-    def bounds(self) -> tuple[float, float]:
-        """Lower and upper bound of the draw."""
-        chosen = self.uniform if self.uniform is not None else self.log_uniform
-        assert chosen is not None
-        return chosen
+    def logarithmic(self) -> bool:
+        """Whether the draw is log-uniform."""
+        return self.log_uniform is not None or self.log_factor is not None
+
+    @property
+    def relative(self) -> bool:
+        """Whether the bounds are multiples of the rig's own value."""
+        return self.factor is not None or self.log_factor is not None
+
+    def bounds(self, own: float) -> tuple[float, float]:
+        """Lower and upper bound of the draw in SI units, before ``times``, on a rig whose own value is ``own``."""
+        low, high = next(pair for name in FORMS if (pair := getattr(self, name)) is not None)
+        if not self.relative:
+            return low, high
+        return (low * own, high * own) if own >= 0.0 else (high * own, low * own)
 
 
-def default_randomisation() -> dict[str, Distribution]:
-    """Distributions of the assumed parameters over the ranges of published rigs (docs/model.md, section 3)."""
-    return {
-        "cylinder.dead_volume": Distribution(uniform=(20e-6, 60e-6)),
-        "valve.rated_flow": Distribution(uniform=(0.9 * 10e-3 / 60, 1.1 * 10e-3 / 60)),
-        "valve.natural_frequency": Distribution(uniform=(380.0, 630.0)),
-        "valve.damping_ratio": Distribution(uniform=(0.6, 1.0)),
-        "valve.underlap": Distribution(uniform=(0.005, 0.025)),
-        "fluid.bulk_modulus": Distribution(uniform=(1.0e9, 1.5e9)),
-        "fluid.air_fraction": Distribution(log_uniform=(0.001, 0.01)),
-        "load.mass": Distribution(uniform=(40.0, 80.0)),
-        "load.spring_stiffness": Distribution(uniform=(71.2e3, 106.8e3), otherwise=0.0, otherwise_probability=0.1),
-        "load.viscous_damping": Distribution(uniform=(100.0, 800.0)),
-        "friction.coulomb_force": Distribution(uniform=(50.0, 300.0)),
-        "friction.breakaway_force": Distribution(uniform=(1.2, 1.8), times="friction.coulomb_force"),
-        "supply.pressure": Distribution(uniform=(60e5, 100e5)),
-        "leakage.external_resistance": Distribution(
-            log_uniform=(1e12, 1e13), otherwise=float("inf"), otherwise_probability=0.8
-        ),
-    }
+PUBLISHED_RANGES = {
+    "cylinder.dead_volume": (20e-6, 60e-6),
+    "valve.rated_flow": (0.9 * 10e-3 / 60, 1.1 * 10e-3 / 60),
+    "valve.natural_frequency": (380.0, 630.0),
+    "valve.damping_ratio": (0.6, 1.0),
+    "valve.underlap": (0.005, 0.025),
+    "fluid.bulk_modulus": (1.0e9, 1.5e9),
+    "fluid.air_fraction": (0.001, 0.01),
+    "load.mass": (40.0, 80.0),
+    "load.spring_stiffness": (71.2e3, 106.8e3),
+    "load.viscous_damping": (100.0, 800.0),
+    "friction.coulomb_force": (50.0, 300.0),
+    "supply.pressure": (60e5, 100e5),
+}
+"""SI; ranges of published rigs of the size of the paper's (docs/model.md, section 3)."""
+
+
+def own_value(plant: PlantParameters, path: str) -> float:
+    """The number of a rig at ``group.field``."""
+    group, field = path.split(".")
+    return float(getattr(getattr(plant, group), field))
+
+
+def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Distribution]:
+    """Distributions of the parameters that are not known exactly, relative to a rig.
+
+    The factors are those between the published ranges and the paper's rig. Two entries are no factors. The leak past
+    the rod seal is in l/min at 100 bar on every rig, as the leak past the piston is: a tight rod seal has no value to
+    multiply. Breakaway friction exceeds Coulomb friction by 40 to 160 % of the rig's own excess, so that it never falls
+    below.
+
+    Args:
+        plant: the rig; ``None`` is the paper's.
+    """
+    paper = PlantParameters()
+    ranges: dict[str, Distribution] = {}
+    for path, (low, high) in PUBLISHED_RANGES.items():
+        bounds = low / own_value(paper, path), high / own_value(paper, path)
+        if path == "fluid.air_fraction":
+            ranges[path] = Distribution(log_factor=bounds)
+        elif path == "load.spring_stiffness":
+            ranges[path] = Distribution(factor=bounds, otherwise=0.0, otherwise_probability=0.1)
+        else:
+            ranges[path] = Distribution(factor=bounds)
+        if path == "friction.coulomb_force" and (friction := (plant or paper).friction).coulomb_force > 0.0:
+            excess = max(friction.breakaway_force / friction.coulomb_force - 1.0, 0.0)
+            ranges["friction.breakaway_force"] = Distribution(uniform=(1 + 0.4 * excess, 1 + 1.6 * excess), times=path)
+    ranges["leakage.external_resistance"] = Distribution(
+        log_uniform=(1e12, 1e13), otherwise=math.inf, otherwise_probability=0.8
+    )
+    return ranges
 
 
 def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameters) -> None:
@@ -83,13 +134,18 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
             raise ValueError(f"randomisation: '{path}' is no number of the plant; see PlantParameters")
         if path in LEAKAGE_OF_THE_TASK:
             raise ValueError(f"randomisation: '{path}' is drawn by the group 'leakage'")
-        values = list(distribution.bounds)
+        own = own_value(plant, path)
+        if distribution.relative and math.isinf(own):
+            raise ValueError(f"randomisation: {path}: the rig's own value is infinite and has no multiples")
+        if distribution.log_factor is not None and own < 0.0:
+            raise ValueError(f"randomisation: {path}: log_factor needs a positive value of the rig, not {own:g}")
+        values = list(distribution.bounds(own))
         if distribution.times is not None:
-            group, field = distribution.times.split(".")
+            factor = own_value(plant, distribution.times)
             factors = (
-                randomisation[distribution.times].bounds
+                randomisation[distribution.times].bounds(factor)
                 if distribution.times in randomisation
-                else (getattr(getattr(plant, group), field),) * 2
+                else (factor, factor)
             )
             values = [value * factor for value, factor in zip(values, factors, strict=True)]
         if distribution.otherwise is not None:

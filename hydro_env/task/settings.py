@@ -12,6 +12,7 @@ from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
 from hydro_env.task.configuration import CHANNELS, Sensor, TaskConfig
+from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import table
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 
@@ -137,10 +138,12 @@ def draws_of(config: TaskConfig) -> NDArray[Any]:
     rows = table(len(order), DRAW)
     for row, path in enumerate(order):
         d = config.randomisation[path]
+        low, high = d.bounds(own_value(config.plant, path))
         rows[row] = (
             PARAMETER_PATHS.index(path),
-            d.log_uniform is not None,
-            *d.bounds,
+            d.logarithmic and low > 0.0,  # any multiple of 0 is 0
+            low,
+            high,
             PARAMETER_PATHS.index(d.times) if d.times else -1,
             d.otherwise if d.otherwise is not None else 0.0,
             d.otherwise_probability,

@@ -13,6 +13,7 @@ from hydro_env.plant.rates import rates
 from hydro_env.plant.simulate import valid_ranges
 from hydro_env.plant.states import TYPICAL_SIZE, VAPOUR_PRESSURE, State
 from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import FAILURES
 
 COUNT, STEPS, SAMPLES = 384, 400, 8
@@ -142,11 +143,11 @@ def test_the_draws_reach_both_ends_of_their_ranges(rollout):
             share = np.mean(values == distribution.otherwise)
             assert share == pytest.approx(distribution.otherwise_probability, abs=0.08)
             values = values[values != distribution.otherwise]
-        low, high = distribution.bounds
+        low, high = distribution.bounds(own_value(axes.config.plant, path))
         assert (values >= low * (1 - 1e-12)).all()
         assert (values <= high * (1 + 1e-12)).all()
         place = (values - low) / (high - low)
-        if distribution.log_uniform:
+        if distribution.logarithmic:
             place = np.log(values / low) / np.log(high / low)
         assert place.min() < 0.05
         assert place.max() > 0.95

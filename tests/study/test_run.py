@@ -12,7 +12,7 @@ from agents.commands.options import named_agents
 from agents.commands.train import train
 from agents.study import results, training
 from agents.study.run import run_study
-from agents.study.settings import StudySettings
+from agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
 
 ALGORITHM = '''
@@ -252,3 +252,46 @@ def test_head_data_comes_from_every_controller(algorithm, settings, tmp_path):
     both, one = ((tmp_path / name / "leakage_head.safetensors").read_bytes() for name in ("both", "alone"))
     assert both != one
     assert np.isfinite(pd.read_csv(tmp_path / "alone" / "tables" / "levels.csv")["mean"].dropna()).all()
+
+
+def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, plain_report, tmp_path, capsys):
+    import yaml
+
+    tuned = {**CONTROLLERS, "PID": {"kind": "pid", "tune": {"evaluations": 28, "cases": 2}}}
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump({**VALUES, "controllers": tuned}))
+    study = default_study(file, rig="symmetric_eha")
+    algorithm.fate = "late"
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, tmp_path / "out", seed=2)
+    gains = (tmp_path / "out" / "controllers" / "PID" / "gains.yaml").read_text()
+    assert algorithm.calls[0]["base"].config.plant == study.task.plant
+    assert algorithm.calls[0]["base"].gains.model_dump() == yaml.safe_load(gains)
+    assert yaml.safe_load(gains) != study.make("PID").gains.model_dump()
+    algorithm.fate = "finish"
+    result = run_study(study, tmp_path / "out", seed=2, resume=True)
+    assert (tmp_path / "out" / "controllers" / "PID" / "gains.yaml").read_text() == gains
+    assert algorithm.calls[1]["base"].gains == algorithm.calls[0]["base"].gains
+
+    # The study with the gains, which needs no tuning; and the same rig with the study's own gains, as a line says.
+    capsys.readouterr()
+    weights = [f"mine={tmp_path / 'out' / 'controllers' / 'mine' / 'policy'}", "PPO=ppo"]
+    evaluate(tmp_path / "again", tmp_path / "out" / "tuned_study.yaml", weights, head=tmp_path / "out" / "leakage_head")
+    assert "hydro: PPO: trained for another rig; hydro study --rig" in capsys.readouterr().err
+    again = pd.read_csv(tmp_path / "again" / "tables" / "cases.csv")
+    both = again["controller"] != "PPO"
+    np.testing.assert_array_equal(again[both]["mean_error_mm"], result.cases["mean_error_mm"])
+    evaluate(tmp_path / "untuned", file, weights[:1], rig="symmetric_eha", head=tmp_path / "out" / "leakage_head")
+    assert "hydro: PID: gains as given, not tuned for this rig; hydro study --rig" in capsys.readouterr().err
+
+
+def test_train_tunes_what_is_to_be_corrected(algorithm, tmp_path):
+    import yaml
+
+    tuned = {**CONTROLLERS, "PID": {"kind": "pid", "tune": {"evaluations": 14, "cases": 2}}}
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump({**VALUES, "controllers": tuned}))
+    train("mine", tmp_path / "out", file, rig="symmetric_eha")
+    gains = yaml.safe_load((tmp_path / "out" / "gains.yaml").read_text())
+    assert algorithm.calls[0]["base"].gains.model_dump() == gains
+    assert (tmp_path / "out" / "policy.json").exists()

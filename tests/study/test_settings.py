@@ -7,6 +7,7 @@ from agents.learning.policy import PolicyController
 from agents.running.folders import config_folder
 from agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
+from hydro_env.task.configuration import task_config
 
 PLAIN = "controllers:\n  PID: {kind: pid}\n"
 TRAINER = """
@@ -134,3 +135,42 @@ def test_controllers_ready_to_act_without_training(tmp_path):
     assert type(own.with_weights({"learned": "anywhere"})["learned"]).__name__ == "Mine"
     with pytest.raises(ConfigurationError, match="learned: no weights of this kind are shipped; give --agent learned"):
         own.with_weights({})
+
+
+def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
+    file = tmp_path / "study.yaml"
+    file.write_text(
+        "task: {plant: rig.yaml, control_period: 0.004}\ncontrollers:\n  PID: {kind: pid, tune: {evaluations: 9}}\n"
+        '  other: {kind: pid}\n  mine: {kind: "my_algorithm:Mine"}\n'
+    )
+    (tmp_path / "rig.yaml").write_text("supply: {model: constant}\n")
+    found = StudySettings.from_yaml(file)
+    assert found.task == task_config(rig=tmp_path / "rig.yaml", control_period=0.004)
+    assert found.tuned == ["PID"]
+    moved = default_study(file, rig="symmetric_eha")
+    assert moved.task == task_config(rig="symmetric_eha", control_period=0.004)
+    assert moved.tuned == ["PID", "other"]
+    assert moved.controllers["PID"].tune.evaluations == 9
+    assert moved.make("PID").config == moved.task
+    assert StudySettings(**moved.model_dump(mode="json")) == moved
+    assert default_study(file, task="no_preview").task == task_config("no_preview")
+    assert default_study(file, task="no_preview").tuned == ["PID"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("task: nothing\n" + PLAIN, r"task 'nothing': unknown; known: default, "),
+        ("task: {plant: nothing}\n" + PLAIN, r"rig 'nothing': unknown; known: aalborg_svsdp_2017, "),
+        (PLAIN + '  mine: {kind: "my_algorithm:Mine", tune: {}}\n', r"controllers.mine: tune: only pid"),
+        (
+            PLAIN + "  PPO: {kind: ppo, corrects: PID, tune: {}}\n",
+            r"controllers.PPO: tune: it is trained, not tuned",
+        ),
+        ("controllers: {PID: {kind: pid, tune: {evaluations: 0}}}\n", r"tune.evaluations = 0: must be"),
+    ],
+)
+def test_a_task_rig_or_tuning_that_does_not_fit_is_refused(tmp_path, text, message):
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        study(tmp_path, text)
+    assert len(str(caught.value).splitlines()) == 1

@@ -1,0 +1,37 @@
+"""Folder of the configuration files that ship with the project, and files in it by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydro_env.errors import ConfigurationError
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def config_folder() -> Path:
+    """``configs/``: inside the package when installed, beside it in a checkout."""
+    inside = _PACKAGE / "configs"
+    return inside if inside.is_dir() else _PACKAGE.parent / "configs"
+
+
+def config_file(kind: str, given: str | Path, folder: Path | None = None) -> Path:
+    """The file of a rig, a task or a study.
+
+    Args:
+        kind: ``"rigs"``, ``"tasks"`` or ``"studies"``.
+        given: the name of a file in ``configs/<kind>`` without ``.yaml``, or a path.
+        folder: what a relative path is relative to; default: the current folder.
+
+    Raises:
+        ConfigurationError: no file has this name.
+    """
+    path = (folder or Path()) / given
+    if Path(given).suffix or len(Path(given).parts) != 1:
+        return path
+    named = config_folder() / kind / f"{given}.yaml"
+    if named.is_file() or path.is_file():
+        return named if named.is_file() else path
+    known = ", ".join(sorted(file.stem for file in (config_folder() / kind).glob("*.yaml")))
+    what = {"studies": "study"}.get(kind, kind.removesuffix("s"))
+    raise ConfigurationError(f"{what} '{str(given)[:60]}': unknown; known: {known}; or give the path of a YAML file")

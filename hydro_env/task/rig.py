@@ -1,0 +1,212 @@
+"""A task on another rig: what a rig's file holds, and the settings of a task that follow from a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydro_env.errors import ConfigurationError
+from hydro_env.files import Group, ModelType, read_yaml, validate
+from hydro_env.folders import config_file
+from hydro_env.plant.parameters import PlantParameters
+from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation, own_value
+
+SHARE_OF_ACCELERATION = 0.25
+"""Smooth references need at most this share of the acceleration that the supply can give."""
+
+
+class Rig(NamedTuple):
+    """A rig: the numbers of its data sheet, and the ranges of those that its owner does not know exactly."""
+
+    plant: PlantParameters
+    randomisation: dict[str, Distribution]
+    source: str  # for messages
+
+
+class _Ranges(Group):
+    randomisation: dict[str, Distribution] = {}
+
+
+def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
+    """A rig by its name in ``configs/rigs`` or by the path of its file.
+
+    Args:
+        given: name or path.
+        folder: what a relative path is relative to; default: the current folder.
+
+    Raises:
+        ConfigurationError: no such rig, unreadable file, unknown key, an impossible value, or a rig that cannot work.
+    """
+    from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed for a rig from a file alone
+
+    file = config_file("rigs", given, folder)
+    values = read_yaml(file)
+    ranges = validate(_Ranges, {"randomisation": values.pop("randomisation", {})}, str(file)).randomisation
+    plant = PlantParameters.from_dict(values, str(file))
+    refuse_unworkable(plant, str(file))
+    try:
+        check_draws(default_randomisation(plant) | ranges, plant)
+    except ValueError as error:
+        raise ConfigurationError(f"{file}: {error}") from None
+    return Rig(plant, ranges, str(file))
+
+
+def task_from(
+    model: type[ModelType],
+    values: Mapping[str, Any],
+    source: str,
+    folder: Path | None = None,
+    rig: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> ModelType:
+    """A task from its settings, on its own rig or moved to another one.
+
+    Args:
+        model: ``TaskConfig``, which imports this function.
+        values: settings by group; ``plant`` may be the name or the path of a rig.
+        source: for messages.
+        folder: what paths in ``values`` are relative to; default: the current folder.
+        rig: name or path of the rig to which the task is moved.
+        overrides: settings that come last.
+
+    Raises:
+        ConfigurationError: unknown key, impossible value, or a rig that does not fit.
+    """
+    defaults, overrides = model().model_dump(), dict(overrides or {})
+    own = values.get("plant")
+    if isinstance(own, str | Path):
+        rest = {key: value for key, value in values.items() if key != "plant"}
+        values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
+    if isinstance(overrides.get("plant"), str | Path):
+        if rig is not None:
+            raise ConfigurationError(
+                f"task: rig = {str(rig)[:60]!r} and plant = {str(overrides['plant'])[:60]!r}: give one rig"
+            )
+        rig = overrides.pop("plant")
+    if rig is not None:
+        if not isinstance(rig, str | Path):
+            raise ConfigurationError(f"task: rig = {str(rig)[:60]!r}: must be the name or the YAML file of a rig")
+        values = moved(validate(model, values, source).model_dump(), defaults, read_rig(rig))
+    return validate(model, merged(values, overrides), source)
+
+
+def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
+    """A task on another rig: what followed from the old rig follows from the new one; what the user set stays.
+
+    Args:
+        task: all settings of the task, by group.
+        defaults: all settings of the default task.
+        rig: the new rig.
+
+    Raises:
+        ConfigurationError: the task draws a parameter from a range in which the rig's own value does not lie.
+    """
+    old = PlantParameters.from_dict(task["plant"])
+    result = deepcopy(dict(task))
+    result["plant"] = rig.plant.model_dump()
+    before, after = _following(old, defaults), _following(rig.plant, defaults)
+    for path, value in before.items():
+        *groups, name = path.split(".")
+        group = result
+        for part in groups:
+            group = group[part]
+        if group[name] == value:
+            group[name] = after[path]
+    result["randomisation"] = _moved_ranges(task["randomisation"], old, rig)
+    return result
+
+
+def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that follow from a rig, by path; for the paper's rig they are the defaults, bit for bit."""
+    scales = _scales(plant)
+    factors = {
+        "references.largest_amplitude": scales.reach,
+        "references.step_range": scales.reach,
+        "references.acceleration_limit": scales.acceleration,
+        "reward.error_scale": scales.reach,
+        "failure.end_stop_speed": scales.speed,
+        "failure.pressure_rating": max(scales.pressure, 1.0),  # a weak supply makes no weak cylinder
+        "disturbance.force_range": scales.force,
+    }
+    for sensor, factor in (
+        ("position", scales.reach),
+        ("pressure_a", scales.pressure),
+        ("pressure_b", scales.pressure),
+    ):
+        factors |= {f"sensors.{sensor}.{name}": factor for name in defaults["sensors"][sensor]}
+    values = {}
+    for path, factor in factors.items():
+        value: Any = defaults
+        for part in path.split("."):
+            value = value[part]
+        values[path] = tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
+    return values
+
+
+class _Scales(NamedTuple):
+    """A rig in parts of the paper's."""
+
+    reach: float  # stroke
+    speed: float  # at full opening, against the external force
+    acceleration: float  # speed in as many natural periods as there, but no more than the supply can give
+    pressure: float  # supply
+    force: float  # that the supply gives
+
+
+def _scales(plant: PlantParameters) -> _Scales:
+    from hydro_env.plant.analysis import (  # compiled code
+        closed_port_natural_frequency,
+        force_limits,
+        full_pressure_forces,
+        speed_limits,
+    )
+
+    paper = PlantParameters()
+    if plant == paper:
+        return _Scales(1.0, 1.0, 1.0, 1.0, 1.0)
+    speed = sum(speed_limits(plant, plant.load.external_force)) / sum(speed_limits(paper))
+    frequency = closed_port_natural_frequency(plant) / closed_port_natural_frequency(paper)
+    available = min(force_limits(plant)) / (plant.load.mass + plant.cylinder.piston_mass)
+    return _Scales(
+        reach=plant.cylinder.stroke / paper.cylinder.stroke,
+        speed=speed,
+        acceleration=min(speed, speed * frequency, SHARE_OF_ACCELERATION * available / 4.0),
+        pressure=plant.supply.pressure / paper.supply.pressure,
+        force=sum(full_pressure_forces(plant)) / sum(full_pressure_forces(paper)),
+    )
+
+
+def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:
+    """Randomisation of a task on another rig; refuses a range of the user that the new rig lies outside."""
+    given = validate(_Ranges, {"randomisation": ranges}, "task").randomisation
+    before = default_randomisation(old)
+    after = default_randomisation(rig.plant) | rig.randomisation
+    own = {path: draw for path, draw in given.items() if draw != before.get(path)}
+    for path, draw in own.items():
+        value = own_value(rig.plant, path)
+        low, high = draw.bounds(value)
+        if draw.times is not None:
+            low, high = (end * own_value(rig.plant, draw.times) for end in (low, high))
+        if not (draw.relative or low <= value <= high or value == draw.otherwise):
+            raise ConfigurationError(
+                f"{rig.source}: {path} = {value:g}: the task draws it from {low:g} to {high:g}, the range of another "
+                f"rig; give randomisation.{path} a 'factor' there, or leave it out"
+            )
+    # A task that leaves parameters of its rig alone leaves them alone on the new one.
+    result = after | own if before.keys() <= given.keys() else {p: own.get(p, after.get(p, given[p])) for p in given}
+    return {path: draw.model_dump() for path, draw in result.items()}
+
+
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` updated by ``changes``, group by group.
+
+    ``references.weights`` and ``randomisation`` are replaced as a whole.
+    """
+    result = dict(base)
+    for key, value in changes.items():
+        old = result.get(key)
+        deeper = isinstance(old, Mapping) and isinstance(value, Mapping) and key not in ("weights", "randomisation")
+        result[key] = merged(old, value) if deeper and isinstance(old, Mapping) else value
+    return result
