@@ -7,17 +7,30 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Agents, Config, Output, Overwrite, command_line, named_agents
+from agents.commands.options import Agents, Config, Overwrite, Resume, command_line, named_agents
 
 
 def evaluate(
-    output: Output = Path("results/evaluate"),
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for the results; default: results/evaluate, or of the protocol."),
+    ] = None,
     config: Config = None,
     agent: Agents = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            "--protocol", help="Run a protocol instead: robustness, quick (in `configs/protocols`), or a YAML file."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
+    ] = None,
+    resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
@@ -25,6 +38,11 @@ def evaluate(
     All controllers get the same plants, references and noise. Trained controllers take the shipped weights unless
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
     a controller fails, the results of the others are kept.
+
+    With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
+    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…`, `NAME#1=…` are
+    training seeds of one controller; `--agent NAME@CONDITION=…` was tuned or trained for one condition. Ctrl-C keeps
+    the finished jobs, and `--resume` goes on.
     """
     from agents.evaluation.opponents import load_head
     from agents.evaluation.protocol import ProtocolSettings
@@ -35,6 +53,19 @@ def evaluate(
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_yaml
 
+    if protocol is not None:
+        from agents.commands.robustness import evaluate_protocol
+
+        if head is not None or plants is not None:
+            raise ConfigurationError(
+                f"{'--head' if head is not None else '--plants'}: a protocol takes it from its file"
+            )
+        agents = named_agents(agent)
+        evaluate_protocol(protocol, agents, config, output, jobs, resume, overwrite, command_line())
+        return
+    if resume or jobs is not None:
+        raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
+    output = output if output is not None else Path("results/evaluate")
     study = default_study(config)
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")

@@ -83,7 +83,7 @@ def overshoot(position: Array, start: float, target: float) -> float:
 
 
 def reversals(command: Array, threshold: float = REVERSAL_THRESHOLD) -> int:
-    """Number of turning points at which the command swings back by more than the threshold; smaller swings are noise."""
+    """Number of turning points at which the command swings back by more than the threshold."""
     count, direction = 0, 0
     extreme = low = high = float(command[0])
     for value in np.asarray(command, dtype=np.float64).tolist():

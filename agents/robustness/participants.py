@@ -12,12 +12,13 @@ import joblib
 import pandas as pd
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import opponent
+from agents.controllers.registry import CONTROLLERS, make_controller
+from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent
 from agents.learning.features import HISTORY_LAGS, PolicyFeatures
 from agents.learning.trainers import TRAINERS
 from agents.robustness.conditions import ControllerChoice, Protocol
 from agents.running.cases import check_predict
+from agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 
@@ -37,6 +38,13 @@ class Sees(Group):
     memory: str = "no"
     signals: str = ""
     note: str = ""
+
+
+def shipped_controllers() -> dict[str, str]:
+    """Every controller that comes with gains or weights, by name; the PID is the first, the baseline."""
+    tuned = [kind for kind in CONTROLLERS if (config_folder() / "agents" / f"{kind}.yaml").is_file()]
+    kinds = [*tuned, *SHIPPED_WEIGHTS]
+    return {kind.upper() if len(kind) < 5 else kind.replace("_", "-"): kind for kind in kinds}
 
 
 @dataclass(frozen=True)
@@ -81,8 +89,11 @@ def participants(
     """
     if not controllers:
         raise ConfigurationError("protocol: at least one controller is needed")
+    known: dict[tuple[str, int], str] = {}
     for name in controllers:
-        split_name(name)
+        same = known.setdefault(split_name(name), name)
+        if same != name:
+            raise ConfigurationError(f"controllers '{same}' and '{name}': are the same training seed of one controller")
     ready = {name: opponent(what, protocol.task, name) for name, what in controllers.items()}
     made: dict[tuple[str, str], Controller] = {}
     for condition, entry in protocol.conditions.items():

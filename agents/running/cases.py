@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import Axes
 from hydro_env.plant.arrays import derived_array
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
@@ -146,10 +147,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
             position[:, step] = axes.column("position")
             command[:, step] = axes.column("command")
             spool[:, step] = axes.state[:, _SPOOL]
-            drawn = derived_array(np.ascontiguousarray(axes.state), np.ascontiguousarray(axes.coefficient))[
-                :, _SUPPLY_FLOW
-            ]
-            power[:, step] = drawn * axes.state[:, _SUPPLY_PRESSURE]
+            power[:, step] = _supply_power(axes)
             reward[:, step] = rewards
             # A failed axis stays where it failed, while its reference goes on.
             for array in (position, command, spool, power):
@@ -172,6 +170,15 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         leakage_flow_lpm=flow,
         leakage_class=axes.leakage_class(flow),
     )
+
+
+def _supply_power(axes: Axes) -> NDArray[np.float64]:
+    """Hydraulic power that each axis draws from its supply now, W, (N,)."""
+    state = np.ascontiguousarray(axes.state)
+    power: NDArray[np.float64] = (
+        state[:, _SUPPLY_PRESSURE] * (derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW])
+    )
+    return power
 
 
 def check_predict(controller: Any) -> None:
