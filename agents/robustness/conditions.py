@@ -171,19 +171,26 @@ class Protocol(Group):
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
                     choice["weights"] = str(folder / choice["weights"])
         protocol = validate(cls, values, str(path))
-        for name in protocol.conditions:
-            try:
-                protocol.task_in(name)
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{path}: {error}") from None
+        try:
+            _ = protocol.tasks
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None
         return protocol
 
-    def task_in(self, name: str) -> TaskConfig:
-        """The task under a condition.
+    @cached_property
+    def tasks(self) -> dict[str, TaskConfig]:
+        """The task under each condition.
 
         Raises:
             ConfigurationError: the changes give no possible task; the message names the condition.
         """
+        return {name: self._task(name) for name in self.conditions}
+
+    def task_in(self, name: str) -> TaskConfig:
+        """The task under a condition."""
+        return self.tasks[name]
+
+    def _task(self, name: str) -> TaskConfig:
         condition = self.conditions[name]
         where = f"conditions.{name}"
         base = self.task.model_dump()
