@@ -36,6 +36,9 @@ LIMIT_CYCLE: dict[str, tuple[str, str]] = {
 """Name, unit and meaning of what a standstill tells."""
 
 
+_DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles
+
+
 class LimitCycle(NamedTuple):
     """The oscillation in a stretch, and whether it is a limit cycle."""
 
@@ -54,12 +57,11 @@ def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle
     """
     values = np.asarray(position, dtype=np.float64)
     time = np.linspace(-1.0, 1.0, len(values))
-    spectrum = np.fft.rfft(values - np.polyval(np.polyfit(time, values, 1), time))
-    spectrum[:LEAST_CYCLES] = 0.0
-    motion = np.fft.irfft(spectrum, len(values))
+    motion = values - np.polyval(np.polyfit(time, values, _DRIFT), time)
     amplitude, last = (float(np.sqrt(2.0) * np.std(part)) for part in (motion, motion[-(len(motion) // 3) :]))
-    frequency = float(np.argmax(np.abs(spectrum)) / (len(values) * period))
-    return LimitCycle(amplitude, frequency, amplitude > floor and last > LASTING * amplitude)
+    cycles = int(np.argmax(np.abs(np.fft.rfft(np.hanning(len(motion)) * motion))))
+    sustained = amplitude > floor and last > LASTING * amplitude and cycles >= LEAST_CYCLES
+    return LimitCycle(amplitude, cycles / (len(values) * period), sustained)
 
 
 def standstill_task(config: TaskConfig) -> TaskConfig:

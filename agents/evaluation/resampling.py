@@ -76,7 +76,8 @@ def interquartile_means(values: Array, weights: Weights) -> Array:
         quarter = 0.25 * upper[:, -1:]
         # The part of each value's weight that lies between the first and the last quarter.
         inside = np.clip(np.minimum(upper, 3.0 * quarter) - np.maximum(upper - each, quarter), 0.0, None)
-        parts.append(inside @ flat / inside.sum(axis=1))
+        with np.errstate(invalid="ignore"):  # a resampling may draw no plant that has a value
+            parts.append(inside @ flat / inside.sum(axis=1))
     return np.concatenate(parts)
 
 

@@ -11,6 +11,7 @@ from agents.evaluation.metrics import (
     SETTLING_BAND,
     case_metrics,
     overshoot,
+    reversals,
     rollout_metrics,
     settling_time,
     standstills,
@@ -230,3 +231,28 @@ def test_at_slow_sampling_the_steady_state_is_the_last_sample():
     position[-2:] += [0.003, 0.001]
     found = metrics_of(reference, position, period=0.05)
     assert found["steady_state_error_mm"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "count"),
+    [
+        ([0.0, 0.0, 0.0], 0),
+        (np.linspace(-1.0, 1.0, 50), 0),
+        ([0.0, 0.1, 0.0, 0.1, 0.0], 3),
+        ([0.0, 0.1, 0.097, 0.2, 0.1], 1),  # a swing of 0.003 is below the valve's threshold
+        ([0.1, 0.0, 0.05, 0.06, 0.02], 2),
+        ([0.0, 0.002, 0.0, 0.002, 0.0], 0),
+        (np.repeat([0.0, 0.1, 0.0], 10), 1),
+        ([0.0, 0.004, 0.008, 0.012, 0.008, 0.004, 0.0], 1),  # small steps add up to a swing
+    ],
+)
+def test_reversals_are_turning_points_of_swings_that_a_valve_follows(command, count):
+    assert reversals(np.array(command)) == count
+    assert reversals(-np.array(command)) == count
+
+
+def test_a_sine_reverses_twice_a_period():
+    time = 0.005 * np.arange(1, 401)
+    zeros = np.zeros(400)
+    found = metrics_of(zeros, zeros, 0.005, command=0.3 * np.sin(2.0 * math.pi * 5.0 * time))
+    assert found["reversals_per_s"] == pytest.approx(10.0)
