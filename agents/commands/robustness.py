@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pandas as pd
+from rich.box import SIMPLE
 from rich.table import Table
 
 from agents.robustness.conditions import Protocol, file_sha256, protocol_named
@@ -97,9 +98,9 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
 def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
     """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
-    table = Table(title=f"Ratios to {baseline}; every condition and family of references weighs the same")
-    table.add_column("controller")
-    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "energy", "best in", "fails", "cycles"):
+    table = Table(title=f"Ratios to {baseline}; every condition and family weighs the same", box=SIMPLE, pad_edge=False)
+    table.add_column("controller", no_wrap=True)
+    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "energy", "fails", "cycles"):
         table.add_column(heading, justify="right", no_wrap=True)
     for _, row in tables.ranking.iterrows():
         table.add_row(
@@ -107,7 +108,6 @@ def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
             f"{row['equal_weight']:.3f}",
             f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
             *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio", "energy_ratio")),
-            f"{row['best_in']}/{row['conditions']}",
             str(row["failures"]),
             f"{row['limit_cycles']}/{row['standstills']}",
         )

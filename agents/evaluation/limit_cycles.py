@@ -24,7 +24,7 @@ LEAST_CYCLES = 3
 LASTING = 0.5
 """An oscillation whose last third has less than this share of its amplitude is dying out."""
 
-BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 1.5
+BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after it returns, time that is judged."""
 
 LIMIT_CYCLE: dict[str, tuple[str, str]] = {

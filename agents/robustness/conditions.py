@@ -124,9 +124,12 @@ class Protocol(Group):
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
     standstill_leak_levels: tuple[float, ...] = Field(
-        (0.03, 1.0, 8.0), description="l/min; the search for limit cycles under every condition; none: no search"
+        (0.03, 1.0, 8.0),
+        description="l/min; search for limit cycles under each condition that has no leak levels of its own",
     )
-    standstill_plants: int = Field(4, ge=3, le=SEEDS_PER_FAMILY, description="per level")
+    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
+    bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
+    bound_plants: int = Field(2, ge=1, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
     conditions: dict[Name, Condition] = Field(min_length=1)
 
@@ -134,6 +137,9 @@ class Protocol(Group):
     def _possible(self) -> Protocol:
         check_grid(self.leak_levels, self.families)
         check_grid(self.standstill_leak_levels, ())
+        for name in self.bound_conditions:
+            if name not in self.conditions:
+                raise ValueError(f"bound_conditions: '{name}' is no condition")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -235,7 +241,14 @@ class Protocol(Group):
 
     def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
-        table = _grid(self.standstill_leak_levels, ("user",), self.standstill_plants)
+        levels = self.conditions[name].leak_levels or self.standstill_leak_levels
+        table = _grid(levels, ("user",), self.standstill_plants)
+        return self._cases(name, table), table
+
+    def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """Those cases of a condition for which the best found is computed, and their table as in :meth:`cases_in`."""
+        _, table = self.cases_in(name)
+        table = table[table["plant"] < self.bound_plants].reset_index(drop=True)
         return self._cases(name, table), table
 
     def _cases(self, name: str, table: pd.DataFrame) -> Cases:

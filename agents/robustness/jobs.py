@@ -7,9 +7,11 @@ import io
 import json
 import sys
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +19,19 @@ from numpy.typing import NDArray
 from agents.controllers.base import Controller
 from agents.evaluation.limit_cycles import LIMIT_CYCLE, standstill_metrics
 from agents.evaluation.metrics import METRICS, rollout_metrics
-from agents.running.cases import Cases, ControllerError, run_cases
+from agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.compiling import SOURCES
 from hydro_env.files import write_whole
 
 FORMAT = "hydro_env robustness job 1"
-_ROOMS = ("controllers", "running", "learning", "evaluation")
+_ROOMS = ("controllers", "running", "learning", "evaluation", "bound")
+
+Kind = Literal["tracking", "standstill", "bound"]
+"""Ordinary cases; the search for limit cycles, with the task of a standstill; cases of the best found."""
+
+BestFound = Callable[[TaskConfig, Cases], Rollout]
+"""Runs cases under the best commands that a search finds."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +40,28 @@ class Job:
 
     name: str
     condition: str
-    controller: Controller
+    controller: Controller | BestFound
     config: TaskConfig
     cases: Cases
     families: NDArray[np.str_]
-    standstill: bool = False  # whether it searches for limit cycles; the task is that of a standstill then
+    kind: Kind = "tracking"
     digest: str = ""  # of the controller; empty: its result is not used again
+
+    def rollout(self) -> Rollout:
+        """Run the cases.
+
+        Raises:
+            ControllerError: the controller failed.
+            ConfigurationError: an episode cannot begin.
+        """
+        if self.kind == "bound":
+            return cast(BestFound, self.controller)(self.config, self.cases)
+        return run_cases(self.config, cast(Controller, self.controller), self.cases)
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of its metrics."""
-        return tuple(LIMIT_CYCLE if self.standstill else METRICS)
+        return tuple(LIMIT_CYCLE if self.kind == "standstill" else METRICS)
 
     @property
     def key(self) -> str:
@@ -57,7 +76,7 @@ class Job:
             _code(),
             self.digest,
             self.config.model_dump_json(),
-            json.dumps([self.cases.seeds.tolist(), self.families.tolist(), self.cases.parameters, self.standstill]),
+            json.dumps([self.cases.seeds.tolist(), self.families.tolist(), self.cases.parameters, self.kind]),
             str(self.cases.leakage_flow_lpm.tolist() if self.cases.leakage_flow_lpm is not None else None),
         )
         return f"{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:32]}.npz"
@@ -77,12 +96,12 @@ def run_job(job: Job) -> JobResult:
         sys.modules["torch"].set_num_threads(1)
     preview = max(job.config.references.preview_times, default=0.0)
     try:
-        rollout = run_cases(job.config, job.controller, job.cases)
+        rollout = job.rollout()
     except ControllerError as error:
         return JobResult({}, str(error))
     except ConfigurationError as error:
         return JobResult({}, f"the condition cannot begin: {error}")
-    if job.standstill:
+    if job.kind == "standstill":
         return JobResult(standstill_metrics(rollout, job.config))
     found = rollout_metrics(rollout, job.families, job.config.control_period, preview)
     return JobResult({name: values.astype(np.float64) for name, values in found.items()})

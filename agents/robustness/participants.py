@@ -134,7 +134,7 @@ def split_name(name: str) -> tuple[str, int]:
     return controller, int(seed) if mark else 0
 
 
-def fingerprint(controller: Controller) -> str:
+def fingerprint(controller: Any) -> str:
     """Digest of a controller's numbers and of the file of its class; empty if it cannot be pickled.
 
     Finished work of a controller with another digest is not used again.
@@ -144,7 +144,8 @@ def fingerprint(controller: Controller) -> str:
     except Exception:  # a user's object may raise anything
         return ""
     try:
-        source = Path(inspect.getfile(type(controller))).read_bytes()
+        made_in = controller if inspect.isfunction(controller) else type(controller)
+        source = Path(inspect.getfile(made_in)).read_bytes()
     except (OSError, TypeError):
         source = b""
     return str(joblib.hash((digest, source)))

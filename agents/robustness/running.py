@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from joblib import Parallel, delayed, effective_n_jobs
+from numpy.typing import NDArray
 
 from agents.evaluation.limit_cycles import standstill_task
 from agents.robustness.conditions import Protocol
-from agents.robustness.jobs import Job, JobResult, load_result, run_job, save_result
+from agents.robustness.jobs import BestFound, Job, JobResult, Kind, load_result, run_job, save_result
 from agents.robustness.participants import Participants, fingerprint, split_name
 from agents.running.cases import Cases, ControllerError, Rollout, run_cases
+from hydro_env import TaskConfig
 
 JOBS_FOLDER = "jobs"
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
+BEST_FOUND = "best found"
 _JOBS_PER_ROUND = 4
 
 Report = Callable[[str, int, int], None]
@@ -30,7 +33,8 @@ class ProtocolRun:
     """What a protocol gave, as tables."""
 
     cases: pd.DataFrame  # one row per case with its metrics
-    limit_cycles: pd.DataFrame  # one row per standstill
+    limit_cycles: pd.DataFrame  # one row per standstill; empty without a search
+    bound: pd.DataFrame | None  # cases of the best found, if it was computed
     status: pd.DataFrame  # controller (with training seed), condition, status, message
     reused: int  # jobs whose results were there already
 
@@ -47,6 +51,7 @@ def run_protocol(
     folder: Path | None = None,
     jobs: int | None = None,
     progress: Report | None = None,
+    best_found: BestFound | None = None,
 ) -> ProtocolRun:
     """Run all jobs of a protocol; finished ones in the folder are read instead.
 
@@ -60,12 +65,15 @@ def run_protocol(
         folder: for the results of the jobs, one file each; ``None`` keeps none.
         jobs: number of jobs side by side; default: one per core, or as the active ``parallel_config`` says.
         progress: called with the name of the phase, the number of finished jobs, and their total.
+        best_found: runs the cases of the bound; ``None`` leaves the bound out.
 
     Raises:
         ControllerError: every controller failed in every condition.
         ConfigurationError: a file cannot be written.
     """
     cells, status = _plan(protocol, chosen)
+    if best_found is not None:
+        cells += _bound_plan(protocol, best_found)
     # Conditions that differ in their references alone share the search for limit cycles.
     listed = {job.key: job for _, _, parts in cells for job in parts}
     results: dict[str, JobResult] = {}
@@ -86,8 +94,7 @@ def run_protocol(
         if folder is not None and job.digest and not result.error:
             save_result(folder / JOBS_FOLDER / job.file, result)
         report()
-    tracking: list[pd.DataFrame] = []
-    still: list[pd.DataFrame] = []
+    frames: dict[Kind, list[pd.DataFrame]] = {"tracking": [], "standstill": [], "bound": []}
     for name, table, parts in cells:
         answers = [results[job.key] for job in parts]
         error = next((answer.error for answer in answers if answer.error), "")
@@ -95,55 +102,71 @@ def run_protocol(
         if not error:
             metrics = {key: np.concatenate([answer.metrics[key] for answer in answers]) for key in parts[0].columns}
             controller, seed = split_name(name)
-            frame = table.assign(controller=controller, training_seed=seed, **metrics)
-            (still if parts[0].standstill else tracking).append(frame)
+            frames[parts[0].kind].append(table.assign(controller=controller, training_seed=seed, **metrics))
     statuses = pd.DataFrame(status, columns=["controller", "condition", "status", "message"])
     # A pair has one row: its failure if it failed in any part.
     statuses = statuses.sort_values("message", ascending=False, kind="stable").drop_duplicates(
         ["controller", "condition"]
     )
     statuses = statuses.sort_index(ignore_index=True)
-    if not tracking:
+    if not frames["tracking"]:
         reasons = statuses.loc[statuses["message"] != "", "message"]
         raise ControllerError(f"no controller ran under any condition; the first reason: {reasons.iloc[0]}")
-    cycles = pd.concat(still, ignore_index=True) if still else pd.DataFrame()
-    return ProtocolRun(pd.concat(tracking, ignore_index=True), cycles, statuses, reused)
+    tables = {kind: pd.concat(parts, ignore_index=True) for kind, parts in frames.items() if parts}
+    return ProtocolRun(
+        tables["tracking"], tables.get("standstill", pd.DataFrame()), tables.get("bound"), statuses, reused
+    )
 
 
-def _plan(
-    protocol: Protocol, chosen: Participants
-) -> tuple[list[tuple[str, pd.DataFrame, list[Job]]], list[tuple[str, str, str, str]]]:
+_Cell = tuple[str, pd.DataFrame, list[Job]]
+
+
+def _plan(protocol: Protocol, chosen: Participants) -> tuple[list[_Cell], list[tuple[str, str, str, str]]]:
     """Jobs of each controller and condition with the table of their cases; and the pairs that cannot run."""
     cells, status = [], []
     digests: dict[int, str] = {}
-    for condition, entry in protocol.conditions.items():
+    for condition in protocol.conditions:
         config = protocol.task_in(condition)
-        kinds = [(False, config, *protocol.cases_in(condition))]
-        if protocol.standstill_leak_levels:
-            kinds.append((True, standstill_task(config), *protocol.standstill_cases_in(condition)))
+        kinds: list[tuple[Kind, TaskConfig, Cases, pd.DataFrame]] = [
+            ("tracking", config, *protocol.cases_in(condition))
+        ]
+        if protocol.standstill_plants:
+            kinds.append(("standstill", standstill_task(config), *protocol.standstill_cases_in(condition)))
         for name in chosen.controllers:
             controller = chosen.of(name, condition, protocol)
             if isinstance(controller, str):
                 status.append((name, condition, NOT_APPLICABLE, controller))
                 continue
             digest = digests.setdefault(id(controller), fingerprint(controller))
-            for standstill, task, cases, table in kinds:
-                families = table["family"].to_numpy().astype(str)
-                parts = [
-                    Job(
-                        name,
-                        condition,
-                        controller,
-                        task,
-                        cases.part(start, start + protocol.chunk),
-                        families[start : start + protocol.chunk],
-                        standstill,
-                        digest,
-                    )
-                    for start in range(0, len(cases), protocol.chunk)
-                ]
-                cells.append((name, table.assign(condition=condition, group=entry.group), parts))
+            for kind, task, cases, table in kinds:
+                job = Job(name, condition, controller, task, cases, _families(table), kind, digest)
+                cells.append(_cell(protocol, job, table))
     return cells, status
+
+
+def _bound_plan(protocol: Protocol, best_found: BestFound) -> list[_Cell]:
+    cells = []
+    for condition in protocol.bound_conditions:
+        cases, table = protocol.bound_cases_in(condition)
+        task, digest = protocol.task_in(condition), fingerprint(best_found)
+        job = Job(BEST_FOUND, condition, best_found, task, cases, _families(table), "bound", digest)
+        cells.append(_cell(protocol, job, table))
+    return cells
+
+
+def _families(table: pd.DataFrame) -> NDArray[np.str_]:
+    families: NDArray[np.str_] = table["family"].to_numpy().astype(str)
+    return families
+
+
+def _cell(protocol: Protocol, whole: Job, table: pd.DataFrame) -> _Cell:
+    """A job in chunks, with the table of its cases."""
+    group, size = protocol.conditions[whole.condition].group, protocol.chunk
+    parts = [
+        replace(whole, cases=whole.cases.part(first, first + size), families=whole.families[first : first + size])
+        for first in range(0, len(whole.cases), size)
+    ]
+    return whole.name, table.assign(condition=whole.condition, group=group), parts
 
 
 def _named(key: str, job: Job) -> tuple[str, JobResult]:

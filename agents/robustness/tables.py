@@ -29,6 +29,7 @@ class Tables:
 
     cases: pd.DataFrame
     limit_cycles: pd.DataFrame
+    bound: pd.DataFrame
     conditions: pd.DataFrame
     summary: pd.DataFrame
     comparison: pd.DataFrame
@@ -57,7 +58,6 @@ def make_tables(
     chosen: Participants,
     run: ProtocolRun,
     facts: Sequence[tuple[str, str]] = (),
-    bound: pd.DataFrame | None = None,
 ) -> Tables:
     """All tables of a run.
 
@@ -66,9 +66,8 @@ def make_tables(
         chosen: its controllers; the first one that ran is the baseline.
         run: what it gave.
         facts: more rows of the table ``protocol``: key and value.
-        bound: cases of the best found, as :class:`~agents.robustness.comparison.Grid` takes them.
     """
-    grid = Grid(run.cases, bound)
+    grid = Grid(run.cases, run.bound)
     comparison, families = comparison_table(grid), families_table(grid, run.cases)
     own = [
         ("protocol", protocol.title),
@@ -80,6 +79,7 @@ def make_tables(
     return Tables(
         cases=run.cases,
         limit_cycles=run.limit_cycles,
+        bound=run.bound if run.bound is not None else pd.DataFrame(),
         conditions=protocol.table(),
         summary=summary_table(grid, run.cases),
         comparison=comparison,

@@ -11,7 +11,7 @@ SMALL = {
     "families": ["step", "sine"],
     "plants": 3,
     "chunk": 5,
-    "standstill_leak_levels": [],
+    "standstill_plants": 0,
     "worst": 2,
     "conditions": {"plain": {"group": "leak"}, "late": {"task": {"command_latency": 0.004}}},
 }

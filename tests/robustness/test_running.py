@@ -11,6 +11,7 @@ from agents.evaluation.metrics import METRICS
 from agents.robustness.jobs import Job, load_result, run_job, save_result
 from agents.robustness.participants import Participants, fingerprint, participants, sees, split_name
 from agents.robustness.running import DONE, FAILED, JOBS_FOLDER, NOT_APPLICABLE, replay, run_protocol
+from agents.robustness.tables import make_tables
 from agents.running.cases import ControllerError, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -51,14 +52,14 @@ def test_jobs_side_by_side_give_the_same_bits(alone, backend):
 
 
 def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path):
-    class Interrupted(Exception):
+    class InterruptedError(Exception):
         pass
 
     def stop(phase, done, total):
         if done == 3:
-            raise Interrupted
+            raise InterruptedError
 
-    with pytest.raises(Interrupted):
+    with pytest.raises(InterruptedError):
         run_protocol(small(**ROOM), two(), tmp_path, jobs=1, progress=stop)
     assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
     counts = []
@@ -107,13 +108,34 @@ def test_a_result_is_read_as_it_was_written(tmp_path):
 
 
 def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
-    conditions = {"few": {"leak_levels": [0.03]}, "more": {"leak_levels": [4.0]}}
+    conditions = {"few": {"families": ["step"]}, "more": {"families": ["sine"]}}
     run = run_protocol(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
     assert len(run.limit_cycles) == 2 * 3
     by_condition = [rows["amplitude_um"].tolist() for _, rows in run.limit_cycles.groupby("condition")]
     assert by_condition[0] == by_condition[1]
     files = list((tmp_path / JOBS_FOLDER).iterdir())
     assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
+
+
+def strong(config, cases):
+    """Stands for the best found."""
+    return run_cases(config, Proportional(60.0), cases)
+
+
+def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
+    protocol = small(bound_conditions=["late"], bound_plants=2)
+    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)})
+    run = run_protocol(protocol, chosen, jobs=1, best_found=strong)
+    assert set(run.bound["condition"]) == {"late"}
+    assert len(run.bound) == 2 * 2 * 2
+    tables = make_tables(protocol, chosen, run)
+    row = tables.comparison.set_index("condition").loc["late"]
+    own = run.cases[(run.cases["condition"] == "late") & (run.cases["plant"] < 2)]
+    means = own.groupby("controller")["mean_error_mm"].mean()
+    best = run.bound["mean_error_mm"].mean()
+    assert row["gap"] == pytest.approx((means["P"] - means["Q"]) / (means["P"] - best))
+    assert "best found" not in set(tables.ranking["controller"])
+    assert len(tables.bound) == 8
 
 
 # Failures ----------------------------------------------------------------------------------------------------------
@@ -146,7 +168,7 @@ def test_a_controller_that_fails_under_one_condition_keeps_the_others():
 
 
 def test_when_nobody_runs_the_first_reason_is_told():
-    with pytest.raises(ControllerError, match="no controller ran under any condition.*returned nan"):
+    with pytest.raises(ControllerError, match=r"no controller ran under any condition.*returned nan"):
         run_protocol(small(), Participants({"mine": Broken()}), jobs=1)
 
 

@@ -116,7 +116,7 @@ def fake_run(cases):
         columns=["controller", "condition", "status", "message"],
     )
     cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
-    return ProtocolRun(cases, cycles, status, 0)
+    return ProtocolRun(cases, cycles, None, status, 0)
 
 
 def test_the_ranking_puts_the_best_first_with_its_price(cases):
@@ -191,11 +191,11 @@ def test_worst_cases_can_be_found_again():
 
 
 def test_all_tables_of_a_run_are_written(tmp_path):
-    protocol = small(standstill_leak_levels=[1.0], standstill_plants=3)
+    protocol = small(standstill_plants=3)
     chosen = Participants({"P": Proportional(), "Q": Proportional(20.0)})
     tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1), [("date", "today")])
     tables.write(tmp_path)
-    assert {file.stem for file in tmp_path.iterdir()} == set(Tables.__dataclass_fields__)
+    assert {file.stem for file in tmp_path.iterdir()} == set(Tables.__dataclass_fields__) - {"bound"}
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
     assert facts["sha256"] == protocol.sha256
     assert (facts["baseline"], facts["date"]) == ("P", "today")
