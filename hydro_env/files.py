@@ -133,7 +133,8 @@ def _schema_at(model: type[BaseModel], path: Sequence[int | str]) -> dict[str, A
         if isinstance(part, int):
             inner = entries[part] if part < len(entries) else schema.get("items", {})
         else:
-            inner = schema.get("properties", {}).get(part, schema.get("additionalProperties", {}))
+            by_name = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties", {})]
+            inner = schema.get("properties", {}).get(part, by_name[0])
         schema = resolved(inner) if isinstance(inner, dict) else {}
     return schema
 

@@ -11,8 +11,8 @@ from agents.commands.options import (
     Agents,
     Config,
     OtherRig,
-    Output,
     Overwrite,
+    Resume,
     Task,
     command_line,
     named_agents,
@@ -21,7 +21,10 @@ from agents.commands.options import (
 
 
 def evaluate(
-    output: Output = Path("results/evaluate"),
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Folder for the results; default: results/evaluate, or of the protocol."),
+    ] = None,
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
@@ -30,6 +33,16 @@ def evaluate(
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
+    protocol: Annotated[
+        str | None,
+        typer.Option(
+            "--protocol", help="Run a protocol instead: robustness, quick (in `configs/protocols`), or a YAML file."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, max=1024, help="Jobs side by side; default: one per core.")
+    ] = None,
+    resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Compare the controllers of a study and your own on test plants, and evaluate the leakage head.
@@ -40,6 +53,11 @@ def evaluate(
 
     With `--rig` the task is moved to another rig, and a line says which controllers were tuned or trained for which
     rig: the command itself tunes nothing.
+
+    With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
+    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…`, `NAME#1=…` are
+    training seeds of one controller; `--agent NAME@CONDITION=…` was tuned or trained for one condition. Ctrl-C keeps
+    the finished jobs, and `--resume` goes on.
     """
     from agents.evaluation.opponents import load_head
     from agents.evaluation.protocol import ProtocolSettings
@@ -50,6 +68,19 @@ def evaluate(
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_yaml
 
+    if protocol is not None:
+        from agents.commands.robustness import evaluate_protocol
+
+        given = {"--head": head, "--plants": plants, "--task": task, "--rig": rig}
+        for option, value in given.items():
+            if value is not None:
+                raise ConfigurationError(f"{option}: a protocol takes it from its file")
+        agents = named_agents(agent)
+        evaluate_protocol(protocol, agents, config, output, jobs, resume, overwrite, command_line())
+        return
+    if resume or jobs is not None:
+        raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
+    output = output if output is not None else Path("results/evaluate")
     study = default_study(config, task, rig)
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")

@@ -21,6 +21,9 @@ STANDSTILL = 0.1
 FINAL_SHARE = 0.05
 """s; the last part of a standstill, over which the steady-state error is averaged."""
 
+REVERSAL_THRESHOLD = 0.005
+"""Swing of the command, in parts of 10 V, that counts as a reversal: a servo valve does not answer a smaller one."""
+
 METRICS: dict[str, tuple[str, str]] = {
     "mean_error_mm": ("mm", "mean of |reference − position|"),
     "rms_error_mm": ("mm", "root mean square of the error"),
@@ -36,9 +39,16 @@ METRICS: dict[str, tuple[str, str]] = {
         "mm",
         "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
     ),
+    "mean_error_sensor_mm": (
+        "mm",
+        "mean of |reference − reading|, without the sensor's noise: what a controller can see",
+    ),
+    "steady_state_error_sensor_mm": ("mm", "the steady-state error between reference and reading, without noise"),
     "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
     "control_effort": ("1", "root mean square of the limited command, in parts of 10 V"),
     "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
+    "reversals_per_s": ("1/s", "changes of the command's direction by more than 0.5 % of 10 V"),
+    "supply_energy_j": ("J", "∫ of the flow that the valve draws, times supply pressure"),
     "failed": ("1", "1 if the axis failed"),
 }
 """Name, unit and meaning of every metric."""
@@ -72,6 +82,22 @@ def overshoot(position: Array, start: float, target: float) -> float:
     return float(max(np.max((position - target) / size), 0.0) * 100.0)
 
 
+def reversals(command: Array, threshold: float = REVERSAL_THRESHOLD) -> int:
+    """Number of turning points at which the command swings back by more than the threshold."""
+    count, direction = 0, 0
+    extreme = low = high = float(command[0])
+    for value in np.asarray(command, dtype=np.float64).tolist():
+        if direction == 0:
+            low, high = min(low, value), max(high, value)
+            if high - low > threshold:
+                direction, extreme = (1 if value == high else -1), value
+        elif direction * (value - extreme) >= 0.0:
+            extreme = value
+        elif direction * (extreme - value) > threshold:
+            count, direction, extreme = count + 1, -direction, value
+    return count
+
+
 def case_metrics(
     position: Array,
     reference: Array,
@@ -81,6 +107,8 @@ def case_metrics(
     is_step: bool,
     failed: bool,
     preview: float = 0.0,
+    bias: float = 0.0,
+    power: Array | None = None,
 ) -> dict[str, float]:
     """All METRICS of one episode.
 
@@ -94,11 +122,14 @@ def case_metrics(
         failed: whether the axis failed.
         preview: s; the controller sees the reference this far ahead. This much of the end of each standstill does not
             count, because an axis may start before the reference does.
+        bias: m; the position sensor reads the true position plus this.
+        power: hydraulic power from the supply, (T,), W; ``None`` if unknown.
     """
     error = np.asarray(reference, dtype=np.float64) - position
     time = period * np.arange(1, len(error) + 1)
     settling: list[float] = []
     steady: list[float] = []
+    steady_sensor: list[float] = []
     beyond: list[float] = []
     final = max(round(FINAL_SHARE / period), 1)
     ahead = round(preview / period)
@@ -106,7 +137,9 @@ def case_metrics(
         if last - first < final:
             continue
         settling.append(settling_time(error[first:last], period))
-        steady.append(abs(float(np.mean(error[last - final : last]))))
+        offset = float(np.mean(error[last - final : last]))
+        steady.append(abs(offset))
+        steady_sensor.append(abs(offset - bias))
         if is_step:
             beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
     settled = [value for value in settling if not math.isnan(value)]
@@ -118,9 +151,13 @@ def case_metrics(
         "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
         "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
         "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
+        "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
+        "steady_state_error_sensor_mm": 1e3 * float(np.mean(steady_sensor)) if steady_sensor else math.nan,
         "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
         "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
         "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
+        "reversals_per_s": reversals(command) / (period * len(command)),
+        "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period if power is not None else math.nan,
         "failed": float(failed),
     }
 
@@ -139,6 +176,8 @@ def rollout_metrics(
             str(families[case]) == "step",
             bool(rollout.failed_at[case] >= 0),
             preview,
+            float(rollout.position_bias[case]),
+            rollout.supply_power[case],
         )
         for case in range(len(families))
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +11,15 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.plant.arrays import derived_array
+from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.configuration import CHANNELS
 
 _SPOOL = State._fields.index("spool_position")
+_SUPPLY_PRESSURE = State._fields.index("supply_pressure")
+_SUPPLY_FLOW = Derived._fields.index("supply_flow")
 _POSITION = CHANNELS.index("position")
 
 
@@ -29,6 +34,7 @@ class Cases:
     seeds: NDArray[np.int64]
     leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
     families: NDArray[np.str_] | None = None  # None: drawn
+    parameters: Mapping[str, Mapping[str, float | str]] | None = None  # of every plant, as the option of reset
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -37,7 +43,7 @@ class Cases:
         """The cases from ``first`` to before ``last``."""
         leak = self.leakage_flow_lpm[first:last] if self.leakage_flow_lpm is not None else None
         families = self.families[first:last] if self.families is not None else None
-        return Cases(self.seeds[first:last], leak, families)
+        return Cases(self.seeds[first:last], leak, families, self.parameters)
 
     def describe(self, case: int) -> str:
         """Seed, reference and leak of one case, for messages."""
@@ -54,7 +60,7 @@ class Rollout:
     """One episode of each case; N cases, T control periods; values at the T samples after the first.
 
     A case that fails (``terminated``) keeps the values of its last sample and gets no further reward. Without
-    ``states`` the arrays of position, reference, command, spool and reward have the shape (N, 0).
+    ``states`` the arrays of position, reference, command, spool, supply power and reward have the shape (N, 0).
     """
 
     time: NDArray[np.float64]  # (T,), s
@@ -62,6 +68,7 @@ class Rollout:
     reference: NDArray[np.float32]  # (N, T), m
     command: NDArray[np.float32]  # (N, T), as limited, −1…1
     spool: NDArray[np.float32]  # (N, T), true
+    supply_power: NDArray[np.float32]  # (N, T), W; flow that the valve draws, times supply pressure
     reward: NDArray[np.float32]  # (N, T)
     failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
     position_bias: NDArray[np.float64]  # (N,), m; the sensor reads the true position plus this
@@ -117,10 +124,12 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         options["leakage_flow_lpm"] = cases.leakage_flow_lpm
     if cases.families is not None:
         options["reference"] = [str(name) for name in cases.families]
+    if cases.parameters:
+        options["parameters"] = cases.parameters
     observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
     axes, memory = env.axes, None
     kept = steps if keep_states else 0
-    position, command, spool, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(4))
+    position, command, spool, power, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(5))
     reference = axes.reference[:, 1 : kept + 1].astype(np.float32)
     signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
     failed_at = np.full(count, -1, dtype=np.int64)
@@ -138,9 +147,10 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
             position[:, step] = axes.column("position")
             command[:, step] = axes.column("command")
             spool[:, step] = axes.state[:, _SPOOL]
+            power[:, step] = _supply_power(axes)
             reward[:, step] = rewards
             # A failed axis stays where it failed, while its reference goes on.
-            for array in (position, command, spool):
+            for array in (position, command, spool, power):
                 array[~alive, step] = array[~alive, step - 1]
             reward[~alive, step] = 0.0
         flow = np.where(alive, axes.column("leak_flow"), flow)
@@ -152,6 +162,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         reference=reference,
         command=command,
         spool=spool,
+        supply_power=power,
         reward=reward,
         failed_at=failed_at,
         position_bias=bias,
@@ -159,6 +170,15 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         leakage_flow_lpm=flow,
         leakage_class=axes.leakage_class(flow),
     )
+
+
+def _supply_power(axes: Axes) -> NDArray[np.float64]:
+    """Hydraulic power that each axis draws from its supply now, W, (N,)."""
+    state = np.ascontiguousarray(axes.state)
+    power: NDArray[np.float64] = (
+        state[:, _SUPPLY_PRESSURE] * (derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW])
+    )
+    return power
 
 
 def check_predict(controller: Any) -> None:

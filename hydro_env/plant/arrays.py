@@ -104,9 +104,9 @@ def _build(sources: int) -> tuple[Any, ...]:
 
     def derived_array(states: Array, coefficients: Array) -> Array:
         assert sources >= 0
-        c = read_coefficients(coefficients)
         out = np.empty((states.shape[0], N_DERIVED))
         for sample in range(states.shape[0]):
+            c = read_coefficients(coefficients[sample if coefficients.shape[0] > 1 else 0])
             _write_derived(out[sample], derived_quantities(read_state(states[sample]), c))
         return out
 

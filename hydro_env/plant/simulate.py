@@ -144,7 +144,7 @@ def simulate(
     time = sample_time * np.arange(len(inputs) + 1, dtype=np.float64)
     _check_range(parameters, time, states)
     acting = np.append(inputs, inputs[-1:])
-    return Trajectory(parameters, time, acting, states, derived_array(states, coefficients))
+    return Trajectory(parameters, time, acting, states, derived_array(states, coefficients[None]))
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:

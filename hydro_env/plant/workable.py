@@ -186,7 +186,9 @@ def _why_no_rest(parameters: PlantParameters) -> str:
     fed = _rest(parameters.replace(supply={"model": "constant"}))
     if fed is not None:
         state = np.array([[fed[name] for name in STATE_NAMES]])
-        flows = dict(zip(DERIVED_NAMES, derived_array(state, coefficient_array(parameters))[0].tolist(), strict=True))
+        flows = dict(
+            zip(DERIVED_NAMES, derived_array(state, coefficient_array(parameters)[None])[0].tolist(), strict=True)
+        )
         pump, drawn = supply.pump_flow / LITRE_PER_MINUTE, flows["supply_flow"] / LITRE_PER_MINUTE
         return (
             f"supply.pump_flow = {supply.pump_flow:.3g} m³/s ({pump:.3g} l/min): at rest valve and leaks draw "

@@ -11,6 +11,7 @@ from agents.evaluation.metrics import (
     SETTLING_BAND,
     case_metrics,
     overshoot,
+    reversals,
     rollout_metrics,
     settling_time,
     standstills,
@@ -188,8 +189,10 @@ def test_every_case_of_a_rollout():
         reference=reference.astype(np.float32),
         command=np.zeros(shape, dtype=np.float32),
         spool=np.zeros(shape, dtype=np.float32),
+        supply_power=np.full(shape, 200.0, dtype=np.float32),
         reward=np.zeros(shape, dtype=np.float32),
         failed_at=np.array([-1, 99]),
+        position_bias=np.array([0.0001, 0.0]),
         signals=None,
         leakage_flow_lpm=np.array([0.01, 4.0]),
         leakage_class=np.array([0, 3]),
@@ -200,6 +203,10 @@ def test_every_case_of_a_rollout():
     np.testing.assert_array_equal(found["failed"], [0.0, 1.0])
     np.testing.assert_allclose(found["mean_error_mm"], 0.1, rtol=1e-4)
     np.testing.assert_allclose(found["settling_time_s"], 30 * 0.005)
+    np.testing.assert_allclose(found["supply_energy_j"], 200.0 * 0.5)
+    # The sensor of the first axis reads 0.1 mm too much: seen from it, the axis is 0.1 mm beside its target.
+    np.testing.assert_allclose(found["steady_state_error_sensor_mm"], [0.1, 0.0], atol=1e-6)
+    np.testing.assert_allclose(found["mean_error_sensor_mm"], [0.09 + 0.11 * 10 / 10, 0.1], rtol=1e-3)
 
 
 def test_a_standstill_that_the_preview_cuts_short_does_not_end_the_search():
@@ -224,3 +231,28 @@ def test_at_slow_sampling_the_steady_state_is_the_last_sample():
     position[-2:] += [0.003, 0.001]
     found = metrics_of(reference, position, period=0.05)
     assert found["steady_state_error_mm"] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "count"),
+    [
+        ([0.0, 0.0, 0.0], 0),
+        (np.linspace(-1.0, 1.0, 50), 0),
+        ([0.0, 0.1, 0.0, 0.1, 0.0], 3),
+        ([0.0, 0.1, 0.097, 0.2, 0.1], 1),  # a swing of 0.003 is below the valve's threshold
+        ([0.1, 0.0, 0.05, 0.06, 0.02], 2),
+        ([0.0, 0.002, 0.0, 0.002, 0.0], 0),
+        (np.repeat([0.0, 0.1, 0.0], 10), 1),
+        ([0.0, 0.004, 0.008, 0.012, 0.008, 0.004, 0.0], 1),  # small steps add up to a swing
+    ],
+)
+def test_reversals_are_turning_points_of_swings_that_a_valve_follows(command, count):
+    assert reversals(np.array(command)) == count
+    assert reversals(-np.array(command)) == count
+
+
+def test_a_sine_reverses_twice_a_period():
+    time = 0.005 * np.arange(1, 401)
+    zeros = np.zeros(400)
+    found = metrics_of(zeros, zeros, 0.005, command=0.3 * np.sin(2.0 * math.pi * 5.0 * time))
+    assert found["reversals_per_s"] == pytest.approx(10.0)

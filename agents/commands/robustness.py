@@ -1,0 +1,121 @@
+"""``hydro evaluate --protocol``: every controller under every condition of a protocol."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+from rich.box import SIMPLE
+from rich.table import Table
+
+from agents.robustness.conditions import Protocol, file_sha256, protocol_named
+from agents.robustness.participants import (
+    CONDITION_MARK,
+    SEED_MARK,
+    Participants,
+    participants,
+    shipped_controllers,
+    split_name,
+)
+from agents.robustness.running import JOBS_FOLDER, NOT_APPLICABLE, default_jobs, run_protocol
+from agents.robustness.tables import Tables, make_tables
+from agents.running.console import ProgressDisplay
+from agents.running.folders import output_folder
+from agents.running.machine import machine_description, package_versions
+from agents.study.settings import StudySettings
+from hydro_env import ConfigurationError
+from hydro_env.files import write_yaml
+
+PROTOCOL_FILE = "protocol.yaml"
+
+
+def evaluate_protocol(
+    name: str,
+    agents: Mapping[str, str],
+    study_file: Path | None,
+    output: Path | None,
+    jobs: int | None,
+    resume: bool,
+    overwrite: bool,
+    command: str,
+) -> None:
+    """Run a protocol and write its tables.
+
+    Args:
+        name: of the protocol in ``configs/protocols``, or the path of a YAML file.
+        agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
+        study_file: a study whose controllers take part; default: all that are shipped.
+        output: folder for the results; default: ``results/<name of the protocol>``.
+        jobs: number of jobs side by side; default: one per core.
+        resume: whether to use the finished jobs in the folder.
+        overwrite: whether to replace the results in the folder.
+        command: the command line.
+
+    Raises:
+        ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed
+            (after the results of the others are written).
+    """
+    protocol, file = protocol_named(name)
+    chosen = _participants(protocol, agents, study_file)
+    output = output if output is not None else Path("results") / file.stem
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv"]
+    with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
+        run = run_protocol(protocol, chosen, output, jobs or default_jobs(), display.update)
+        facts = {
+            "file": str(file),
+            "file_sha256": file_sha256(file),
+            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "command": command,
+            "machine": machine_description(),
+            **package_versions(),
+        }
+        tables = make_tables(protocol, chosen, run, list(facts.items()))
+        tables.write(output / "tables")
+        _print_ranking(tables, display)
+        display.say(f"tables: {(output / 'tables').resolve()}   protocol: SHA-256 {facts['file_sha256']}")
+    if run.errors:
+        more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
+        raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")
+
+
+def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
+    """The controllers of the protocol; an agent replaces the one of its name, or all of its training seeds."""
+    special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
+    general = {name: what for name, what in agents.items() if name not in special}
+    if study_file is None:
+        controllers = {**shipped_controllers(), **general}
+    else:
+        study = StudySettings.from_yaml(study_file).model_copy(update={"task": protocol.task})
+        controllers = dict(study.with_weights(general))  # type: ignore[arg-type]
+    seeded = {split_name(name)[0] for name in general if SEED_MARK in name}
+    controllers = {name: what for name, what in controllers.items() if name not in seeded or name in general}
+    return participants(controllers, protocol, special)
+
+
+def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
+    """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
+    baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
+    table = Table(title=f"Ratios to {baseline}; every condition and family weighs the same", box=SIMPLE, pad_edge=False)
+    table.add_column("controller", no_wrap=True)
+    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "energy", "fails", "cycles"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for _, row in tables.ranking.iterrows():
+        table.add_row(
+            str(row["controller"]),
+            f"{row['equal_weight']:.3f}",
+            f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
+            *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio", "energy_ratio")),
+            str(row["failures"]),
+            f"{row['limit_cycles']}/{row['standstills']}",
+        )
+    display.console.lines(table)
+    absent = tables.status[tables.status["status"] == NOT_APPLICABLE]
+    for condition, rows in absent.groupby("condition", sort=False):
+        display.say(f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}")
+
+
+def _reason(rows: pd.DataFrame) -> str:
+    return str(rows["message"].iloc[0])

@@ -1,0 +1,1 @@
+"""The robustness protocol: every controller under every condition, as independent jobs, with statistics and tables."""

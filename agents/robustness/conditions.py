@@ -1,0 +1,325 @@
+"""The protocol as data: named conditions, each a set of changes of the task, of the leak and of the plant."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, StringConstraints, model_validator
+
+from agents.running.cases import Cases
+from agents.running.folders import config_folder
+from agents.running.seeds import TEST_SEEDS
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.files import Group, read_text, read_yaml, validate
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
+from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT, merged
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
+
+FIRST_SEED = TEST_SEEDS.start + 200_000
+"""The first of 100 000 seeds that the protocol alone uses; the ordinary evaluation has others."""
+
+SEEDS_PER_FAMILY = 10_000
+DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
+Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
+Factor = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+class ControllerChoice(Group):
+    """The form of a controller that was tuned or trained for a condition."""
+
+    kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
+    settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
+    weights: str | None = Field(None, description="path of weights, for a trained controller")
+
+
+class Condition(Group):
+    """One condition: what differs from the task of the protocol. Only the plant and the sensors know of it."""
+
+    group: str = Field("other", description="conditions that belong together in tables and pictures")
+    label: str = Field("", description="short text for axes; default: the name")
+    description: str = ""
+    leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
+    families: tuple[str, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
+    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
+    task: dict[str, Any] = Field(default_factory=dict, description="changes of the task, as in its YAML")
+    parameters: dict[str, float | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
+    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters in parts of the nominal rig's")
+    noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
+    bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
+    rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
+    controllers: dict[str, ControllerChoice] = Field(
+        default_factory=dict, description="by name; controllers that were tuned or trained for this condition"
+    )
+
+    @model_validator(mode="after")
+    def _possible(self) -> Condition:
+        check_grid(self.leak_levels or (), self.families or ())
+        for name in ("parameters", "factors"):
+            for path in getattr(self, name):
+                if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
+                    raise ValueError(f"{name}: '{path}' is no parameter that a condition may set")
+                if name == "factors" and path in MODEL_CODES:
+                    raise ValueError(f"factors: '{path}' is a name, not a number")
+                if name == "factors" and path in self.parameters:
+                    raise ValueError(f"factors: '{path}' stands in parameters as well")
+        return self
+
+
+def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
+    """Check leak levels and families of references.
+
+    Raises:
+        ValueError: a level beyond the limit, an unknown family, or something that stands twice.
+    """
+    for level in levels:
+        if not 0.0 < level <= LEAKAGE_LIMIT:
+            raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
+    for family in families:
+        if family not in REFERENCE_FAMILIES:
+            raise ValueError(f"families: unknown '{family}'; known: {', '.join(REFERENCE_FAMILIES)}")
+    if "user" in families and len(families) > 1:
+        raise ValueError("families: 'user' must stand alone")
+    for name, values in (("leak_levels", levels), ("families", families)):
+        if len(set(values)) != len(values):
+            raise ValueError(f"{name}: holds something twice")
+
+
+class Sweep(Group):
+    """Conditions that fix one parameter of the plant after another at factors of the nominal rig's."""
+
+    group: str = "parameter"
+    leak_levels: tuple[float, ...] | None = Field(None, min_length=1)
+    families: tuple[str, ...] | None = Field(None, min_length=1)
+    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
+    factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
+
+    def conditions(self) -> dict[str, dict[str, Any]]:
+        """One condition per parameter and factor, as a mapping."""
+        shared = self.model_dump(exclude={"factors"}, exclude_none=True)
+        return {
+            f"{path.split('.')[1]}_x{factor:g}": {
+                **shared,
+                "label": f"{path.split('.')[1].replace('_', ' ')} × {factor:g}",
+                "factors": {path: factor},
+            }
+            for path, factors in self.factors.items()
+            for factor in factors
+        }
+
+
+class Protocol(Group):
+    """A robustness protocol; ``configs/protocols`` holds some."""
+
+    title: str = "Robustness"
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
+    families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
+    plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
+    chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
+    standstill_leak_levels: tuple[float, ...] = Field(
+        (0.03, 1.0, 8.0),
+        description="l/min; search for limit cycles under each condition that has no leak levels of its own",
+    )
+    standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
+    bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
+    bound_plants: int = Field(2, ge=1, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
+    worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
+    conditions: dict[Name, Condition] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _possible(self) -> Protocol:
+        check_grid(self.leak_levels, self.families)
+        check_grid(self.standstill_leak_levels, ())
+        for name in self.bound_conditions:
+            if name not in self.conditions:
+                raise ValueError(f"bound_conditions: '{name}' is no condition")
+        if "all" in self.conditions:
+            raise ValueError("conditions: 'all' is the name of their mean")
+        return self
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Protocol:
+        """Read a protocol; its key ``sweep`` adds the conditions of a :class:`Sweep`.
+
+        Task, rigs and settings of controllers may be paths of YAML files, relative to it.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key, impossible value, or a condition without a possible task.
+        """
+        values = read_yaml(path)
+        folder = Path(path).parent
+        if isinstance(values.get("task"), str):
+            file = _file(values["task"], folder, "tasks")
+            values["task"] = validate(TaskConfig, read_yaml(file), str(file))
+        conditions = values.get("conditions")
+        if "sweep" in values and isinstance(conditions, dict):
+            swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
+            twice = next((name for name in swept if name in conditions), None)
+            if twice is not None:
+                raise ConfigurationError(f"{path}: conditions.{twice}: stands in sweep as well")
+            values["conditions"] = conditions = {**conditions, **swept}
+        for condition in conditions.values() if isinstance(conditions, dict) else ():
+            if not isinstance(condition, dict):
+                continue
+            if isinstance(condition.get("rig"), str):
+                condition["rig"] = str(_file(condition["rig"], folder, "rigs"))
+            chosen = condition.get("controllers")
+            for choice in chosen.values() if isinstance(chosen, dict) else ():
+                if isinstance(choice, dict) and isinstance(choice.get("settings"), str):
+                    choice["settings"] = read_yaml(_file(choice["settings"], folder, "agents"))
+                if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
+                    choice["weights"] = str(folder / choice["weights"])
+        protocol = validate(cls, values, str(path))
+        try:
+            _ = protocol.tasks
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None
+        return protocol
+
+    @cached_property
+    def tasks(self) -> dict[str, TaskConfig]:
+        """The task under each condition.
+
+        Raises:
+            ConfigurationError: the changes give no possible task; the message names the condition.
+        """
+        return {name: self._task(name) for name in self.conditions}
+
+    def task_in(self, name: str) -> TaskConfig:
+        """The task under a condition."""
+        return self.tasks[name]
+
+    def _task(self, name: str) -> TaskConfig:
+        condition = self.conditions[name]
+        where = f"conditions.{name}"
+        base = self.task.model_dump()
+        if condition.rig is not None:
+            plant = validate(PlantParameters, read_yaml(condition.rig), condition.rig)
+            base |= {"plant": plant.model_dump(), "randomisation": {}}
+        values = merged(base, condition.task)
+        if condition.families == ("user",):
+            values = merged(values, {"references": {"weights": {"user": 1.0}}})
+        task = validate(TaskConfig, values, f"{where}: task")
+        sensors = {
+            channel: {
+                "noise": condition.noise_factor * getattr(task.sensors, channel).noise,
+                "bias": condition.bias_factor * getattr(task.sensors, channel).bias,
+            }
+            for channel in CHANNELS
+        }
+        return validate(TaskConfig, merged(task.model_dump(), {"sensors": sensors}), f"{where}: task")
+
+    def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
+        """Parameters of every plant that a condition fixes, as the option ``parameters`` of ``reset``."""
+        condition, plant = self.conditions[name], self.task_in(name).plant
+        fixed: dict[str, float | str] = dict(condition.parameters)
+        for path, factor in condition.factors.items():
+            group, field = path.split(".")
+            fixed[path] = factor * float(getattr(getattr(plant, group), field))
+        groups: dict[str, dict[str, float | str]] = {}
+        for path, value in fixed.items():
+            group, field = path.split(".")
+            groups.setdefault(group, {})[field] = value
+        return groups
+
+    def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """The cases of a condition, and a table with leak, family, plant and seed of each.
+
+        A plant has the same seed at every leak level and in every condition.
+        """
+        condition = self.conditions[name]
+        families = condition.families or self.families
+        table = _grid(condition.leak_levels or self.leak_levels, families, condition.plants or self.plants)
+        return self._cases(name, table), table
+
+    def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
+        levels = self.conditions[name].leak_levels or self.standstill_leak_levels
+        table = _grid(levels, ("user",), self.standstill_plants)
+        return self._cases(name, table), table
+
+    def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """Those cases of a condition for which the best found is computed, and their table as in :meth:`cases_in`."""
+        _, table = self.cases_in(name)
+        table = table[table["plant"] < self.bound_plants].reset_index(drop=True)
+        return self._cases(name, table), table
+
+    def _cases(self, name: str, table: pd.DataFrame) -> Cases:
+        families = table["family"].to_numpy().astype(str)
+        drawn = None if (families == "user").all() else families
+        levels = table["leakage_flow_lpm"].to_numpy(dtype=np.float64)
+        return Cases(table["seed"].to_numpy(np.int64), levels, drawn, self.parameters_in(name))
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the whole protocol with all that its files name, as sorted JSON."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def table(self) -> pd.DataFrame:
+        """One row per condition: group, label, description, changes (JSON), control period, number of cases."""
+        unchanged = {"group", "label", "description", "controllers"}
+        return pd.DataFrame(
+            [
+                {
+                    "condition": name,
+                    "group": condition.group,
+                    "label": condition.label or name,
+                    "description": condition.description,
+                    "changes": json.dumps(condition.model_dump(mode="json", exclude_defaults=True, exclude=unchanged)),
+                    "control_period_s": self.task_in(name).control_period,
+                    "cases": len(self.cases_in(name)[1]),
+                }
+                for name, condition in self.conditions.items()
+            ]
+        )
+
+
+def _grid(levels: Sequence[float], families: Sequence[str], plants: int) -> pd.DataFrame:
+    """One row per leak level, family and plant, with its seed."""
+    rows = [
+        (level, family, plant, FIRST_SEED + SEEDS_PER_FAMILY * REFERENCE_FAMILIES.index(family) + plant)
+        for level in levels
+        for family in families
+        for plant in range(plants)
+    ]
+    return pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant", "seed"])
+
+
+def protocol_named(name: str) -> tuple[Protocol, Path]:
+    """A protocol by its name in ``configs/protocols`` or by the path of a YAML file, and that file.
+
+    Raises:
+        ConfigurationError: there is no such protocol, or it is wrong.
+    """
+    folder = config_folder() / "protocols"
+    named = folder / f"{name}.yaml"
+    if named.is_file():
+        return Protocol.from_yaml(named), named
+    if not Path(name).is_file():
+        known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+        raise ConfigurationError(f"protocol '{name}': unknown; must be {known}, or the path of a YAML file")
+    return Protocol.from_yaml(name), Path(name)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a text file, as ``sha256sum`` prints it for a file of UTF-8 text.
+
+    Raises:
+        ConfigurationError: it cannot be read.
+    """
+    read_text(path)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _file(text: str, folder: Path, kind: str) -> Path:
+    """A file named by its path relative to a folder, or by its name in ``configs/<kind>``."""
+    named: Mapping[bool, Path] = {True: config_folder() / kind / f"{text}.yaml", False: folder / text}
+    return named[named[True].is_file()]

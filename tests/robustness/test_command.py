@@ -1,0 +1,84 @@
+"""``hydro evaluate --protocol``: tables, resumption, own agents, and one line for what is wrong."""
+
+import pandas as pd
+import pytest
+import yaml
+from command_line import assert_one_clear_line, hydro
+from small_protocol import SMALL
+
+AGENTS = """
+import numpy as np
+
+class Calm:
+    sees = {"leak": "no", "memory": "no"}
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.zeros((len(observation), 1)), None
+
+class Wild(Calm):
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.full((len(observation), 1), np.nan), None
+"""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """A folder with a small protocol and a module of agents."""
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(SMALL, sort_keys=False))
+    (tmp_path / "study.yaml").write_text("controllers:\n  PID: {kind: pid}\n")
+    (tmp_path / "robust_agents.py").write_text(AGENTS)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def evaluate(*arguments):
+    return hydro("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1", *arguments)
+
+
+def test_own_agents_and_training_seeds_stand_in_every_table(place):
+    answer = evaluate("--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
+    assert answer.returncode == 0, answer.stderr
+    tables = place / "results" / "own" / "tables"
+    assert set(pd.read_csv(tables / "ranking.csv")["controller"]) == {"PID", "calm"}
+    cases = pd.read_csv(tables / "cases.csv")
+    assert set(cases.loc[cases["controller"] == "calm", "training_seed"]) == {0, 1}
+    assert set(pd.read_csv(tables / "comparison.csv")["condition"]) == {"all", "plain", "late"}
+    assert pd.read_csv(tables / "sees.csv").set_index("controller").loc["calm", "memory"] == "no"
+    facts = pd.read_csv(tables / "protocol.csv").set_index("key")["value"]
+    assert facts["file_sha256"] in answer.stdout
+    assert facts["command"].startswith("hydro evaluate --protocol own.yaml")
+    assert "calm" in answer.stdout
+
+
+def test_a_failing_agent_is_named_and_the_others_stay(place):
+    answer = evaluate("-o", "out", "--agent", "wild=robust_agents:Wild")
+    assert_one_clear_line(answer, "wild under plain", "seed 22", "predict returned nan", "status.csv", "out holds")
+    assert set(pd.read_csv("out/tables/cases.csv")["controller"]) == {"PID"}
+
+
+def test_resuming_uses_the_finished_jobs(place):
+    assert evaluate("-o", "out").returncode == 0
+    first = pd.read_csv("out/tables/cases.csv")
+    assert_one_clear_line(evaluate("-o", "out"), "holds results already", "--resume goes on")
+    answer = evaluate("-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
+    assert answer.returncode == 0, answer.stderr
+    cases = pd.read_csv("out/tables/cases.csv")
+    pd.testing.assert_frame_equal(cases[cases["controller"] == "PID"].reset_index(drop=True), first, check_exact=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
+        (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
+        (("--protocol", "own.yaml", "--agent", "PID@noon=pid"), ("PID@noon", "NAME@CONDITION")),
+        (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
+        (("--resume",), ("--resume: needs --protocol",)),
+        (("--jobs", "2"), ("--jobs: needs --protocol",)),
+        (("--protocol", "own.yaml", "--jobs", "0"), ("--jobs", "equal to 1")),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):
+    before = sorted(place.iterdir())
+    assert_one_clear_line(hydro("evaluate", *arguments), *parts)
+    assert sorted(place.iterdir()) == before

@@ -1,0 +1,181 @@
+"""Conditions: what each changes, what it leaves alone, and what is refused."""
+
+import numpy as np
+import pytest
+import yaml
+from command_line import ROOT
+from small_protocol import SMALL, small
+
+from agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from agents.robustness.conditions import FIRST_SEED, Protocol, file_sha256, protocol_named
+from agents.running.seeds import TEST_SEEDS
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
+
+PROTOCOLS = ROOT / "configs" / "protocols"
+
+
+def plants_of(protocol, name):
+    """Parameters of every plant of a condition."""
+    cases, _ = protocol.cases_in(name)
+    env = ServoHydraulicVectorEnv(len(cases), protocol.task_in(name), info=False)
+    options = {"leakage_flow_lpm": cases.leakage_flow_lpm, "parameters": cases.parameters or {}}
+    env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
+    return [env.axes.parameters(axis) for axis in range(len(cases))]
+
+
+def test_factors_and_parameters_fix_every_plant_and_leave_the_other_draws_alone():
+    protocol = small(
+        conditions={
+            "plain": {},
+            "heavy": {"factors": {"load.mass": 2.0}, "parameters": {"valve.underlap": 0.04}},
+        }
+    )
+    plain, heavy = plants_of(protocol, "plain"), plants_of(protocol, "heavy")
+    assert {plant.load.mass for plant in heavy} == {2.0 * PlantParameters().load.mass}
+    assert {plant.valve.underlap for plant in heavy} == {0.04}
+    assert len({plant.load.mass for plant in plain}) > 2
+    assert [p.supply.pressure for p in plain] == [p.supply.pressure for p in heavy]
+    assert [p.load.viscous_damping for p in plain] == [p.load.viscous_damping for p in heavy]
+
+
+def test_the_controller_is_not_told_of_the_condition():
+    protocol = small(
+        conditions={"heavy": {"factors": {"load.mass": 2.0}}, "late": {"task": {"command_latency": 0.004}}}
+    )
+    assert protocol.task_in("heavy").plant == protocol.task.plant
+    assert protocol.task_in("late").command_latency == 0.004
+    assert protocol.task_in("late").sensors == protocol.task.sensors
+
+
+def test_noise_and_bias_are_multiplied_on_every_sensor():
+    protocol = small(conditions={"loud": {"noise_factor": 2.0}, "off": {"bias_factor": 3.0}})
+    own, loud, off = protocol.task.sensors, protocol.task_in("loud").sensors, protocol.task_in("off").sensors
+    for channel in ("position", "pressure_a", "pressure_b", "spool_position"):
+        assert getattr(loud, channel).noise == 2.0 * getattr(own, channel).noise > 0.0
+        assert getattr(loud, channel).bias == getattr(own, channel).bias
+        assert getattr(off, channel).bias == 3.0 * getattr(own, channel).bias > 0.0
+        assert getattr(off, channel).noise == getattr(own, channel).noise
+
+
+def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordinary_evaluation():
+    protocol = small()
+    (first, table), (second, _) = protocol.cases_in("plain"), protocol.cases_in("late")
+    np.testing.assert_array_equal(first.seeds, second.seeds)
+    assert len(table) == 2 * 2 * 3
+    for _, rows in table.groupby(["family", "plant"]):
+        assert rows["seed"].nunique() == 1
+        assert set(rows["leakage_flow_lpm"]) == {0.03, 4.0}
+    everything = protocol_named("robustness")[0]
+    own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
+    assert own.min() >= FIRST_SEED
+    assert own.max() < FIRST_SEED + 100_000 < TEST_SEEDS.stop
+    assert not set(own.tolist()) & set(tracking_cases(ProtocolSettings(plants=9_000))[0].seeds.tolist())
+
+
+def test_a_user_reference_is_followed():
+    protocol = small(conditions={"hold": {"families": ["user"], "task": {"references": {"user": [0.01]}}}})
+    cases, table = protocol.cases_in("hold")
+    assert cases.families is None
+    assert set(table["family"]) == {"user"}
+    env = ServoHydraulicVectorEnv(len(cases), protocol.task_in("hold"), info=False)
+    env.reset(seed=[int(seed) for seed in cases.seeds])
+    assert np.all(env.axes.reference == 0.01)
+
+
+def test_the_search_for_limit_cycles_has_its_own_cases():
+    protocol = small(standstill_leak_levels=[1.0], standstill_plants=4)
+    cases, table = protocol.standstill_cases_in("plain")
+    assert len(cases) == 4
+    assert set(table["leakage_flow_lpm"]) == {1.0}
+    assert cases.families is None
+
+
+def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
+    protocol, file = protocol_named("robustness")
+    assert file == PROTOCOLS / "robustness.yaml"
+    table = protocol.table()
+    assert {"leak", "leak_law", "schedule", "parameter", "supply_and_load", "timing", "sensors", "force", "rig"} == set(
+        table["group"]
+    )
+    assert table["label"].is_unique
+    # Every drawn parameter is varied by itself.
+    fixed = {path for entry in protocol.conditions.values() for path in (*entry.factors, *entry.parameters)}
+    assert set(protocol.task.randomisation) <= fixed
+    for path, draw in protocol.task.randomisation.items():
+        entries = [c.factors[path] for c in protocol.conditions.values() if path in c.factors]
+        group, field = path.split(".")
+        if draw.times is None and "external" not in path:
+            values = np.array(entries) * getattr(getattr(protocol.task.plant, group), field)
+            assert values.max() > draw.bounds[1] or path == "load.mass"
+            assert values.min() < draw.bounds[0]
+    assert len(protocol_named("quick")[0].table()) < 12
+
+
+def test_a_file_names_its_task_rigs_and_gains_by_path(tmp_path):
+    (tmp_path / "task.yaml").write_text("episode_duration: 0.5\n")
+    (tmp_path / "gains.yaml").write_text("proportional: 12.0\n")
+    entry = {"controllers": {"PID": {"kind": "pid", "settings": "gains.yaml"}}, "rig": "symmetric_eha"}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump({**SMALL, "task": "task.yaml", "conditions": {"rig": entry}}))
+    protocol = Protocol.from_yaml(tmp_path / "own.yaml")
+    assert protocol.task.episode_duration == 0.5
+    assert protocol.conditions["rig"].controllers["PID"].settings == {"proportional": 12.0}
+    assert protocol.task_in("rig").plant.load.mass == 20.0
+
+
+def test_the_digest_follows_everything_that_the_files_name(tmp_path):
+    path, gains = tmp_path / "own.yaml", tmp_path / "gains.yaml"
+    entry = {"controllers": {"PID": {"kind": "pid", "settings": "gains.yaml"}}}
+    path.write_text(yaml.safe_dump({**SMALL, "conditions": {"plain": entry}}))
+    gains.write_text("proportional: 12.0\n")
+    first, whole = Protocol.from_yaml(path).sha256, file_sha256(path)
+    assert Protocol.from_yaml(path).sha256 == first
+    gains.write_text("proportional: 13.0\n")
+    assert Protocol.from_yaml(path).sha256 != first
+    assert file_sha256(path) == whole
+
+
+def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
+    path = tmp_path / "own.yaml"
+    sweep = {"plants": 4, "leak_levels": [1.0], "factors": {"load.mass": [0.5, 2.0], "fluid.bulk_modulus": [0.8]}}
+    path.write_text(yaml.safe_dump({**SMALL, "sweep": sweep}, sort_keys=False))
+    protocol = Protocol.from_yaml(path)
+    assert list(protocol.conditions) == ["plain", "late", "mass_x0.5", "mass_x2", "bulk_modulus_x0.8"]
+    heavy = protocol.conditions["mass_x2"]
+    assert (heavy.group, heavy.plants, heavy.leak_levels) == ("parameter", 4, (1.0,))
+    assert heavy.factors == {"load.mass": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conditions": {"a": {"leak": [1.0]}}}, r"conditions\.a\.leak = \[1\.0\]: unknown key.*leak_levels"),
+        ({"conditions": {"a": {"leak_levels": [30.0]}}}, "30 l/min"),
+        ({"conditions": {"a": {"families": ["jump"]}}}, "unknown 'jump'"),
+        ({"conditions": {"a": {"families": ["user", "step"]}}}, "'user' must stand alone"),
+        ({"conditions": {"a": {"factors": {"load.weight": 2.0}}}}, "'load.weight' is no parameter"),
+        ({"conditions": {"a": {"factors": {"supply.model": 2.0}}}}, "a name, not a number"),
+        ({"conditions": {"a": {"factors": {"load.mass": 2.0}, "parameters": {"load.mass": 9.0}}}}, "as well"),
+        ({"conditions": {"a": {"parameters": {"leakage.internal_resistance": 1e12}}}}, "no parameter"),
+        ({"conditions": {"a": {"task": {"latency": 0.0}}}}, r"conditions\.a: task: latency.*unknown key"),
+        ({"conditions": {"a": {"task": {"command_latency": 0.1}}}}, r"conditions\.a: task.*0\.02"),
+        ({"conditions": {"all": {}}}, "'all' is the name"),
+        ({"conditions": {}}, "conditions"),
+        ({"conditions": {"a b": {}}}, "conditions"),
+        ({"plants": 2}, "plants = 2"),
+        ({"leak_levels": [1.0, 1.0]}, "twice"),
+        ({"sweep": {"factors": {"load.mass": [-1.0]}}}, "sweep"),
+        ({"sweep": {"factors": {"load.weight": [1.0]}}}, "load.weight"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):
+    path = tmp_path / "own.yaml"
+    path.write_text(yaml.safe_dump({**SMALL, **changes}))
+    with pytest.raises(ConfigurationError, match=message) as raised:
+        Protocol.from_yaml(path)
+    assert "\n" not in str(raised.value)
+    assert "own.yaml" in str(raised.value)
+
+
+def test_an_unknown_protocol_names_the_known_ones():
+    with pytest.raises(ConfigurationError, match="'robust': unknown; must be quick, robustness"):
+        protocol_named("robust")

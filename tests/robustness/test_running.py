@@ -1,0 +1,271 @@
+"""Jobs: merged results equal a run alone bit for bit, finished work is used again, failures stay where they are."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import ROOT
+from joblib import parallel_config
+from small_protocol import Broken, Proportional, small
+
+from agents.evaluation.metrics import METRICS
+from agents.robustness.jobs import Job, load_result, run_job, save_result
+from agents.robustness.participants import Participants, fingerprint, participants, sees, split_name
+from agents.robustness.running import DONE, FAILED, JOBS_FOLDER, NOT_APPLICABLE, replay, run_protocol
+from agents.robustness.tables import make_tables
+from agents.running.cases import ControllerError, run_cases
+from hydro_env import ConfigurationError, TaskConfig
+
+ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
+
+
+def two():
+    return Participants({"P": Proportional(), "PID": participants({"PID": "pid"}, small()).controllers["PID"]})
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """A protocol whose jobs ran one after another in this process."""
+    return run_protocol(small(**ROOM), two(), jobs=1)
+
+
+def assert_same(run, other):
+    pd.testing.assert_frame_equal(run.cases, other.cases, check_exact=True)
+    pd.testing.assert_frame_equal(run.limit_cycles, other.limit_cycles, check_exact=True)
+    pd.testing.assert_frame_equal(run.status, other.status)
+
+
+def test_every_case_has_its_row(alone):
+    assert len(alone.cases) == 2 * 2 * 12
+    assert set(METRICS) <= set(alone.cases.columns)
+    assert (alone.status["status"] == DONE).all()
+    assert len(alone.limit_cycles) == 2 * 2 * 3
+    direct = run_cases(small().task, Proportional(), small().cases_in("plain")[0])
+    error = 1e3 * np.abs(direct.reference.astype(np.float64) - direct.position).mean(axis=1)
+    own = alone.cases[(alone.cases["controller"] == "P") & (alone.cases["condition"] == "plain")]
+    np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_jobs_side_by_side_give_the_same_bits(alone, backend):
+    with parallel_config(backend=backend, n_jobs=2):
+        assert_same(run_protocol(small(**ROOM), two()), alone)
+
+
+def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path):
+    class InterruptedError(Exception):
+        pass
+
+    def stop(phase, done, total):
+        if done == 3:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        run_protocol(small(**ROOM), two(), tmp_path, jobs=1, progress=stop)
+    assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
+    counts = []
+    run = run_protocol(small(**ROOM), two(), tmp_path, jobs=1, progress=lambda *report: counts.append(report))
+    assert run.reused == 3
+    assert counts[0][1] == 3
+    assert counts[-1][1] == counts[-1][2]
+    assert_same(run, alone)
+    again = run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
+    assert again.reused == counts[-1][2]
+    assert_same(again, alone)
+
+
+def test_damaged_results_are_computed_again(alone, tmp_path):
+    run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
+    files = sorted((tmp_path / JOBS_FOLDER).iterdir())
+    files[0].write_bytes(b"")
+    files[1].write_bytes(files[1].read_bytes()[:-40])
+    np.savez(files[2].with_suffix(""), mean_error_mm=np.array([object()], dtype=object))
+    with np.load(files[3]) as stored:
+        np.savez(files[3].with_suffix(""), **{name: stored[name][:1] for name in stored.files})
+    run = run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
+    assert run.reused == len(files) - 4
+    assert_same(run, alone)
+
+
+def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
+    first = run_protocol(small(), Participants({"P": Proportional()}), tmp_path, jobs=1)
+    other = run_protocol(small(), Participants({"P": Proportional(20.0)}), tmp_path, jobs=1)
+    assert other.reused == 0
+    assert not first.cases["mean_error_mm"].equals(other.cases["mean_error_mm"])
+
+
+def test_a_result_is_read_as_it_was_written(tmp_path):
+    protocol = small()
+    cases, table = protocol.cases_in("plain")
+    families = table["family"].to_numpy().astype(str)
+    job = Job("P", "plain", Proportional(), protocol.task, cases, families, digest="d")
+    result = run_job(job)
+    save_result(tmp_path / job.file, result)
+    stored = load_result(tmp_path / job.file, job)
+    assert list(stored.metrics) == list(METRICS)
+    for name, values in result.metrics.items():
+        np.testing.assert_array_equal(stored.metrics[name], values)
+    assert load_result(tmp_path / "none.npz", job) is None
+
+
+def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
+    conditions = {"few": {"families": ["step"]}, "more": {"families": ["sine"]}}
+    run = run_protocol(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
+    assert len(run.limit_cycles) == 2 * 3
+    by_condition = [rows["amplitude_um"].tolist() for _, rows in run.limit_cycles.groupby("condition")]
+    assert by_condition[0] == by_condition[1]
+    files = list((tmp_path / JOBS_FOLDER).iterdir())
+    assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
+
+
+def strong(config, cases):
+    """Stands for the best found."""
+    return run_cases(config, Proportional(60.0), cases)
+
+
+def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
+    protocol = small(bound_conditions=["late"], bound_plants=2)
+    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)})
+    run = run_protocol(protocol, chosen, jobs=1, best_found=strong)
+    assert set(run.bound["condition"]) == {"late"}
+    assert len(run.bound) == 2 * 2 * 2
+    tables = make_tables(protocol, chosen, run)
+    row = tables.comparison.set_index("condition").loc["late"]
+    own = run.cases[(run.cases["condition"] == "late") & (run.cases["plant"] < 2)]
+    means = own.groupby("controller")["mean_error_mm"].mean()
+    best = run.bound["mean_error_mm"].mean()
+    assert row["gap"] == pytest.approx((means["P"] - means["Q"]) / (means["P"] - best))
+    assert "best found" not in set(tables.ranking["controller"])
+    assert len(tables.bound) == 8
+
+
+# Failures ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_controller_that_returns_nan_loses_its_results_alone():
+    run = run_protocol(small(), Participants({"P": Proportional(), "mine": Broken()}), jobs=1)
+    assert set(run.cases["controller"]) == {"P"}
+    assert run.status.set_index(["controller", "condition"]).loc[("mine", "plain"), "status"] == FAILED
+    assert run.errors[0].startswith("mine under plain: seed 22")
+    assert "predict returned nan" in run.errors[0]
+    assert all("\n" not in error for error in run.errors)
+
+
+def test_a_controller_that_fails_under_one_condition_keeps_the_others():
+    class Fussy(Proportional):
+        def predict(self, observation, state=None, episode_start=None, deterministic=True):
+            if len(observation) == 2:
+                raise RuntimeError("two axes are too few")
+            return super().predict(observation, state)
+
+    conditions = {"plain": {}, "few": {"plants": 4, "leak_levels": [0.03], "families": ["step", "sine"]}}
+    run = run_protocol(
+        small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}), jobs=1
+    )
+    assert set(run.cases.loc[run.cases["controller"] == "fussy", "condition"]) == {"plain"}
+    assert len(run.errors) == 1
+    assert "fussy under few" in run.errors[0]
+    assert "RuntimeError: two axes are too few" in run.errors[0]
+
+
+def test_when_nobody_runs_the_first_reason_is_told():
+    with pytest.raises(ControllerError, match=r"no controller ran under any condition.*returned nan"):
+        run_protocol(small(), Participants({"mine": Broken()}), jobs=1)
+
+
+def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():
+    conditions = {"plain": {}, "bent": {"parameters": {"load.external_force": 9e4}}}
+    run = run_protocol(small(conditions=conditions), Participants({"P": Proportional()}), jobs=1)
+    assert set(run.cases["condition"]) == {"plain"}
+    assert "P under bent: the condition cannot begin:" in run.errors[0]
+
+
+# Who runs where ------------------------------------------------------------------------------------------------------
+
+
+def test_other_periods_and_rigs_need_controllers_of_their_own():
+    conditions = {
+        "plain": {},
+        "slow": {"task": {"control_period": 0.01}},
+        "rig": {"rig": str(ROOT / "configs" / "rigs" / "symmetric_eha.yaml")},
+    }
+    protocol = small(conditions=conditions)
+    chosen = participants({"PID": "pid"}, protocol)
+    run = run_protocol(protocol, chosen, jobs=1)
+    status = run.status.set_index("condition")
+    assert status.loc["plain", "status"] == DONE
+    assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
+    assert "10 ms" in status.loc["slow", "message"]
+    assert not run.errors
+    tuned = participants({"PID": "pid"}, protocol, {"PID@slow": "pid"})
+    assert set(run_protocol(protocol, tuned, jobs=1).cases["condition"]) == {"plain", "slow"}
+    choice = {"PID": {"kind": "pid", "settings": {"proportional": 15.0}}}
+    named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
+    ready = participants({"PID": "pid"}, named)
+    assert ready.of("PID", "slow", named).gains.proportional == 15.0
+    assert ready.of("PID", "slow", named).layout.control_period == 0.01
+    assert ready.of("PID", "plain", named).layout.control_period == 0.005
+
+
+@pytest.mark.parametrize(
+    ("special", "message"),
+    [
+        ({"PID@never": "pid"}, "PID@never: must be NAME@CONDITION"),
+        ({"PPO@plain": "pid"}, "PPO@plain: must be NAME@CONDITION"),
+        ({"PID@plain": "nothing"}, "PID@plain"),
+    ],
+)
+def test_a_controller_for_an_unknown_condition_is_refused(special, message):
+    with pytest.raises(ConfigurationError, match=message):
+        participants({"PID": "pid"}, small(), special)
+
+
+def test_names_hold_training_seeds():
+    assert split_name("PPO#12") == ("PPO", 12)
+    assert split_name("PPO") == ("PPO", 0)
+    for name in ("PPO#", "PPO#x", "#1", "PPO#-1"):
+        with pytest.raises(ConfigurationError, match="must be NAME"):
+            split_name(name)
+    with pytest.raises(ConfigurationError, match="same training seed"):
+        participants({"PID": "pid", "PID#0": "pid"}, small())
+
+
+def test_training_seeds_are_rows_of_one_controller():
+    chosen = Participants({"P#0": Proportional(), "P#1": Proportional(25.0)})
+    run = run_protocol(small(), chosen, jobs=1)
+    assert set(run.cases["controller"]) == {"P"}
+    assert set(run.cases["training_seed"]) == {0, 1}
+
+
+def test_a_case_can_be_replayed(alone):
+    protocol, chosen = small(**ROOM), two()
+    row = alone.cases[alone.cases["condition"] == "late"].iloc[-1].to_dict()
+    rollout = replay(protocol, chosen, row)
+    assert rollout.position.shape == (1, protocol.task.steps)
+    error = 1e3 * np.abs(rollout.reference.astype(np.float64) - rollout.position).mean()
+    assert error == pytest.approx(row["mean_error_mm"], rel=1e-6)
+    assert rollout.leakage_flow_lpm[0] == row["leakage_flow_lpm"]
+
+
+def test_what_a_controller_sees_is_found_or_declared():
+    protocol = small()
+    pid = participants({"PID": "pid"}, protocol).controllers["PID"]
+    found = sees("PID", pid, protocol.task)
+    assert (found.leak, found.preview) == ("no", "40 ms")
+    assert "integral" in found.memory
+    assert "pressure_a" in found.signals
+    ppo = participants({"PPO": "ppo"}, protocol).controllers["PPO"]
+    assert sees("PPO", ppo, protocol.task).note.startswith("corrects")
+    teller = Proportional()
+    teller.sees = {"leak": "yes", "note": "told by the operator"}
+    assert sees("mine", teller, TaskConfig()).leak == "yes"
+    teller.sees = {"leek": "yes"}
+    with pytest.raises(ConfigurationError, match=r"mine: sees: leek.*unknown key"):
+        sees("mine", teller, TaskConfig())
+
+
+def test_fingerprints_differ_where_numbers_differ():
+    assert fingerprint(Proportional()) == fingerprint(Proportional())
+    assert fingerprint(Proportional()) != fingerprint(Proportional(31.0))
+    closed = Proportional()
+    closed.hook = lambda: None
+    assert fingerprint(closed) == ""

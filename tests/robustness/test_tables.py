@@ -1,0 +1,216 @@
+"""Tables of a protocol from cases whose answers are known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from small_protocol import Proportional, small
+
+from agents.evaluation.metrics import METRICS
+from agents.robustness.comparison import Grid
+from agents.robustness.participants import Participants
+from agents.robustness.running import run_protocol
+from agents.robustness.tables import (
+    Tables,
+    comparison_table,
+    families_table,
+    make_tables,
+    profile_table,
+    ranking_table,
+    summary_table,
+    worst_table,
+)
+
+FAMILIES, LEAKS, PLANTS = ("step", "sine"), (0.03, 4.0), 6
+BASE = {"step": 0.5, "sine": 0.1}
+
+
+def rows(controller, factor, condition="plain", group="leak", seed=0, scatter=0.0):
+    """Cases of a controller whose error is ``factor`` times that of the baseline, which grows with the plant."""
+    generator = np.random.default_rng(seed)
+    table = []
+    for leak in LEAKS:
+        for number, family in enumerate(FAMILIES):
+            for plant in range(PLANTS):
+                hardness = BASE[family] * (1.0 + 0.3 * plant) * (1.0 + 0.1 * leak)
+                error = hardness * factor * np.exp(scatter * generator.normal())
+                values = dict.fromkeys(METRICS, 1.0) | {
+                    "mean_error_mm": error,
+                    "valve_travel_per_s": 4.0 * factor,
+                    "failed": 0.0,
+                }
+                table.append(
+                    {
+                        "condition": condition,
+                        "group": group,
+                        "controller": controller,
+                        "training_seed": seed,
+                        "family": family,
+                        "leakage_flow_lpm": leak,
+                        "plant": plant,
+                        "seed": 1000 * number + plant,
+                        **values,
+                    }
+                )
+    return pd.DataFrame(table)
+
+
+def joined(*frames):
+    return pd.concat(frames, ignore_index=True)
+
+
+@pytest.fixture(scope="module")
+def cases():
+    return joined(
+        rows("PID", 1.0), rows("good", 0.5), rows("PID", 1.0, "late", "timing"), rows("good", 0.8, "late", "timing")
+    )
+
+
+def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
+    table = comparison_table(Grid(cases)).set_index("condition")
+    for name in ("ratio", "equal_weight", "iqm_ratio", "worst_ratio"):
+        assert table.loc["plain", name] == pytest.approx(0.5)
+        assert table.loc["late", name] == pytest.approx(0.8)
+    assert table.loc["plain", "ratio_low"] == table.loc["plain", "ratio_high"] == pytest.approx(0.5)
+    assert table.loc["all", "equal_weight"] == pytest.approx(np.sqrt(0.5 * 0.8))
+    assert table.loc["all", "ratio"] == pytest.approx(0.65)  # both conditions have the same errors of the baseline
+    assert table.loc["all", "worst_ratio"] == pytest.approx(0.8)
+    assert (table[["share_better", "probability_of_improvement"]] == 1.0).all(axis=None)
+    assert table.loc["plain", "travel_ratio"] == pytest.approx(0.5)
+    assert table.loc["all", "travel_ratio"] == pytest.approx(0.65)
+    assert table["cases"].tolist() == [48, 24, 24]
+    assert table["gap"].isna().all()
+
+
+def test_the_gap_is_a_share_of_the_way_to_the_best_found(cases):
+    bound = rows("best", 0.25)
+    table = comparison_table(Grid(cases, bound)).set_index("condition")
+    assert table.loc["plain", "gap"] == pytest.approx((1.0 - 0.5) / (1.0 - 0.25))
+    assert np.isnan(table.loc["late", "gap"])
+    assert table.loc["all", "gap"] == pytest.approx(2.0 / 3.0)  # over the cases of the bound alone
+
+
+def test_families_of_the_leak_conditions(cases):
+    mixed = joined(cases, rows("PID", 1.0, "odd", "force"), rows("good", 9.0, "odd", "force"))
+    table = families_table(Grid(mixed), mixed)
+    assert table["family"].tolist() == ["step", "sine"]
+    np.testing.assert_allclose(table["ratio"], 0.5)
+
+
+def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
+    partial = joined(cases, rows("part", 0.5))
+    comparison = comparison_table(Grid(partial))
+    own = comparison[comparison["controller"] == "part"].set_index("condition")
+    assert list(own.index) == ["all", "plain"]
+    assert own.loc["all", "ratio"] == pytest.approx(0.5)
+    assert own.loc["all", "cases"] == 24
+    ranking = ranking_table(Grid(partial), comparison, fake_run(partial))
+    assert ranking.set_index("controller").loc["part", "conditions"] == 1
+
+
+def fake_run(cases):
+    from agents.robustness.running import ProtocolRun
+
+    names = cases["controller"].unique()
+    status = pd.DataFrame(
+        [(name, "plain", "done", "") for name in names] + [("good#1", "late", "failed", "why")],
+        columns=["controller", "condition", "status", "message"],
+    )
+    cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
+    return ProtocolRun(cases, cycles, None, status, 0)
+
+
+def test_the_ranking_puts_the_best_first_with_its_price(cases):
+    grid = Grid(cases)
+    table = ranking_table(grid, comparison_table(grid), fake_run(cases))
+    assert table["controller"].tolist() == ["good", "PID"]
+    assert table["rank"].tolist() == [1, 2]
+    good, pid = table.iloc[0], table.iloc[1]
+    assert (good["best_in"], good["conditions"], good["failed_conditions"]) == (2, 2, 1)
+    assert (pid["limit_cycles"], pid["standstills"], good["limit_cycles"]) == (2, 2, 0)
+    assert (pid["equal_weight"], pid["gap"], pid["worst_ratio"]) == (1.0, 0.0, 1.0)
+    assert good["travel_ratio"] == pytest.approx(0.65)
+
+
+def test_training_seeds_count_as_one_controller():
+    cases = joined(rows("PID", 1.0), rows("P", 0.5, seed=0), rows("P", 1.5, seed=1))
+    grid = Grid(cases)
+    row = comparison_table(grid).set_index("condition").loc["plain"]
+    assert row["ratio"] == pytest.approx(1.0)
+    assert row["share_better"] == row["probability_of_improvement"] == 0.5
+    assert row["ratio_low"] == pytest.approx(0.5)  # a resampling may draw the same seed twice
+    assert row["ratio_high"] == pytest.approx(1.5)
+    summary = summary_table(grid, cases)
+    own = summary[(summary["controller"] == "P") & (summary["metric"] == "mean_error_mm")]
+    assert set(own["training_seeds"]) == {2}
+    assert set(own["cases"]) == {48}
+
+
+def test_the_summary_names_the_worst_case(cases):
+    table = summary_table(Grid(cases), cases)
+    row = table[(table["controller"] == "PID") & (table["metric"] == "mean_error_mm")].set_index("condition").loc["all"]
+    assert row["worst"] == pytest.approx(0.5 * 2.5 * 1.4)
+    assert (row["worst_family"], row["worst_leakage_flow_lpm"], row["worst_seed"]) == ("step", 4.0, 5)
+    own = cases.loc[cases["controller"] == "PID", "mean_error_mm"]
+    assert row["mean"] == pytest.approx(own.mean())
+    assert row["mean_low"] < row["mean"] < row["mean_high"]
+    assert row["iqm_low"] <= row["iqm"] <= row["iqm_high"]
+
+
+def test_profiles_rise_from_the_share_of_wins_to_one(cases):
+    table = profile_table(Grid(cases)).set_index(["controller", "against", "tau"])["share"].sort_index()
+    assert table["good", "best"].tolist() == [1.0] * 41
+    pid = table["PID", "best"]
+    assert pid.iloc[0] == 0.0
+    assert pid[pid.index < 1.24].max() == 0.0
+    assert pid[(pid.index > 1.26) & (pid.index < 1.99)].unique().tolist() == [0.5]
+    assert pid[pid.index > 2.01].min() == 1.0
+    good = table["good", "baseline"]
+    assert good[good.index < 0.49].max() == 0.0
+    assert good[good.index > 0.81].min() == 1.0
+
+
+def test_profiles_count_the_conditions_that_all_share(cases):
+    partial = joined(cases, rows("part", 0.25))
+    table = profile_table(Grid(partial)).set_index(["controller", "against", "tau"])["share"].sort_index()
+    assert table["good", "best"].iloc[0] == 0.0  # 'late', where it is the best, does not count
+
+
+def test_worst_cases_can_be_found_again():
+    cases = joined(rows("PID", 1.0), rows("odd", 0.9, scatter=0.5, seed=0))
+    table = worst_table(cases, "PID", 3)
+    own = table[table["controller"] == "odd"]
+    assert own["rank"].tolist() == [1, 2, 3]
+    assert own["ratio"].is_monotonic_decreasing
+    base = cases[cases["controller"] == "PID"].set_index(["family", "leakage_flow_lpm", "plant"])["mean_error_mm"]
+    first = own.iloc[0]
+    where = (first["family"], first["leakage_flow_lpm"], first["plant"])
+    assert first["ratio"] == pytest.approx(first["mean_error_mm"] / base[where])
+    pid = table[table["controller"] == "PID"]
+    assert pid["mean_error_mm"].is_monotonic_decreasing
+    assert pid.iloc[0]["mean_error_mm"] == cases.loc[cases["controller"] == "PID", "mean_error_mm"].max()
+
+
+def test_all_tables_of_a_run_are_written(tmp_path):
+    protocol = small(standstill_plants=3)
+    chosen = Participants({"P": Proportional(), "Q": Proportional(20.0)})
+    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1), [("date", "today")])
+    tables.write(tmp_path)
+    assert {file.stem for file in tmp_path.iterdir()} == set(Tables.__dataclass_fields__) - {"bound"}
+    facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
+    assert facts["sha256"] == protocol.sha256
+    assert (facts["baseline"], facts["date"]) == ("P", "today")
+    assert pd.read_csv(tmp_path / "conditions.csv")["changes"].tolist() == [
+        "{}",
+        '{"task": {"command_latency": 0.004}}',
+    ]
+    assert set(tables.worst_cases["controller"]) == {"P", "Q"}
+    assert (tables.worst_cases.groupby("controller").size() == 2).all()
+
+
+def test_one_controller_has_no_comparison():
+    protocol = small(conditions={"plain": {}})
+    chosen = Participants({"P": Proportional()})
+    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1))
+    assert tables.comparison.empty
+    assert tables.families.empty
+    assert tables.ranking["controller"].tolist() == ["P"]
