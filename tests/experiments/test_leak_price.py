@@ -32,10 +32,13 @@ def test_a_tight_seal_stalls_at_the_force_of_full_pressure():
 
 
 def test_the_speed_lost_is_about_the_leak_over_the_area():
-    """At no load, v falls by less than the largest leak over the smaller area."""
+    """Against a load, v falls by less than the largest leak over the smaller area; helped by one, it rises."""
     leaking = without_a_leak().replace(leakage={"internal_resistance": resistance_from_flow(4.0)})
-    lost = full_command_speed(without_a_leak(), 1.0, 0.0) - full_command_speed(leaking, 1.0, 0.0)
-    assert 0.0 < lost < 70e5 / resistance_from_flow(4.0) / plant_coefficients(leaking).area_b
+    lost, gained = (
+        full_command_speed(without_a_leak(), 1.0, force) - full_command_speed(leaking, 1.0, force)
+        for force in (3000.0, -3000.0)
+    )
+    assert gained < 0.0 < lost < 70e5 / resistance_from_flow(4.0) / plant_coefficients(leaking).area_b
 
 
 @pytest.mark.parametrize("law", ["laminar", "orifice"])
