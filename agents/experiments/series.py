@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import pandas as pd
+from joblib import Parallel, delayed
 
 from agents.controllers.base import Controller
 from agents.experiments.frequency import frequency_response
@@ -30,6 +31,7 @@ def run_experiments(
     controllers: Mapping[str, Controller],
     plants: int | None = None,
     first_seed: int = FIRST_SEED,
+    jobs: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
     """Run every experiment on every controller.
@@ -41,28 +43,35 @@ def run_experiments(
         controllers: by name.
         plants: number of plants; default: that of each experiment.
         first_seed: seed of the first plant.
-        progress: called with the experiment and the controller, the number of pairs done, and their total.
+        jobs: number of pairs that run side by side through joblib; does not change results.
+        progress: called with the name of the phase, the number of finished pairs, and their total.
 
     Returns:
         Tables by name (those of :data:`EXPERIMENTS`, and ``leak_price``), and the message of each controller that
         raised an exception or returned no finite commands; its rows are missing, those of the others stay.
     """
-    size: dict[str, Any] = {} if plants is None else {"plants": plants}
+    size: dict[str, Any] = {"first_seed": first_seed} | ({} if plants is None else {"plants": plants})
+    pairs = [(experiment, name) for experiment in EXPERIMENTS for name in controllers]
+    calls = [delayed(_run)(experiment, config, name, controllers[name], size) for experiment, name in pairs]
     parts: dict[str, list[pd.DataFrame]] = {name: [] for name in EXPERIMENTS}
     errors: dict[str, str] = {}
-    pairs = [(experiment, name) for name in controllers for experiment in EXPERIMENTS]
-    for done, (experiment, name) in enumerate(pairs):
+    answers = Parallel(n_jobs=jobs, return_as="generator")(calls)
+    for done, ((experiment, name), (table, error)) in enumerate(zip(pairs, answers, strict=True), 1):
+        if error:
+            errors.setdefault(name, f"{name}: {experiment}: {error}")
+        else:
+            parts[experiment].append(table)
         if progress is not None:
-            progress(f"{experiment}, {name}", done, len(pairs))
-        if name in errors:
-            continue
-        try:
-            table = EXPERIMENTS[experiment](config, {name: controllers[name]}, first_seed=first_seed, **size)
-        except ControllerError as error:
-            errors[name] = f"{name}: {experiment}: {error}"
-            continue
-        parts[experiment].append(table)
-    if progress is not None:
-        progress("experiments", len(pairs), len(pairs))
+            progress("experiments", done, len(pairs))
     tables = {name: pd.concat(frames, ignore_index=True) for name, frames in parts.items() if frames}
     return {**tables, "leak_price": leak_price(config)}, errors
+
+
+def _run(
+    experiment: str, config: TaskConfig, name: str, controller: Controller, size: Mapping[str, Any]
+) -> tuple[pd.DataFrame, str]:
+    """The rows of one controller, or the message of its failure."""
+    try:
+        return EXPERIMENTS[experiment](config, {name: controller}, **size), ""
+    except ControllerError as error:
+        return pd.DataFrame(), str(error)

@@ -165,6 +165,39 @@ def standstill_tables(record: Record) -> list[Table]:
     ]
 
 
+def cycles_by_condition(record: Record) -> list[Table]:
+    """Limit cycles at mid-stroke under every condition in which any controller has one."""
+    table = record.table("limit_cycles")
+    if table.empty:
+        return []
+    counts = table.groupby(["condition", "controller"], sort=False)["limit_cycle"].agg(["sum", "count"]).astype(int)
+    rows = []
+    for condition in table["condition"].unique():
+        own = {name: counts.loc[(condition, name)] for name in record.names if (condition, name) in counts.index}
+        if any(part["sum"] for part in own.values()):
+            cells = [f"{own[name]['sum']} of {own[name]['count']}" if name in own else "–" for name in record.names]
+            rows.append((record.label(str(condition)), *cells))
+    quiet = table["condition"].nunique() - len(rows)
+    caption = f"Limit cycles by condition; none under the other {quiet}" if quiet else "Limit cycles by condition"
+    return [Table(caption, ("Condition", *record.names), rows)] if rows else []
+
+
+def energy_table(record: Record) -> list[Table]:
+    """Energy that a run takes from the supply at each leak, under every controller."""
+    conditions, summary = record.table("conditions"), record.table("summary")
+    if conditions.empty:
+        return []
+    leaks = [str(name) for name in conditions.loc[conditions["group"] == "leak", "condition"]]
+    energy = summary[summary["metric"] == "supply_energy_j"].set_index(["controller", "condition"])["mean"]
+    rows = [
+        (name, *(number(float(energy.get((name, leak), np.nan)), 0) for leak in leaks))
+        for name in record.names
+        if any((name, leak) in energy.index for leak in leaks)
+    ]
+    header = ("Controller", *(record.label(leak) for leak in leaks))
+    return [Table("Energy from the supply, J per run, by leak", header, rows)] if rows else []
+
+
 def _cycles(part: pd.DataFrame) -> str:
     found = part[part["limit_cycle"].astype(bool)].sort_values("amplitude_um")
     if found.empty:

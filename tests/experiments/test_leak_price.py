@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from agents.experiments.leak_price import full_command_speed, leak_price, stall_force
-from agents.experiments.series import EXPERIMENTS, run_experiments
 from hydro_env import TaskConfig, resistance_from_flow
 from hydro_env.plant.analysis import full_pressure_forces, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
-from tests.experiments.proportional import Proportional
 
 
 def without_a_leak():
@@ -54,21 +52,3 @@ def test_a_place_that_a_leak_makes_impossible_has_no_price():
     row = leak_price(TaskConfig(), [20.0], place=0.097).iloc[0]
     assert np.isnan(row["holding_power_w"])
     assert row["speed_out_mm_s"] == 0.0
-
-
-class Broken:
-    """A controller that returns NaN."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full((len(observation), 1), np.nan), None
-
-
-def test_a_broken_controller_loses_its_own_rows_only():
-    config, seen = TaskConfig(), []
-    controllers = {"broken": Broken(), "P": Proportional(100.0, config)}
-    tables, errors = run_experiments(config, controllers, plants=1, progress=lambda *args: seen.append(args))
-    assert set(errors) == {"broken"}
-    assert errors["broken"].startswith("broken: frequency: ")
-    assert set(tables) == {*EXPERIMENTS, "leak_price"}
-    assert all(set(tables[name]["controller"]) == {"P"} for name in EXPERIMENTS)
-    assert seen[-1][1:] == (2 * len(EXPERIMENTS), 2 * len(EXPERIMENTS))

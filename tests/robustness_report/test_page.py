@@ -11,7 +11,7 @@ from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import contrast, heat_map
 from agents.robustness_report.page import render_page, write_page
 from agents.robustness_report.record import Record, worst_traces
-from agents.robustness_report.tables import standstill_tables, stiffness_table
+from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
@@ -117,6 +117,16 @@ def test_limit_cycles_are_counted_per_leak(record):
     assert cycles.rows[0] == ("PID", "2 of 2 (42 µm, 8.0 Hz)", "0 of 2")
     assert cycles.rows[1] == ("Good", "0 of 2", "0 of 2")
     assert rest.rows[0] == ("PID", "20.0", "1.0", "1.50")
+
+
+def test_conditions_without_a_limit_cycle_are_only_counted(record):
+    table = cycles_by_condition(record)[0]
+    assert table.caption.endswith("none under the other 1")
+    assert table.rows == [("0.01 l/min", "1 of 2", "0 of 1", "–")]
+
+
+def test_energy_is_told_for_every_leak(record):
+    assert energy_table(record)[0].rows[0] == ("PID", "300", "300")
 
 
 def test_worst_cases_are_run_again_with_the_baseline_beside_them(record):
