@@ -26,11 +26,11 @@ PLACES = (0.0, 0.3, -0.3)
 KICK, KICK_SHARE = 0.5, 0.01
 """s until the reference returns from a first step, and the step's share of the range of references."""
 
-SETTLING, JUDGED = 1.5, 3.0
+SETTLING, JUDGED = 1.5, 6.0
 """s from then on until the axis is judged, and for how long."""
 
 LEAST_CYCLES = 3
-"""Cycles that the judged time must hold; slower motion is drift."""
+"""Cycles that the judged time must hold; a slower motion, below 0.5 Hz, is drift."""
 
 LASTING = 0.5
 """An oscillation whose last third has less than this share of its amplitude is dying out."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,12 @@ def findings(record: Record) -> list[Finding]:
         items.append(_standstill(record))
     if not record.table("leak_price").empty:
         items.append(_price(record))
-    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
+    return [Finding(_unbroken(item.lead), _unbroken(item.text)) for item in items]
+
+
+def _unbroken(text: str) -> str:
+    """The text with every number kept on one line with its unit or its ×."""
+    return re.sub(r"(?<=\d) (?=×|µm|Hz|W\b)", "\u00a0", unbroken(text))
 
 
 def verdict(value: Interval) -> str:
@@ -83,8 +89,10 @@ def _controller(record: Record, name: str) -> Finding:
     whole = _ratio(record, name)
     kinds = _by_verdict(record, name)
     ran = sum(len(conditions) for conditions in kinds.values())
-    lead = f"{name} beats {base} in {len(kinds['better'])} of {ran} conditions"
-    lead += f" and loses in {len(kinds['worse'])}." if kinds["worse"] else " and loses in none."
+    won, lost = len(kinds["better"]), len(kinds["worse"])
+    lead = f"{name} beats {base} in {won} of {ran} conditions and loses in {lost or 'none'}."
+    if won == 0:
+        lead = f"{name} nowhere beats {base}, and loses in {lost or 'none'} of {ran} conditions."
     text = f"Mean error {interval_text(interval(row, 'ratio'), decimals=2)}, "
     text += f"equal weights {interval_text(whole, decimals=2)}"
     better = interval(row, "share_better")

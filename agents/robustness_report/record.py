@@ -10,7 +10,7 @@ import pandas as pd
 
 from agents.evaluation.statistics import Interval
 from agents.report.report import Example
-from agents.report.text import number, setting
+from agents.report.text import family_name, number, setting
 from agents.running.cases import Rollout
 
 ALL = "all"
@@ -103,9 +103,11 @@ def worst_traces(
             if name != baseline:
                 runs[baseline] = replay({**row, "controller": baseline, "training_seed": 0})
             one = runs[str(name)]
+            where = label(str(row["condition"]))
+            leak = "" if "l/min" in where else f", leak of {setting(row['leakage_flow_lpm'])} l/min"
             title = (
-                f"{name}: {label(str(row['condition']))}, {row['family']}, leak {setting(row['leakage_flow_lpm'])} "
-                f"l/min, seed {row['seed']}: {number(float(row['ratio']))} times the error"
+                f"Worst case {row['rank']} of {name}: {number(float(row['ratio']))} times the error of {baseline} "
+                f"({where}, {family_name(str(row['family']))}{leak}, seed {row['seed']})"
             )
             traces.append(
                 Trace(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from agents.experiments.frequency import bandwidths
-from agents.report.findings import interval_text, percent
+from agents.report.findings import interval_text
 from agents.report.text import Table, number, setting
 from agents.robustness_report.record import ALL, Record, interval
 
@@ -36,17 +36,17 @@ def ranking_table(record: Record) -> list[Table]:
         rows.append(
             (
                 name,
-                *(ratios if own else ["1"] * 3),
+                *(ratios if own else ["1.00"] * 3),
                 _two(own.get("worst_ratio", 1.0)),
-                percent(interval(own, "share_better")) if own else "–",
-                percent(interval(own, "gap")) if own else "0 %",
+                _share(own, "share_better") if own else "–",
+                _share(own, "gap") if own else "0 %",
                 *(_two(own.get(key, 1.0)) for key in ("travel_ratio", "reversals_ratio", "energy_ratio")),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
     header = ("Controller", *errors, "valve travel", "reversals", "energy", "best in", "failed", "limit cycles")
-    groups = ((f"error ÷ error of {record.baseline}", 4), ("certainty", 2), ("price ÷ baseline's", 3), ("count", 3))
+    groups = ((f"error ÷ error of {record.baseline}", 4), ("shares", 2), ("price ÷ baseline’s", 3), ("count", 3))
     return [Table("All conditions", header, rows, groups)]
 
 
@@ -66,6 +66,11 @@ def absolute_table(record: Record) -> list[Table]:
         rows.append((name, *cells))
     header = ("Controller", "mean error, mm", "interquartile mean, mm", "worst run, mm", *COSTS.values())
     return [Table("Errors and what they cost, mean over all runs", header, rows)]
+
+
+def _share(row: Mapping[str, Any], column: str) -> str:
+    value = float(row.get(column, np.nan))
+    return "–" if np.isnan(value) else f"{number(100.0 * value, 0)} %"
 
 
 def _two(value: Any) -> str:
