@@ -1,14 +1,17 @@
-"""Writes the page of the robustness protocol as one HTML file without external parts."""
+"""Writes the page of the robustness protocol: one HTML file without external parts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 from markupsafe import Markup
 
+from agents.controllers.base import Controller
 from agents.evaluation.statistics import RESAMPLES
+from agents.experiments.series import run_experiments
 from agents.report.text import Table, templates
 from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import heat_map
@@ -33,30 +36,55 @@ from agents.robustness_report.tables import (
     stiffness_table,
     worst_table,
 )
+from agents.robustness_report.traces import Replay, worst_traces
+from hydro_env import TaskConfig
 from hydro_env.files import write_whole
 
 HERE = Path(__file__).parent
 
+PAGE_FILE = "robustness.html"
 
-def write_page(
-    path: Path,
+SEED_MARK = "#"
+"""Between the name of a controller and the number of its training seed."""
+
+
+def write_robustness_report(
+    folder: Path,
     tables: Mapping[str, pd.DataFrame],
-    traces: Sequence[Trace] = (),
-    errors: Mapping[str, str] | None = None,
+    task: TaskConfig,
+    controllers: Mapping[str, Controller],
+    replay: Replay,
+    plants: int | None = None,
+    jobs: int = 1,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Write the page.
+    """Run the experiments, run the worst cases again, and write ``tables/*.csv`` of the experiments and the page.
 
     Args:
-        path: the HTML file.
-        tables: by the name of their CSV file: those of the protocol (``summary`` is needed), and those of
-            :func:`~agents.experiments.series.run_experiments`. The section of a table that is missing is left out.
-        traces: worst cases, of :func:`~agents.robustness_report.record.worst_traces`.
-        errors: controllers whose experiments failed, with the reason.
+        folder: of the results; the page is :data:`PAGE_FILE` in it.
+        tables: of the protocol, by the name of their CSV file.
+        task: of the protocol.
+        controllers: by name; of several training seeds (``NAME#0``, …) the first one takes part in the experiments.
+        replay: runs one case of the table ``cases`` again.
+        plants: plants per experiment; default: that of each experiment.
+        jobs: experiments that run side by side.
+        progress: called with the name of the phase, the number of finished jobs, and their total.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: a file cannot be written.
     """
-    write_whole(path, render_page(Record(tables, traces, errors or {})).encode())
+    chosen: dict[str, Controller] = {}
+    for name, controller in controllers.items():
+        chosen.setdefault(name.partition(SEED_MARK)[0], controller)
+    experiments, errors = run_experiments(task, chosen, plants, jobs=jobs, progress=progress)
+    for name, table in experiments.items():
+        write_whole(folder / "tables" / f"{name}.csv", table.to_csv(index=False).encode())
+    record = Record({**tables, **experiments}, errors=errors)
+    traces: list[Trace] = []
+    if len(record.names) > 1:
+        preview = max(task.references.preview_times, default=0.0)
+        traces = worst_traces(replay, record.table("cases"), record.baseline, record.label, preview)
+    write_whole(folder / PAGE_FILE, render_page(replace(record, traces=traces)).encode())
 
 
 def render_page(record: Record) -> str:

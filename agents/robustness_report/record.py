@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,8 +10,6 @@ import pandas as pd
 
 from agents.evaluation.statistics import Interval
 from agents.report.report import Example
-from agents.report.text import family_name, number, setting
-from agents.running.cases import Rollout
 
 ALL = "all"
 """Name of the row over all conditions."""
@@ -19,11 +17,11 @@ ALL = "all"
 
 @dataclass(frozen=True)
 class Trace:
-    """One of the worst cases of a controller, with the baseline on the same case."""
+    """One of the worst cases of a controller, with its rival on the same case."""
 
     controller: str
-    seed: int
-    ratio: float  # error over that of the baseline
+    rival: str
+    ratio: float  # error over that of the rival
     example: Example
 
 
@@ -76,52 +74,3 @@ def interval(row: Mapping[str, Any], column: str) -> Interval:
     missing = float("nan")
     value, low, high = (float(row.get(column + end, missing)) for end in ("", "_low", "_high"))
     return Interval(value, low, high)
-
-
-def worst_traces(
-    replay: Callable[[Mapping[str, Any]], Rollout],
-    worst_cases: pd.DataFrame,
-    baseline: str,
-    label: Callable[[str], str] = str,
-    preview: float = 0.0,
-    count: int = 2,
-) -> list[Trace]:
-    """Run the worst cases of every controller again, with the baseline beside it.
-
-    Args:
-        replay: runs one case; its argument is a row of ``worst_cases``.
-        worst_cases: cases with the worst ratio of errors, by controller and rank.
-        baseline: controller that runs on the same case, with training seed 0.
-        label: text of a condition.
-        preview: s; the observation shows the reference this far ahead, which matters at steps.
-        count: number of cases per controller.
-    """
-    traces = []
-    for name, frame in worst_cases.groupby("controller", sort=False):
-        for row in frame.sort_values("rank").head(count).to_dict("records"):
-            runs = {str(name): replay(row)}
-            if name != baseline:
-                runs[baseline] = replay({**row, "controller": baseline, "training_seed": 0})
-            one = runs[str(name)]
-            where = label(str(row["condition"]))
-            leak = "" if "l/min" in where else f", leak of {setting(row['leakage_flow_lpm'])} l/min"
-            title = (
-                f"Worst case {row['rank']} of {name}: {number(float(row['ratio']))} times the error of {baseline} "
-                f"({where}, {family_name(str(row['family']))}{leak}, seed {row['seed']})"
-            )
-            traces.append(
-                Trace(
-                    str(name),
-                    int(row["seed"]),
-                    float(row["ratio"]),
-                    Example(
-                        title=title,
-                        time=one.time,
-                        reference=one.reference[0],
-                        position={who: run.position[0] for who, run in runs.items()},
-                        command={who: run.command[0] for who, run in runs.items()},
-                        preview=preview if row["family"] == "step" else 0.0,
-                    ),
-                )
-            )
-    return traces

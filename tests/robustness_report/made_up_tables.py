@@ -41,6 +41,22 @@ def summary():
     return pd.DataFrame(rows)
 
 
+def cases():
+    """Errors in mm of two cases under two conditions: Good is worst at 5 ms (0.4 / 0.2), PID at 8 l/min (0.9 / 0.3)."""
+    errors = {
+        ("latency_5ms", "step", 7): {"PID": 0.2, "Good": 0.4, "Fair": 0.25},
+        ("latency_5ms", "sine", 8): {"PID": 0.2, "Good": 0.3, "Fair": 0.2},
+        ("leak_8", "ramp", 9): {"PID": 0.9, "Good": 0.3, "Fair": 0.5},
+    }
+    rows = [
+        {"condition": condition, "family": family, "leakage_flow_lpm": 4.0, "seed": 2_200_000 + seed}
+        | {"controller": name, "training_seed": 0, "mean_error_mm": error}
+        for (condition, family, seed), by_name in errors.items()
+        for name, error in by_name.items()
+    ]
+    return pd.DataFrame(rows)
+
+
 def protocol_tables():
     """The tables of a protocol with the baseline PID and the controllers Good and Fair."""
     ranking = [
@@ -64,6 +80,7 @@ def protocol_tables():
     facts = {"protocol": "robustness", "sha256": "41b35ac0", "baseline": "PID", "command": "hydro evaluate <x>"}
     return {
         "summary": summary(),
+        "cases": cases(),
         "comparison": comparison(),
         "families": families,
         "conditions": pd.DataFrame(CONDITIONS, columns=["condition", "group", "label"]).assign(cases=10),
