@@ -65,11 +65,15 @@ def run_sweep(
     return Sweep(flow, seeds, run_cases(config, controller, Cases(seeds, flow), signal_columns))
 
 
-def own_reference(config: TaskConfig, reference: Array, **changes: Any) -> TaskConfig:
-    """The task with a reference (T + 1,), m, one value per period from the start, and other fields changed."""
-    duration = (len(reference) - 1) * config.control_period
-    references = {"user": [float(value) for value in reference], "weights": {"user": 1.0}}
-    return task_config(config, episode_duration=duration, references=references, **changes)
+def own_reference(config: TaskConfig, reference: Array) -> TaskConfig:
+    """The task with a reference (T + 1,), m, one value per period from the start; leak and force stay constant."""
+    return task_config(
+        config,
+        episode_duration=(len(reference) - 1) * config.control_period,
+        references={"user": [float(value) for value in reference], "weights": {"user": 1.0}},
+        disturbance={"kind": "none"},
+        leakage={"schedule": "constant"},
+    )
 
 
 def noiseless(config: TaskConfig) -> TaskConfig:

@@ -20,6 +20,7 @@ from agents.experiments.runs import (
     working_place,
 )
 from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
 
 FORCE_SHARE = 0.2
 """Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
@@ -143,14 +144,11 @@ def _held(config: TaskConfig, place: float | None, duration: float) -> TaskConfi
 
 def _with_force(config: TaskConfig, kind: str, newtons: float, start: float, frequency: float = 1.0) -> TaskConfig:
     """The task with an external force of one amplitude (N) from a share of the episode on."""
-    return TaskConfig.model_validate(
-        config.model_dump()
-        | {
-            "disturbance": {
-                "kind": kind,
-                "force_range": (newtons, newtons),
-                "start_range": (start, start),
-                "frequency_range": (frequency, frequency),
-            }
-        }
-    )
+    disturbance = {
+        "kind": kind,
+        "force_range": (newtons, newtons),
+        "force_share": (0.0, 0.0),
+        "start_range": (start, start),
+        "frequency_range": (frequency, frequency),
+    }
+    return task_config(config, disturbance=disturbance)

@@ -1,6 +1,7 @@
 """Force on a held axis: against the static stiffness of the linearised loop, and its limits."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from agents.controllers.sampled_loop import sampled_loop
@@ -40,3 +41,12 @@ def test_deviations_are_counted_from_the_rest_before_the_force():
     table = force_step(task, {"P": Proportional(40.0, task)}, [1.0], 2, force=1e-9, place=0.02)
     assert (table["peak_mm"] < 1e-3).all()
     assert np.isfinite(table["recovery_s"]).all()
+
+
+def test_forces_and_leaks_that_the_task_changes_by_itself_do_not_count():
+    plain = exact_task()
+    busy = exact_task(leakage={"schedule": "growth"}, disturbance={"kind": "mixed", "force_share": (0.3, 0.5)})
+    tables = [
+        force_step(task, {"P": Proportional(40.0, task)}, [1.0], 1, force=2.0, place=0.02) for task in (plain, busy)
+    ]
+    pd.testing.assert_frame_equal(*tables)
