@@ -54,7 +54,7 @@ def write_robustness_report(
     task: TaskConfig,
     controllers: Mapping[str, Controller],
     replay: Replay,
-    plants: int | None = None,
+    experiments: bool = True,
     jobs: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
@@ -66,7 +66,7 @@ def write_robustness_report(
         task: of the protocol.
         controllers: by name; of several training seeds (``NAME#0``, …) the first one takes part in the experiments.
         replay: runs one case of the table ``cases`` again.
-        plants: plants per experiment; default: that of each experiment.
+        experiments: whether to run the experiments; without them their sections are left out.
         jobs: experiments that run side by side.
         progress: called with the name of the phase, the number of finished jobs, and their total.
 
@@ -76,10 +76,10 @@ def write_robustness_report(
     chosen: dict[str, Controller] = {}
     for name, controller in controllers.items():
         chosen.setdefault(name.partition(SEED_MARK)[0], controller)
-    experiments, errors = run_experiments(task, chosen, plants, jobs=jobs, progress=progress)
-    for name, table in experiments.items():
+    found, errors = run_experiments(task, chosen, jobs=jobs, progress=progress) if experiments else ({}, {})
+    for name, table in found.items():
         write_whole(folder / "tables" / f"{name}.csv", table.to_csv(index=False).encode())
-    record = Record({**tables, **experiments}, errors=errors)
+    record = Record({**tables, **found}, errors=errors)
     traces: list[Trace] = []
     if len(record.names) > 1:
         preview = max(task.references.preview_times, default=0.0)

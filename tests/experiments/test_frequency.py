@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from proportional import Proportional, exact_task
 
 from agents.controllers.sampled_loop import sampled_loop
 from agents.experiments.frequency import bandwidths, crossing, frequency_response
 from agents.experiments.runs import HiddenPreview, sine_fit
 from hydro_env import resistance_from_flow
-from tests.experiments.proportional import Proportional, exact_task
 
 
 @pytest.mark.parametrize(("leak", "gain"), [(0.01, 60.0), (4.0, 100.0)])

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pandas as pd
+from proportional import Proportional
 
 from agents.experiments.series import EXPERIMENTS, run_experiments
 from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
-from tests.experiments.proportional import Proportional
 
 
 class Broken:

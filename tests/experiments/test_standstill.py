@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from proportional import Proportional, Relay
 
 from agents.evaluation.opponents import shipped
 from agents.experiments.runs import HiddenPreview
 from agents.experiments.standstill import oscillation, standstill
 from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
-from tests.experiments.proportional import Proportional, Relay
 
 PERIOD = 5e-3
 TIME = PERIOD * np.arange(600)

@@ -3,11 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
+from proportional import Proportional, exact_task
 
 from agents.controllers.sampled_loop import sampled_loop
 from agents.experiments.stiffness import force_sine, force_step
 from hydro_env import resistance_from_flow
-from tests.experiments.proportional import Proportional, exact_task
 
 
 def static_stiffness(task, leak, gain, place):

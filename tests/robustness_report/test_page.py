@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from made_up_tables import experiment_tables, protocol_tables
 
 from agents.report.findings import Finding
 from agents.robustness_report.findings import findings
@@ -10,7 +11,6 @@ from agents.robustness_report.heat import contrast, heat_map
 from agents.robustness_report.page import render_page
 from agents.robustness_report.record import Record
 from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
-from tests.robustness_report.made_up_tables import experiment_tables, protocol_tables
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
+from made_up_tables import cases, protocol_tables
+from proportional import Proportional
 
 from agents.experiments.stiffness import force_step
 from agents.report.canvas import COLOURS
@@ -10,8 +12,6 @@ from agents.robustness_report.page import PAGE_FILE, write_robustness_report
 from agents.robustness_report.traces import worst_rows, worst_traces
 from agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
-from tests.experiments.proportional import Proportional
-from tests.robustness_report.made_up_tables import cases, protocol_tables
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(
     seeded = {"PID": controllers["PID"], "Good#0": controllers["Good"], "Good#1": controllers["Fair"]}
     seen = []
     write_robustness_report(
-        tmp_path, protocol_tables(), config, seeded, replay, plants=1, progress=lambda *args: seen.append(args)
+        tmp_path, protocol_tables(), config, seeded, replay, progress=lambda *args: seen.append(args)
     )
     page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
     for text in ("Worst case 1 of Good", "Worst case 2 of PID", COLOURS[1], "<h2>Stiffness</h2>"):
