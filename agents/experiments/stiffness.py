@@ -1,0 +1,154 @@
+"""Stiffness: how far an external force moves an axis that a controller holds, after a step and over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from agents.controllers.base import Controller
+from agents.experiments.runs import (
+    FIRST_SEED,
+    LEAKS,
+    Array,
+    full_force,
+    noiseless,
+    own_reference,
+    run_sweep,
+    sine_fit,
+    working_place,
+)
+from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
+
+FORCE_SHARE = 0.2
+"""Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
+
+BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
+"""s: of a force step, until the force; from then on; the last part of each, over which the position is averaged."""
+
+RECOVERED = 0.1
+"""Share of the peak deviation within which the axis has recovered; at least one step of the position sensor."""
+
+SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)
+"""Hz; force sines."""
+
+SINE_SETTLING, SINE_WATCHED = 0.5, 1.0
+"""s (and two cycles each)."""
+
+
+def force_step(
+    config: TaskConfig,
+    controllers: Mapping[str, Controller],
+    leaks: Sequence[float] = LEAKS,
+    plants: int = 8,
+    force: float | None = None,
+    place: float | None = None,
+    first_seed: int = FIRST_SEED,
+) -> pd.DataFrame:
+    """Deviation after a sudden external force on a resting axis, without sensor noise, which would hide the recovery.
+
+    Args:
+        config: the task; its plants, sensors and timing count.
+        controllers: by name.
+        leaks: l/min at 100 bar.
+        plants: number of plants, drawn.
+        force: N; default a fifth of what the supply gives. Its sign is drawn.
+        place: m, where the axis is held; default :func:`~agents.experiments.runs.working_place`.
+        first_seed: seed of the first plant.
+
+    Returns:
+        Columns controller, leakage_flow_lpm, seed, force_n, peak_mm (largest deviation), recovery_s (until the
+        deviation stays within a tenth of the peak about its final value; NaN if not by the end, as in a limit cycle),
+        remaining_mm (deviation at the end, absolute), static_mm_per_kn and dynamic_mm_per_kn (remaining and largest
+        deviation per force).
+
+    Raises:
+        ControllerError: a controller raises an exception or returns no finite commands.
+    """
+    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
+    task, period = _held(noiseless(config), place, BEFORE + AFTER), config.control_period
+    task = _with_force(task, "step", newtons, BEFORE / (BEFORE + AFTER))
+    first, judged = round(BEFORE / period), round(JUDGED / period)
+    rows = []
+    for name, controller in controllers.items():
+        sweep = run_sweep(task, controller, leaks, plants, first_seed)
+        position = sweep.rollout.position.astype(np.float64)
+        deviation = position - position[:, first - judged : first].mean(axis=1, keepdims=True)
+        for case, row in enumerate(deviation):
+            peak, remaining = float(np.abs(row[first:]).max()), float(row[-judged:].mean())
+            band = max(RECOVERED * peak, config.sensors.position.resolution)
+            outside = np.flatnonzero(np.abs(row[first:] - remaining) > band)
+            lasting = len(outside) and outside[-1] >= len(row) - first - judged
+            recovery = np.nan if lasting else period * (outside[-1] + 1 if len(outside) else 0)
+            rows.append(
+                {
+                    **sweep.labels(name, case),
+                    "force_n": newtons,
+                    "peak_mm": 1e3 * peak,
+                    "recovery_s": float(recovery),
+                    "remaining_mm": 1e3 * abs(remaining),
+                    "static_mm_per_kn": 1e6 * abs(remaining) / newtons,
+                    "dynamic_mm_per_kn": 1e6 * peak / newtons,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def force_sine(
+    config: TaskConfig,
+    controllers: Mapping[str, Controller],
+    leaks: Sequence[float] = LEAKS,
+    plants: int = 4,
+    frequencies: Sequence[float] = SINE_FREQUENCIES,
+    force: float | None = None,
+    place: float | None = None,
+    first_seed: int = FIRST_SEED,
+) -> pd.DataFrame:
+    """Compliance over frequency: amplitude of the position per amplitude of a sinusoidal external force.
+
+    Arguments as for :func:`force_step`; frequencies in Hz.
+
+    Returns:
+        Columns controller, leakage_flow_lpm, seed, frequency_hz, force_n, compliance_mm_per_kn.
+    """
+    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
+    rows = []
+    for frequency in frequencies:
+        settling = max(SINE_SETTLING, 2.0 / frequency)
+        cycles = max(round(SINE_WATCHED * frequency), 2)
+        task = _with_force(_held(config, place, settling + cycles / frequency), "sine", newtons, 0.0, frequency)
+        first = round(settling / config.control_period)
+        for name, controller in controllers.items():
+            sweep = run_sweep(task, controller, leaks, plants, first_seed)
+            time: Array = sweep.rollout.time[first:]
+            answer, _ = sine_fit(sweep.rollout.position[:, first:], time, frequency)
+            for case, size in enumerate(np.abs(answer)):
+                rows.append(
+                    {
+                        **sweep.labels(name, case),
+                        "frequency_hz": frequency,
+                        "force_n": newtons,
+                        "compliance_mm_per_kn": 1e6 * float(size) / newtons,
+                    }
+                )
+    return pd.DataFrame(rows)
+
+
+def _held(config: TaskConfig, place: float | None, duration: float) -> TaskConfig:
+    """The task in which one position (m) is held for a duration (s)."""
+    position = working_place(config.plant) if place is None else place
+    return own_reference(config, np.full(round(duration / config.control_period) + 1, position))
+
+
+def _with_force(config: TaskConfig, kind: str, newtons: float, start: float, frequency: float = 1.0) -> TaskConfig:
+    """The task with an external force of one amplitude (N) from a share of the episode on."""
+    disturbance = {
+        "kind": kind,
+        "force_range": (newtons, newtons),
+        "force_share": (0.0, 0.0),
+        "start_range": (start, start),
+        "frequency_range": (frequency, frequency),
+    }
+    return task_config(config, disturbance=disturbance)

@@ -1,0 +1,165 @@
+"""The heat map controller x condition: ratios of errors as text, on colours that diverge around 1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from agents.report.findings import interval_text
+from agents.report.text import family_name, number
+from agents.robustness_report.record import ALL, Record, interval
+
+BETTER, WORSE, PAPER = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0xFF, 0xFF, 0xFF)
+"""Ends and middle of the scale; the palette of the figures, which colour-blind readers can distinguish."""
+
+FULL_COLOUR = 2.0
+"""A ratio of 2 or 1/2 has the full colour."""
+
+DARK, LIGHT = "#1d1d1f", "#ffffff"
+
+GROUPS = {
+    "leak": "Leak past the piston",
+    "leak_law": "Law of the leak",
+    "schedule": "Leak that changes during the run",
+    "supply_and_load": "Supply and load",
+    "timing": "Timing",
+    "sensors": "Sensors",
+    "force": "External force",
+    "rig": "Other rigs",
+    "parameter": "Assumed parameters, one at a time",
+}
+"""Titles of the groups of conditions, in the order of the map."""
+
+FOLDED = ("parameter",)
+"""Groups with so many conditions that the page folds them away."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One controller under one condition."""
+
+    text: str
+    title: str  # the interval, or the reason why there is no number
+    background: str = "transparent"
+    ink: str = DARK
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """One condition: its label, the error of the baseline, and a cell for each other controller."""
+
+    label: str
+    baseline: str
+    cells: tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Conditions that belong together."""
+
+    title: str
+    rows: tuple[Row, ...]
+    folded: bool = False
+
+
+def heat_map(record: Record, column: str = "equal_weight") -> list[Group]:
+    """Groups of rows; ``column`` of the table ``comparison`` gives the values. None with one controller."""
+    conditions, others = record.table("conditions"), record.names[1:]
+    if conditions.empty or not others:
+        return []
+    groups = [Group("", (_row(record, ALL, "all conditions", column),))]
+    if column == "equal_weight" and not record.table("families").empty:
+        groups.append(Group("Kind of reference (mean errors, all leaks)", _family_rows(record)))
+    known = [*GROUPS, *(name for name in conditions["group"].unique() if name not in GROUPS)]
+    for group in known:
+        names = [str(name) for name in conditions.loc[conditions["group"] == group, "condition"]]
+        rows = tuple(_row(record, name, record.label(name), column) for name in names)
+        if rows:
+            groups.append(Group(GROUPS.get(group, str(group)), rows, group in FOLDED))
+    return groups
+
+
+def _row(record: Record, condition: str, label: str, column: str) -> Row:
+    rows = {name: record.against(name, condition) for name in record.names[1:]}
+    missing = {name: _reason(record, name, condition) for name in rows}
+    return Row(label, _baseline_error(record, condition), _cells(rows, column, missing))
+
+
+def _family_rows(record: Record) -> tuple[Row, ...]:
+    table = record.table("families")
+    found = []
+    for family in [str(name) for name in table["family"].unique() if name != ALL]:
+        part = table[table["family"] == family].set_index("controller")
+        rows: dict[str, dict[str, Any]] = {
+            name: part.loc[name].to_dict() if name in part.index else {} for name in record.names[1:]
+        }
+        found.append(Row(family_name(family), "", _cells(rows, "ratio", {})))
+    return tuple(found)
+
+
+def _cells(rows: dict[str, dict[str, Any]], column: str, missing: dict[str, str]) -> tuple[Cell, ...]:
+    values = {name: float(row.get(column, np.nan)) for name, row in rows.items()}
+    finite = [value for value in values.values() if np.isfinite(value)]
+    least = min(finite) if finite else np.nan
+    cells = []
+    for name, row in rows.items():
+        value = interval(row, column)
+        if not np.isfinite(value.value):
+            reason = missing.get(name, "")
+            cells.append(Cell("failed" if reason.startswith("failed") else "–", reason or "did not run"))
+            continue
+        certain = value.low > 1.0 or value.high < 1.0
+        colour = _blend(value.value) if certain else PAPER
+        cells.append(
+            Cell(
+                number(value.value, 2),
+                interval_text(value, decimals=2),
+                f"rgb({colour[0]},{colour[1]},{colour[2]})" if certain else "transparent",
+                DARK if contrast(colour, DARK) >= contrast(colour, LIGHT) else LIGHT,
+                value.value == least and least < 1.0,
+            )
+        )
+    return tuple(cells)
+
+
+def _reason(record: Record, controller: str, condition: str) -> str:
+    """Why a controller has no number under a condition; training seeds count together."""
+    status = record.table("status")
+    if status.empty or condition == ALL:
+        return ""
+    own = status[(status["condition"] == condition) & (status["controller"].str.partition("#")[0] == controller)]
+    return "; ".join(f"{row['status']}: {row['message']}" for row in own.to_dict("records") if row["status"] != "done")
+
+
+def _baseline_error(record: Record, condition: str) -> str:
+    summary: pd.DataFrame = record.table("summary")
+    own = summary[
+        (summary["controller"] == record.baseline)
+        & (summary["condition"] == condition)
+        & (summary["metric"] == "mean_error_mm")
+    ]
+    return number(float(own["mean"].iloc[0])) if len(own) else "–"
+
+
+def _blend(ratio: float) -> tuple[int, int, int]:
+    """Colour of a ratio: white at 1, blue below, orange above; the same factor has the same strength."""
+    share = min(abs(float(np.log(max(ratio, 1e-9)))) / float(np.log(FULL_COLOUR)), 1.0)
+    end = BETTER if ratio < 1.0 else WORSE
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(PAPER, end, strict=True))
+    return red, green, blue
+
+
+def contrast(background: tuple[int, int, int], ink: str) -> float:
+    """Contrast ratio of text on a background (WCAG 2)."""
+    text = (int(ink[1:3], 16), int(ink[3:5], 16), int(ink[5:7], 16))
+    lighter, darker = sorted((_luminance(background), _luminance(text)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: tuple[int, int, int]) -> float:
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (part / 255.0 for part in colour)]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))

@@ -1,0 +1,151 @@
+"""Writes the page of the robustness protocol: one HTML file without external parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+from markupsafe import Markup
+
+from agents.controllers.base import Controller
+from agents.evaluation.statistics import RESAMPLES
+from agents.experiments.series import run_experiments
+from agents.report.text import Table, templates
+from agents.robustness_report.findings import findings
+from agents.robustness_report.heat import heat_map
+from agents.robustness_report.pictures import (
+    bode_plots,
+    failure_plots,
+    gap_plot,
+    price_plots,
+    profile_plots,
+    stiffness_plots,
+)
+from agents.robustness_report.record import Record, Trace
+from agents.robustness_report.tables import (
+    absolute_table,
+    bandwidth_table,
+    cycles_by_condition,
+    energy_table,
+    price_table,
+    ranking_table,
+    sees_table,
+    standstill_tables,
+    stiffness_table,
+    worst_table,
+)
+from agents.robustness_report.traces import Replay, worst_traces
+from hydro_env import TaskConfig
+from hydro_env.files import write_whole
+
+HERE = Path(__file__).parent
+
+PAGE_FILE = "robustness.html"
+
+SEED_MARK = "#"
+"""Between the name of a controller and the number of its training seed."""
+
+
+def write_robustness_report(
+    folder: Path,
+    tables: Mapping[str, pd.DataFrame],
+    task: TaskConfig,
+    controllers: Mapping[str, Controller],
+    replay: Replay,
+    experiments: bool = True,
+    jobs: int = 1,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> None:
+    """Run the experiments, run the worst cases again, and write ``tables/*.csv`` of the experiments and the page.
+
+    Args:
+        folder: of the results; the page is :data:`PAGE_FILE` in it.
+        tables: of the protocol, by the name of their CSV file.
+        task: of the protocol.
+        controllers: by name; of several training seeds (``NAME#0``, …) the first one takes part in the experiments.
+        replay: runs one case of the table ``cases`` again.
+        experiments: whether to run the experiments; without them their sections are left out.
+        jobs: experiments that run side by side.
+        progress: called with the name of the phase, the number of finished jobs, and their total.
+
+    Raises:
+        ConfigurationError: a file cannot be written.
+    """
+    chosen: dict[str, Controller] = {}
+    for name, controller in controllers.items():
+        chosen.setdefault(name.partition(SEED_MARK)[0], controller)
+    found, errors = run_experiments(task, chosen, jobs=jobs, progress=progress) if experiments else ({}, {})
+    for name, table in found.items():
+        write_whole(folder / "tables" / f"{name}.csv", table.to_csv(index=False).encode())
+    record = Record({**tables, **found}, errors=errors)
+    traces: list[Trace] = []
+    if len(record.names) > 1:
+        preview = max(task.references.preview_times, default=0.0)
+        traces = worst_traces(replay, record.table("cases"), record.baseline, record.label, preview)
+    write_whole(folder / PAGE_FILE, render_page(replace(record, traces=traces)).encode())
+
+
+def render_page(record: Record) -> str:
+    """The page as HTML."""
+    facts = record.facts()
+    return (
+        templates(HERE)
+        .get_template("page.html.j2")
+        .render(
+            title=facts.get("title", "Robustness of servo axis controllers"),
+            names=record.names,
+            baseline=record.baseline,
+            findings=findings(record),
+            problems=problems(record),
+            heat=heat_map(record),
+            heat_mean=heat_map(record, "ratio"),
+            ranking=ranking_table(record),
+            absolute=absolute_table(record),
+            profiles=[*profile_plots(record), *gap_plot(record)],
+            failures=failure_plots(record),
+            worst=worst_table(record),
+            bode=bode_plots(record),
+            bandwidth=bandwidth_table(record),
+            stiffness=stiffness_plots(record),
+            stiffness_tables=stiffness_table(record),
+            standstill=standstill_tables(record),
+            cycles=cycles_by_condition(record),
+            price=price_plots(record),
+            price_tables=[*price_table(record), *energy_table(record)],
+            sees=sees_table(record),
+            facts=Table("", ("Fact", "Value"), list(facts.items())),
+            conditions=conditions_table(record),
+            resamples=RESAMPLES,
+            svg=lambda plot: Markup(plot.svg),
+        )
+    )
+
+
+def problems(record: Record) -> list[str]:
+    """Controllers that failed, or did not apply, under a condition, one line each."""
+    lines = [f"Experiments left out: {message}" for message in record.errors.values()]
+    status = record.table("status")
+    if status.empty:
+        return lines
+    failed = status[status["status"] == "failed"]
+    lines += [
+        f"{row['controller']} failed under {record.label(str(row['condition']))}: {row['message']}"
+        for row in failed.to_dict("records")
+    ]
+    absent = status[status["status"] == "not applicable"]
+    for name, frame in absent.groupby("controller", sort=False):
+        where = ", ".join(record.label(str(condition)) for condition in frame["condition"])
+        lines.append(f"{name} did not run under {where}: {frame['message'].iloc[0]}.")
+    return lines
+
+
+def conditions_table(record: Record) -> list[Table]:
+    """What each condition changes."""
+    table = record.table("conditions")
+    if table.empty:
+        return []
+    columns = [name for name in ("label", "description", "changes", "cases") if name in table]
+    rows = [tuple(str(row[name]) for name in columns) for row in table.fillna("").to_dict("records")]
+    return [Table("", tuple(columns), rows)]

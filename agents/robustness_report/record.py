@@ -1,0 +1,76 @@
+"""What the page shows: the tables of the protocol and of the experiments, and traces of the worst cases."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from agents.evaluation.statistics import Interval
+from agents.report.report import Example
+
+ALL = "all"
+"""Name of the row over all conditions."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One of the worst cases of a controller, with its rival on the same case."""
+
+    controller: str
+    rival: str
+    ratio: float  # error over that of the rival
+    example: Example
+
+
+@dataclass(frozen=True)
+class Record:
+    """Tables by the name of their CSV file; a table that is missing or empty leaves its section out."""
+
+    tables: Mapping[str, pd.DataFrame]
+    traces: Sequence[Trace] = ()
+    errors: Mapping[str, str] = field(default_factory=dict)  # controller to the reason why experiments have no rows
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table, empty if there is none."""
+        return self.tables.get(name, pd.DataFrame())
+
+    @property
+    def names(self) -> list[str]:
+        """Controllers, the baseline first."""
+        names = [str(name) for name in self.table("summary")["controller"].unique()]
+        base = self.facts().get("baseline", names[0])
+        return [base, *(name for name in names if name != base)]
+
+    @property
+    def baseline(self) -> str:
+        """The controller against which the others are compared."""
+        return self.names[0]
+
+    def facts(self) -> dict[str, str]:
+        """Keys and values of the protocol: file, hash, versions, date, command."""
+        table = self.table("protocol")
+        return {} if table.empty else dict(zip(table["key"].astype(str), table["value"].astype(str), strict=True))
+
+    def label(self, condition: str) -> str:
+        """Short text of a condition."""
+        table = self.table("conditions")
+        labels = {} if table.empty else dict(zip(table["condition"], table["label"].fillna(""), strict=True))
+        return str(labels.get(condition) or condition)
+
+    def against(self, controller: str, condition: str = ALL) -> dict[str, Any]:
+        """The row of the comparison with the baseline; empty if there is none."""
+        table = self.table("comparison")
+        if table.empty:
+            return {}
+        rows = table[(table["controller"] == controller) & (table["condition"] == condition)].to_dict("records")
+        return {str(key): value for key, value in rows[0].items()} if rows else {}
+
+
+def interval(row: Mapping[str, Any], column: str) -> Interval:
+    """A column with its interval (``_low``, ``_high``); NaN where there is none."""
+    missing = float("nan")
+    value, low, high = (float(row.get(column + end, missing)) for end in ("", "_low", "_high"))
+    return Interval(value, low, high)

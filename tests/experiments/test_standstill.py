@@ -1,0 +1,58 @@
+"""Limit cycles: known signals, and known loops on the real plant."""
+
+import numpy as np
+import pytest
+from proportional import Proportional, Relay
+
+from agents.evaluation.opponents import shipped
+from agents.experiments.runs import HiddenPreview
+from agents.experiments.standstill import oscillation, standstill
+from agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import TaskConfig
+
+PERIOD = 5e-3
+TIME = PERIOD * np.arange(600)
+
+
+@pytest.mark.parametrize("frequency", [1.5, 8.0, 40.0])
+def test_a_sine_in_noise_is_found(frequency):
+    noise = np.random.default_rng(0).normal(0.0, 5e-6, len(TIME))
+    found = oscillation(30e-6 * np.sin(2 * np.pi * frequency * TIME) + noise, PERIOD, 15e-6)
+    assert found.lasting
+    assert found.amplitude == pytest.approx(30e-6, rel=0.1)
+    assert found.frequency == pytest.approx(frequency, abs=0.2)
+
+
+def test_noise_alone_drift_and_a_dying_oscillation_are_no_limit_cycle():
+    noise = np.random.default_rng(1).normal(0.0, 5e-6, len(TIME))
+    dying = 200e-6 * np.exp(-3.0 * TIME) * np.sin(2 * np.pi * 8.0 * TIME)
+    for signal in (noise, 1e-4 * TIME + noise, dying, np.zeros(600)):
+        assert not oscillation(signal, PERIOD, 15e-6).lasting
+
+
+def test_a_relay_cycles_on_the_real_plant_and_a_soft_loop_does_not():
+    task = TaskConfig()
+    controllers = {"relay": Relay(0.05, task), "soft": Proportional(100.0, task)}
+    table = standstill(task, controllers, [0.01, 1.0], 3, [0.3], VALIDATION_SEEDS.start)
+    cycles = table.groupby("controller")["limit_cycle"].mean()
+    assert cycles["relay"] == 1.0
+    assert cycles["soft"] == 0.0
+    assert (table.loc[table["controller"] == "relay", "amplitude_um"] > 30.0).all()
+    assert table.loc[table["controller"] == "soft", "frequency_hz"].isna().all()
+    assert not table["failed"].any()
+
+
+def test_the_pid_does_not_cycle_at_a_leak_of_1_l_min_although_noise_moves_it():
+    task = TaskConfig()
+    table = standstill(task, {"PID": shipped("pid", task)}, [1.0], 4, [0.3], VALIDATION_SEEDS.start)
+    assert not table["limit_cycle"].any()
+    assert (table["unrest_um"] > table["amplitude_um"]).all()
+    assert (table["valve_travel_per_s"] > 0.0).all()
+
+
+def test_offsets_are_those_of_the_reading():
+    """A controller with an integral holds its reading on the reference, whatever the bias of the sensor is."""
+    task = TaskConfig()
+    pid = HiddenPreview(shipped("pid", task), task)
+    table = standstill(task, {"PID": pid}, [0.3], 4, [0.0], VALIDATION_SEEDS.start)
+    assert (table["offset_um"] < 10.0).all()  # biases reach 80 µm

@@ -1,0 +1,127 @@
+"""The page of the robustness protocol: what it says, what it colours, and what it leaves out."""
+
+import re
+
+import pytest
+from made_up_tables import experiment_tables, protocol_tables
+
+from agents.report.findings import Finding
+from agents.robustness_report.findings import findings
+from agents.robustness_report.heat import contrast, heat_map
+from agents.robustness_report.page import render_page
+from agents.robustness_report.record import Record
+from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
+
+
+@pytest.fixture(scope="module")
+def record():
+    return Record({**protocol_tables(), **experiment_tables()})
+
+
+@pytest.fixture(scope="module")
+def page(record):
+    return render_page(record)
+
+
+def test_the_first_sentences_name_winner_loser_and_price(record):
+    first, good, fair, rest, price = (
+        Finding(item.lead.replace("\u00a0", " "), item.text.replace("\u00a0", " ")) for item in findings(record)
+    )
+    assert first.lead == "Good positions best: 30 % less error than PID."
+    assert "Of 5 conditions Good in 3, Fair in 1 and PID in 1 are best." in first.text
+    assert "valve travel 0.80 ×, reversals 1.10 × and energy from the supply 0.98 ×" in first.text
+    assert good.lead == "Good beats PID in 3 of 4 conditions and loses in 1."
+    assert "It loses under: latency 5 ms (1.40)." in good.text
+    assert fair.lead == "Fair beats PID in 1 of 5 conditions and loses in 1."
+    assert "Failed runs: 2." in fair.text
+    assert "No run failed." in good.text
+    assert rest.lead == "Only Good never oscillates at standstill."
+    assert "PID 2 of 4 (up to 42 µm at 8.0 Hz)" in rest.text
+    assert "4 l/min" in price.lead  # at 8 l/min the place cannot be held
+
+
+def test_nobody_is_called_best_without_a_clear_difference():
+    tables = protocol_tables()
+    tables["comparison"]["equal_weight_high"] = 1.2
+    assert findings(Record(tables))[0].lead == "No controller is clearly better than PID."
+
+
+def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1(record):
+    rows = {row.label: row for group in heat_map(record) for row in group.rows}
+    good, fair = rows["8 l/min"].cells
+    assert good.background != "transparent"
+    assert good.best
+    assert fair.background == "transparent"
+    assert rows["period 10 ms"].cells[0].text == "–"
+    assert "tuned for 10 ms" in rows["period 10 ms"].cells[0].title
+    assert rows["latency 5 ms"].cells[0].background.startswith("rgb(2")  # towards orange
+    assert rows["0.01 l/min"].cells[0].background == "rgb(0,114,178)"  # half the error: the full blue
+    assert rows["0.01 l/min"].baseline == "0.200"
+
+
+def test_text_is_readable_on_every_colour(record):
+    cells = [cell for group in heat_map(record) for row in group.rows for cell in row.cells]
+    for cell in cells:
+        if cell.background != "transparent":
+            red, green, blue = map(int, re.findall(r"\d+", cell.background))
+            assert contrast((red, green, blue), cell.ink) >= 4.5
+
+
+def test_groups_are_in_order_and_the_many_parameters_are_folded(record):
+    groups = heat_map(record)
+    assert [group.title.split()[0] if group.title else "" for group in groups] == [
+        "",
+        "Kind",
+        "Leak",
+        "Timing",
+        "Assumed",
+    ]
+    assert [group.folded for group in groups] == [False, False, False, False, True]
+
+
+def test_every_section_and_number_stands_on_the_page(page):
+    for title in ("Who wins where", "Where each controller fails", "Frequency response", "Stiffness", "Standstill"):
+        assert f"<h2>{title}</h2>" in page
+    assert "41b35ac0" in page
+    assert "hydro evaluate &lt;x&gt;" in page
+    assert "2 of 2 (42 µm, 8.0 Hz)" in page
+    assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.S).lower().replace("finance", "")
+    assert len(page) < 3_000_000
+    assert not re.search(r'(src|href)="http', page)
+
+
+def test_missing_tables_leave_their_sections_out():
+    tables = protocol_tables()
+    page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]}))
+    for title in ("Who wins where", "Where each controller fails", "Frequency response", "Stiffness", "Standstill"):
+        assert f"<h2>{title}</h2>" not in page
+    assert "<h2>How it was measured</h2>" in page
+
+
+def test_stiffness_beyond_what_can_be_told_is_a_bound(record):
+    row = stiffness_table(record)[0].rows[0]
+    assert row[0] == "PID"
+    assert row[1].startswith("≥")
+    assert row[2] == "4\u2009400"  # 872 N over 0.2 mm
+    assert row[3] == "100 (1 of 2)"
+
+
+def test_limit_cycles_are_counted_per_leak(record):
+    cycles, rest = standstill_tables(record)
+    assert cycles.rows[0] == ("PID", "2 of 2 (42 µm, 8.0 Hz)", "0 of 2")
+    assert cycles.rows[1] == ("Good", "0 of 2", "0 of 2")
+    assert rest.rows[0] == ("PID", "20.0", "1.0", "1.50")
+
+
+def test_conditions_without_a_limit_cycle_are_only_counted(record):
+    table = cycles_by_condition(record)[0]
+    assert table.caption.endswith("none under the other 1")
+    assert table.rows == [("0.01 l/min", "1 of 2", "0 of 1", "–")]
+
+
+def test_energy_is_told_for_every_leak(record):
+    assert energy_table(record)[0].rows[0] == ("PID", "300", "300")
+
+
+def test_the_page_is_the_same_every_time(record, page):
+    assert render_page(record) == page

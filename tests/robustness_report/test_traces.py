@@ -1,0 +1,80 @@
+"""The worst cases: which ones, run again, and drawn on the page of a whole report."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_up_tables import cases, protocol_tables
+from proportional import Proportional
+
+from agents.experiments.stiffness import force_step
+from agents.report.canvas import COLOURS
+from agents.robustness_report.page import PAGE_FILE, write_robustness_report
+from agents.robustness_report.traces import worst_rows, worst_traces
+from agents.running.cases import Cases, run_cases
+from hydro_env import TaskConfig
+
+
+@pytest.fixture
+def config():
+    return TaskConfig(episode_duration=0.2)
+
+
+@pytest.fixture
+def controllers(config):
+    return {"PID": Proportional(100.0, config), "Good": Proportional(50.0, config), "Fair": Proportional(20.0, config)}
+
+
+@pytest.fixture
+def replay(config, controllers):
+    def run(row):
+        one = Cases(np.array([row["seed"]]), np.array([row["leakage_flow_lpm"]]), np.array([row["family"]]))
+        return run_cases(config, controllers[row["controller"]], one)
+
+    return run
+
+
+def test_each_controller_has_the_case_in_which_its_rival_is_most_better():
+    table = worst_rows(cases(), "PID", 1).set_index("controller")
+    assert list(table.index) == ["Good", "Fair", "PID"]
+    assert table.loc["Good", ["rival", "seed", "ratio"]].tolist() == ["PID", 2_200_007, 2.0]
+    assert table.loc["Fair", ["rival", "seed", "ratio"]].tolist() == ["PID", 2_200_007, 1.25]
+    assert table.loc["PID", ["rival", "seed"]].tolist() == ["Good", 2_200_009]
+    assert table.loc["PID", "ratio"] == pytest.approx(3.0)
+
+
+def test_a_condition_shows_its_worst_case_only():
+    table = worst_rows(cases(), "PID", 2)
+    good = table[table["controller"] == "Good"]
+    assert good["condition"].tolist() == ["latency_5ms", "leak_8"]
+    assert good["rank"].tolist() == [1, 2]
+
+
+def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
+    traces = worst_traces(replay, cases(), "PID", {"latency_5ms": "latency 5 ms", "leak_8": "8 l/min"}.get, 0.04, 1)
+    assert [(trace.controller, trace.rival) for trace in traces] == [("Good", "PID"), ("Fair", "PID"), ("PID", "Good")]
+    good, _, pid = (trace.example for trace in traces)
+    assert good.title == (
+        "Worst case 1 of Good: 2.00 times the error of PID (latency 5 ms, steps, leak of 4 l/min, seed 2200007)"
+    )
+    assert pid.title.endswith("(8 l/min, ramps, seed 2200009)")
+    assert (good.preview, pid.preview) == (0.04, 0.0)
+    assert set(good.position) == set(good.command) == {"Good", "PID"}
+    assert good.position["Good"].shape == good.time.shape == (40,)
+    assert not np.array_equal(good.position["Good"], good.position["PID"])
+
+
+def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(
+    tmp_path, monkeypatch, config, controllers, replay
+):
+    monkeypatch.setattr("agents.experiments.series.EXPERIMENTS", {"force_step": force_step})  # the others take longer
+    seeded = {"PID": controllers["PID"], "Good#0": controllers["Good"], "Good#1": controllers["Fair"]}
+    seen = []
+    write_robustness_report(
+        tmp_path, protocol_tables(), config, seeded, replay, progress=lambda *args: seen.append(args)
+    )
+    page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
+    for text in ("Worst case 1 of Good", "Worst case 2 of PID", COLOURS[1], "<h2>Stiffness</h2>"):
+        assert text in page
+    assert set(pd.read_csv(tmp_path / "tables" / "force_step.csv")["controller"]) == {"PID", "Good"}
+    assert (tmp_path / "tables" / "leak_price.csv").exists()
+    assert seen
