@@ -5,14 +5,14 @@ It measures how much room there is above a controller, and is none itself: it re
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agents.bound.prediction import Prediction, nominal_plants, true_schedule
+from agents.bound.prediction import SCHEDULED, Prediction, nominal_plants, true_schedule
 from agents.bound.search import bounded_least_squares, continued, random_changes
 from agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import ConfigurationError, TaskConfig
@@ -30,7 +30,7 @@ class BoundSettings(Group):
 
     horizon: int = Field(20, ge=2, le=200, description="control periods that are planned ahead")
     iterations: int = Field(2, ge=0, le=50, description="Gauss-Newton steps per control period")
-    samples: int = Field(16, ge=0, le=10_000, description="random changes of the plan tried in each iteration")
+    samples: int = Field(8, ge=0, le=10_000, description="random changes of the plan tried in each iteration")
     preview: int | None = Field(
         None, ge=0, le=1000, description="control periods of the reference that are known; default: the task's preview"
     )
@@ -38,20 +38,24 @@ class BoundSettings(Group):
         "speed", description="beyond the preview the reference holds its value, or goes on with its speed"
     )
     aim: Literal["true", "sensor"] = Field(
-        "true", description="which position follows the reference: the true one, or the one that the biased sensor reads"
+        "sensor",
+        description="which position follows the reference: the true one, or the one that the biased sensor reads",
     )
     effort: float = Field(2e-7, ge=0.0, le=1.0, description="m; price of a squared change of command of 1")
     correction_time: float = Field(
-        0.02, ge=0.0, le=10.0, description="s; filter of the model's error, which corrects the nominal plant's prediction"
+        0.02,
+        ge=0.0,
+        le=10.0,
+        description="s; filter of the model's error, which corrects the nominal plant's prediction",
     )
     seed: int = Field(0, ge=0, le=2**32 - 1, description="of the random changes")
     threads: int | None = Field(None, ge=1, le=1024, description="default: one per core; does not change results")
 
 
-SMALL_ERROR = 20e-6
-"""m; the weights of the least squares grow as errors fall to this size, so that they count by size, not by square."""
+EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
+"""m; each Gauss–Newton step counts errors below one of these by their square, and those above it by their size."""
 
-STEP_LENGTHS = (1.0, 0.5, 0.2)
+STEP_LENGTHS = (1.0, 0.4)
 """Parts of each Gauss–Newton step that are tried."""
 
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)
@@ -87,21 +91,24 @@ def best_found(
         raise ConfigurationError(f"best found: told = {told!r}: must be 'truth' or 'nominal'")
     if not isinstance(settings, BoundSettings):
         settings = validate(BoundSettings, settings or {}, "best found")
-    searcher = Searcher(config, told, settings)
+    searcher = BestFound(config, told, settings)
     try:
         return run_cases(config, searcher, cases, chunk=chunk, progress=progress)
     finally:
         searcher.close()
 
 
-class Searcher:
-    """Plans the commands of N axes anew in each control period; :func:`best_found` runs it.
+class BestFound:
+    """Plans the commands of N axes anew in each control period; :func:`~agents.running.cases.run_cases` runs it.
 
     Args:
         config: the task.
         told: ``"truth"`` or ``"nominal"``.
         settings: size of the search.
     """
+
+    sees: Mapping[str, str] = {"leak": "as told", "state": "true", "signals": "none", "note": "no controller"}
+    """What it reads, for tables of controllers."""
 
     def __init__(self, config: TaskConfig, told: Told, settings: BoundSettings) -> None:
         self.config = config
@@ -115,13 +122,13 @@ class Searcher:
         self.close()
         config, settings = self.config, self.settings
         if self.told == "truth":
-            plants = axes.coefficient.copy()
+            plants, latency = axes.coefficient.copy(), axes.column("latency").copy()
             schedule = true_schedule(config, axes, config.steps + settings.horizon)
         else:
-            plants = nominal_plants(config, axes.count)
-            schedule = _unchanging(plants)
+            plants, latency = nominal_plants(config, axes.count), np.full(axes.count, config.command_latency)
+            schedule = plants[None, :, SCHEDULED]
         self._axes = axes
-        self._prediction = Prediction(config, plants, schedule, settings.threads)
+        self._prediction = Prediction(config, plants, latency, schedule, settings.threads)
         offset = axes.column("bias")[:, POSITION] if settings.aim == "sensor" and config.sensors.enabled else 0.0
         self._target = axes.reference - np.reshape(offset, (-1, 1))
         self._plan = np.repeat(axes.column("command")[:, None], settings.horizon, axis=1)
@@ -134,8 +141,10 @@ class Searcher:
     ) -> tuple[NDArray[np.float32], None]:
         """The first command of the plan, (N, 1); it reads the axes themselves, not the observation."""
         del observation, state, episode_start, deterministic
-        axes, prediction, settings = self._axes, self._prediction, self.settings
-        assert prediction is not None
+        prediction, settings = self._prediction, self.settings
+        if prediction is None:
+            raise ConfigurationError("best found: reads the true states of the axes; run it with run_cases")
+        axes = self._axes
         step = int(axes.column("step").max())
         now, before = axes.state.copy(), axes.column("command").copy()
         if self.told == "nominal":
@@ -168,9 +177,8 @@ class Searcher:
         if settings.iterations > 0:
             positions, jacobian = self._prediction.sensitivities(now, before, plan, step, self._drift)
             error = target - positions
-            for smallest in (np.inf, SMALL_ERROR):
-                size = np.maximum(np.abs(error), SMALL_ERROR) if np.isfinite(smallest) else SMALL_ERROR
-                weight = np.broadcast_to(1.0 / size, error.shape)
+            for even in EVEN_ERRORS:
+                weight = 1.0 / np.maximum(np.abs(error), even)
                 found = bounded_least_squares(jacobian, error, weight, plan, before, settings.effort)
                 tried += [plan + length * (found - plan) for length in STEP_LENGTHS]
         changes = random_changes(self._generator, settings.samples, settings.horizon, CHANGE_SIZES)
@@ -185,9 +193,3 @@ class Searcher:
         assert self._drift is not None
         blend = self.config.control_period / (self.config.control_period + self.settings.correction_time)
         self._drift = self._drift + blend * (now - self._expected - self._drift)
-
-
-def _unchanging(plants: Array) -> Array:
-    from agents.bound.prediction import SCHEDULED
-
-    return plants[None, :, SCHEDULED]

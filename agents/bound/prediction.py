@@ -51,19 +51,22 @@ class Prediction:
     Args:
         config: the task.
         coefficients: of each plant, (N, coefficients).
+        latency: from the start of a period until its command acts, (N,), s.
         schedule: the coefficients :data:`SCHEDULED` in each control period of the episode and of the horizon beyond
             its end, (periods, N, 3).
         threads: worker threads; ``None`` takes one per core.
     """
 
-    def __init__(self, config: TaskConfig, coefficients: Array, schedule: Array, threads: int | None = None) -> None:
+    def __init__(
+        self, config: TaskConfig, coefficients: Array, latency: Array, schedule: Array, threads: int | None = None
+    ) -> None:
         self.count = len(coefficients)
         self._failure = config.failure
         self._coefficients = coefficients
         self._schedule = schedule
-        self._durations = np.array([config.command_latency, config.control_period - config.command_latency])
+        self._durations = np.stack([latency, config.control_period - latency], axis=1)
         self._accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS_PER_PERIOD)
-        self._repeated: dict[int, Array] = {}
+        self._rows = (coefficients.copy(), self._durations)
         self._threads = threads if threads is not None else (os.cpu_count() or 1)
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="bound") if self._threads > 1 else None
 
@@ -78,29 +81,26 @@ class Prediction:
             drift: what the model misses in each period, added to the state at its end, (N, states).
         """
         axes, sequences, horizon = commands.shape
-        rows = axes * sequences
-        states = np.repeat(state, sequences, axis=0)
-        drifts = None if drift is None else np.repeat(drift, sequences, axis=0)
-        volts = FULL_VOLTAGE * commands.reshape(rows, horizon)
-        voltage = np.empty((rows, 2))
-        voltage[:, 1] = FULL_VOLTAGE * np.repeat(before, sequences)
-        peaks = np.zeros((rows, N_PEAKS))
-        positions = np.empty((rows, horizon))
-        failed = np.zeros(rows, dtype=np.bool_)
+        states = np.tile(state, (sequences, 1, 1))  # (M, N, states)
+        volts = FULL_VOLTAGE * commands.transpose(2, 1, 0)  # (H, M, N)
+        voltage = np.empty((sequences, axes, 2))
+        voltage[..., 1] = FULL_VOLTAGE * before
+        peaks = np.zeros((sequences, axes, N_PEAKS))
+        positions = np.empty((axes, sequences, horizon))
+        failed = np.zeros((sequences, axes), dtype=np.bool_)
         for period in range(horizon):
-            voltage[:, 0] = voltage[:, 1]
-            voltage[:, 1] = volts[:, period]
-            coefficients = self._coefficients_at(step + period, sequences, along_rows=True)
-            self._advance(states, coefficients, voltage, peaks, rows)
-            failed |= (peaks[:, IMPACT_SPEED] > self._failure.end_stop_speed) | (
-                peaks[:, PEAK_PRESSURE] > self._failure.pressure_rating
+            voltage[..., 0] = voltage[..., 1]
+            voltage[..., 1] = volts[period]
+            self._advance(states, voltage, peaks, step + period)
+            failed |= (peaks[..., IMPACT_SPEED] > self._failure.end_stop_speed) | (
+                peaks[..., PEAK_PRESSURE] > self._failure.pressure_rating
             )
-            if drifts is not None:
-                states += drifts
-            position = states[:, POSITION]
+            if drift is not None:
+                states += drift
+            position = states[..., POSITION]
             failed |= ~np.isfinite(position)
-            positions[:, period] = np.where(failed, np.inf, position)
-        return positions.reshape(axes, sequences, horizon)
+            positions[:, :, period] = np.where(failed, np.inf, position).T
+        return positions
 
     def sensitivities(
         self, state: Array, before: Array, commands: Array, step: int, drift: Array | None = None
@@ -111,37 +111,36 @@ class Prediction:
         one-sided, towards the middle of the range of commands. The other arguments are those of :meth:`positions`.
         """
         axes, horizon = commands.shape
-        # Block 0 holds the plants as they are; block j + 1 leaves it at period j, with another command.
         changes = np.where(commands > 0.0, -PERTURBATION, PERTURBATION)
+        # Plants 0 follow the commands; plants j + 1 leave them in period j.
         states = np.empty((horizon + 1, axes, N_STATES))
         states[0] = state
         voltage = np.empty((horizon + 1, axes, 2))
         voltage[0, :, 1] = FULL_VOLTAGE * before
-        peaks = np.zeros(((horizon + 1) * axes, N_PEAKS))
-        positions = np.zeros((horizon, horizon + 1, axes))
+        peaks = np.zeros((horizon + 1, axes, N_PEAKS))
+        positions = np.empty((horizon, horizon + 1, axes))
         for period in range(horizon):
-            last = period + 2
-            states[period + 1] = states[0]
-            voltage[period + 1] = voltage[0]
+            own, last = period + 1, period + 2
+            states[own] = states[0]
+            voltage[own] = voltage[0]
             voltage[:last, :, 0] = voltage[:last, :, 1]
             voltage[:last, :, 1] = FULL_VOLTAGE * commands[:, period]
-            voltage[period + 1, :, 1] += FULL_VOLTAGE * changes[:, period]
-            coefficients = self._coefficients_at(step + period, horizon + 1, along_rows=False)
-            self._advance(states.reshape(-1, N_STATES), coefficients, voltage.reshape(-1, 2), peaks, last * axes)
+            voltage[own, :, 1] += FULL_VOLTAGE * changes[:, period]
+            self._advance(states[:last], voltage[:last], peaks[:last], step + period)
             if drift is not None:
                 states[:last] += drift
             positions[period, :last] = states[:last, :, POSITION]
             positions[period, last:] = positions[period, 0]
-        # (periods, changed commands, N) to (N, periods, changed commands)
-        differences = (positions[:, 1:] - positions[:, :1]) / changes.T[None]
+        differences = (positions[:, 1:] - positions[:, :1]) / changes.T
         return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
 
     def next_state(self, state: Array, before: Array, command: Array, step: int) -> Array:
         """State (N, states) after one period with one command (N,) for each axis."""
-        states = state.copy()
-        voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)
-        self._advance(states, self._coefficients_at(step, 1, True), voltage, np.zeros((len(state), N_PEAKS)), len(state))
-        return states
+        states = state[None].copy()
+        voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)[None]
+        self._advance(states, voltage, np.zeros((1, self.count, N_PEAKS)), step)
+        after: Array = states[0]
+        return after
 
     def close(self) -> None:
         """Stop the worker threads; may be called more than once."""
@@ -149,26 +148,24 @@ class Prediction:
             self._pool.shutdown()
             self._pool = None
 
-    def _coefficients_at(self, step: int, copies: int, along_rows: bool) -> Array:
-        """Coefficients of a period for several copies of each plant, which follow each other or are N rows apart."""
-        key = copies if along_rows else -copies
-        if key not in self._repeated:
-            source = self._coefficients
-            self._repeated[key] = np.repeat(source, copies, 0) if along_rows else np.tile(source, (copies, 1))
-        rows = self._repeated[key]
+    def _advance(self, states: Array, voltage: Array, peaks: Array, step: int) -> None:
+        """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
+        copies = len(states)
+        rows = copies * self.count
+        if len(self._rows[0]) < rows:
+            self._rows = (np.tile(self._coefficients, (copies, 1)), np.tile(self._durations, (copies, 1)))
+        coefficients, durations = self._rows
         now = self._schedule[min(step, len(self._schedule) - 1)]
-        rows[:, SCHEDULED] = np.repeat(now, copies, 0) if along_rows else np.tile(now, (copies, 1))
-        return rows
-
-    def _advance(self, states: Array, coefficients: Array, voltage: Array, peaks: Array, rows: int) -> None:
-        """Advance the first rows by one control period, in place."""
-        plants = Plants(states, coefficients, voltage, peaks)
+        coefficients[:rows].reshape(copies, self.count, -1)[..., SCHEDULED] = now
+        plants = Plants(
+            states.reshape(rows, -1), coefficients, voltage.reshape(rows, -1), durations, peaks.reshape(rows, -1)
+        )
         parts = max(1, min(self._threads, rows // ROWS_PER_THREAD))
-        bounds = [rows * part // parts for part in range(parts + 1)]
         if self._pool is None or parts == 1:
-            integrate(plants, self._durations, self._accuracy, 0, rows)
+            integrate(plants, self._accuracy, 0, rows)
             return
-        for work in [self._pool.submit(integrate, plants, self._durations, self._accuracy, *b) for b in pairwise(bounds)]:
+        bounds = pairwise([rows * part // parts for part in range(parts + 1)])
+        for work in [self._pool.submit(integrate, plants, self._accuracy, *ends) for ends in bounds]:
             work.result()
 
 

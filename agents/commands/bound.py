@@ -1,0 +1,66 @@
+"""``hydro bound``: how much room there is above a controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agents.commands.options import Output, Overwrite, command_line, say
+
+
+def bound(
+    output: Output = Path("results/bound"),
+    task: Annotated[str, typer.Option(help="A task of `configs/tasks`, or a YAML file.")] = "default",
+    plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
+    converge: Annotated[
+        bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find the smallest errors that a controller could reach, and compare them with those of the PID.
+
+    A predictive controller plans with the simulator itself. It is told the true state, and either the true plant with
+    its leak, or only the data sheet; the difference is what it is worth to know the plant. The command prints the mean
+    error for each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two
+    quiet cores; `--converge` takes as long.
+    """
+    from agents.bound.comparison import (
+        ComparisonSettings,
+        compare,
+        convergence,
+        convergence_picture,
+        markdown,
+        summary,
+    )
+    from agents.evaluation.opponents import shipped, task_named
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from hydro_env.files import write_whole
+
+    config = task_named(task)
+    files = ["bound.md", "bound.csv", "convergence.md", "convergence.png"]
+    with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
+        if converge:
+            settings = ComparisonSettings(leak_levels=(0.01, 4.0), validation=True)
+            table = convergence(config, settings, VARIATIONS, display.update)
+            text = markdown(table.set_index(["setting", "value"]).rename_axis([None, None]))
+            write_whole(output / "convergence.png", convergence_picture(table))
+            write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
+        else:
+            frame = compare(config, {"PID": shipped("pid", config)}, ComparisonSettings(plants=plants), display.update)
+            parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
+            text = "\n\n".join(parts)
+            frame.to_csv(output / "bound.csv", index=False)
+            write_whole(output / "bound.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
+    say(text, f"results in {output}")
+
+
+VARIATIONS = {
+    "horizon": (8, 12, 16, 20, 30),
+    "iterations": (1, 2, 4),
+    "samples": (0, 8, 64),
+    "preview": (0, 4, 8, 16, 400),
+}
+"""Settings of the search that ``--converge`` varies, one at a time."""
