@@ -77,10 +77,11 @@ def continued(reference: Array, step: int, known: int, horizon: int, order: int)
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)
     end = step + known
-    ahead = reference[:, np.minimum(np.minimum(times, end), samples)]
+    ahead: Array = reference[:, np.minimum(np.minimum(times, end), samples)]
     if order == 0 or step + horizon <= end:
         return ahead
     last, middle, first = (reference[:, min(max(end - back, 0), samples)] for back in range(3))
     new, old = last - middle, middle - first
     speed = np.where(new * old > 0.0, np.where(np.abs(new) < np.abs(old), new, old), 0.0)
-    return ahead + speed[:, None] * np.maximum(times - end, 0)
+    ahead += speed[:, None] * np.maximum(times - end, 0)
+    return ahead
