@@ -6,7 +6,7 @@ It measures how much room there is above a controller, and is none itself: it re
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from hydro_env.task.signals import POSITION
 Array = NDArray[np.float64]
 
 Told = Literal["truth", "nominal"]
+Continuation = Literal["hold", "speed", "acceleration"]
 
 
 class BoundSettings(Group):
@@ -34,8 +35,8 @@ class BoundSettings(Group):
     preview: int | None = Field(
         None, ge=0, le=1000, description="control periods of the reference that are known; default: the task's preview"
     )
-    beyond_preview: Literal["hold", "speed"] = Field(
-        "speed", description="beyond the preview the reference holds its value, or goes on with its speed"
+    beyond_preview: Continuation = Field(
+        "acceleration", description="with what the reference goes on beyond the preview; hold: it stays where it is"
     )
     aim: Literal["true", "sensor"] = Field(
         "sensor",
@@ -115,6 +116,7 @@ class BestFound:
         self.told = told
         self.settings = settings
         self._known = max(config.preview_samples, default=0) if settings.preview is None else settings.preview
+        self._order = get_args(Continuation).index(settings.beyond_preview)
         self._prediction: Prediction | None = None
 
     def begin(self, axes: Axes) -> None:
@@ -149,7 +151,7 @@ class BestFound:
         now, before = axes.state.copy(), axes.column("command").copy()
         if self.told == "nominal":
             self._correct(now)
-        target = continued(self._target, step, self._known, settings.horizon, int(settings.beyond_preview == "speed"))
+        target = continued(self._target, step, self._known, settings.horizon, self._order)
         plan = np.concatenate([self._plan[:, 1:], self._plan[:, -1:]], axis=1)
         for _ in range(max(settings.iterations, 1)):
             tried = self._candidates(now, before, plan, target, step)

@@ -83,14 +83,16 @@ def convergence(
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
     cases, table = _cases(settings)
-    rows = []
+    rows: list[dict[str, Any]] = []
+    known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():
         for value in values:
             search = settings.search.model_copy(update={setting: value})
-            report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
-            errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), config))
-            means = errors.groupby("family", sort=False)["error_mm"].mean()
-            rows.append({"setting": setting, "value": value, **means, "mean": means.mean()})
+            if search not in known:
+                report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
+                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), config))
+                known[search] = errors.groupby("family", sort=False)["error_mm"].mean()
+            rows.append({"setting": setting, "value": value, **known[search], "mean": known[search].mean()})
     return pd.DataFrame(rows)
 
 

@@ -63,6 +63,10 @@ def random_changes(generator: np.random.Generator, count: int, horizon: int, siz
     return changes
 
 
+BENDING = 5
+"""Periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed."""
+
+
 def continued(reference: Array, step: int, known: int, horizon: int, order: int) -> Array:
     """The reference at the next ``horizon`` samples (N, H), as it looks from a step on.
 
@@ -71,8 +75,9 @@ def continued(reference: Array, step: int, known: int, horizon: int, order: int)
         step: present sample.
         known: samples after it that are known.
         horizon: samples wanted.
-        order: beyond, the reference holds its last value (0) or goes on with its last speed (1). A speed counts only
-            as far as the two last differences agree, so that a jump is not taken for a speed.
+        order: beyond, the reference holds its last value (0), goes on with its last speed (1), or also with its last
+            acceleration for a while (2). Both count only as far as the last differences agree, so that a jump is not
+            taken for a speed, nor a kink for an acceleration.
     """
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)
@@ -80,8 +85,24 @@ def continued(reference: Array, step: int, known: int, horizon: int, order: int)
     ahead: Array = reference[:, np.minimum(np.minimum(times, end), samples)]
     if order == 0 or step + horizon <= end:
         return ahead
-    last, middle, first = (reference[:, min(max(end - back, 0), samples)] for back in range(3))
-    new, old = last - middle, middle - first
-    speed = np.where(new * old > 0.0, np.where(np.abs(new) < np.abs(old), new, old), 0.0)
-    ahead += speed[:, None] * np.maximum(times - end, 0)
+    last = np.clip(end - np.arange(4), 0, samples)
+    speeds = -np.diff(reference[:, last], axis=1)
+    new, old = speeds[:, 0], speeds[:, 1]
+    steady = (new * old > 0.0) & (np.abs(new) < 2.0 * np.abs(old))
+    beyond = np.maximum(times - end, 0)
+    ahead += np.where(steady, new, _agreed(new, old))[:, None] * beyond
+    if order == 2:
+        bends = -np.diff(speeds, axis=1)
+        ahead += _agreed(bends[:, 0], bends[:, 1])[:, None] * _bent(beyond)
     return ahead
+
+
+def _agreed(a: Array, b: Array) -> Array:
+    """The smaller of two numbers of the same sign, else 0."""
+    return np.where(a * b > 0.0, np.where(np.abs(a) < np.abs(b), a, b), 0.0)
+
+
+def _bent(beyond: NDArray[np.int64]) -> Array:
+    """Displacement that a unit of acceleration per period causes after so many periods, if it acts for BENDING."""
+    acting = np.minimum(beyond, BENDING)
+    return np.asarray(0.5 * acting * (acting + 1) + BENDING * (beyond - acting), dtype=np.float64)

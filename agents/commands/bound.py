@@ -43,7 +43,7 @@ def bound(
     files = ["bound.md", "bound.csv", "convergence.md", "convergence.png"]
     with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
         if converge:
-            settings = ComparisonSettings(leak_levels=(0.01, 4.0), validation=True)
+            settings = ComparisonSettings(leak_levels=(1.0,), validation=True)
             table = convergence(config, settings, VARIATIONS, display.update)
             text = markdown(table.set_index(["setting", "value"]).rename_axis([None, None]))
             write_whole(output / "convergence.png", convergence_picture(table))

@@ -147,7 +147,9 @@ def test_the_reference_beyond_the_preview():
     np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=1), np.arange(4.0, 12.0)[None])
     np.testing.assert_array_equal(continued(ramp, 3, 4, 8, order=0), [[4, 5, 6, 7, 7, 7, 7, 7]])
     np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=1), [[0, 0, 0, 5, 5, 5, 5, 5]])
+    np.testing.assert_array_equal(continued(jump, 4, 4, 8, order=2), [[0, 0, 0, 5, 5, 5, 5, 5]])
     np.testing.assert_array_equal(continued(ramp, 3, 0, 3, order=1), [[4, 5, 6]])  # without preview
+    np.testing.assert_allclose(continued(ramp**2, 3, 4, 8, order=2), (ramp**2)[:, 4:12])
 
 
 def test_impossible_settings_are_refused():
