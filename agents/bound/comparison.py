@@ -17,18 +17,16 @@ from agents.report.canvas import WIDE, looks_of, render
 from agents.running.cases import Cases, Rollout, run_cases
 from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
-from hydro_env.files import Group
 
 Progress = Callable[[str, int, int], None]
 
 TRUTH, NOMINAL = "told the truth", "told the nominal plant"
 
 
-class ComparisonSettings(Group):
+class ComparisonSettings(ProtocolSettings):
     """Cases of a comparison, and the size of the search."""
 
     leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(3, ge=3, le=1000, description="per level and family")
     validation: bool = Field(False, description="seeds of validation instead of the test's")
     search: BoundSettings = BoundSettings()
@@ -128,8 +126,7 @@ def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
 
 
 def _cases(settings: ComparisonSettings) -> tuple[Cases, pd.DataFrame]:
-    chosen = {name: getattr(settings, name) for name in ("leak_levels", "families", "plants")}
-    cases, table = tracking_cases(ProtocolSettings(**chosen))
+    cases, table = tracking_cases(settings)
     if settings.validation:
         cases = Cases(cases.seeds - TEST_SEEDS.start + VALIDATION_SEEDS.start, cases.leakage_flow_lpm, cases.families)
     return cases, table

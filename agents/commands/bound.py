@@ -7,13 +7,18 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Output, Overwrite, command_line, say
+from agents.commands.options import OtherRig, Output, Overwrite, Task, command_line, say
 
 
 def bound(
     output: Output = Path("results/bound"),
-    task: Annotated[str, typer.Option(help="A task of `configs/tasks`, or a YAML file.")] = "default",
+    task: Task = None,
+    rig: OtherRig = None,
     plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
+    leak: Annotated[
+        list[float] | None,
+        typer.Option(help="l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1 and 4."),
+    ] = None,
     converge: Annotated[
         bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
     ] = False,
@@ -34,22 +39,24 @@ def bound(
         markdown,
         summary,
     )
-    from agents.evaluation.opponents import shipped, task_named
+    from agents.evaluation.opponents import shipped
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from hydro_env.files import write_whole
+    from hydro_env.files import validate, write_whole
+    from hydro_env.task.configuration import task_config
 
-    config = task_named(task)
+    config = task_config(task, rig=rig)
+    given = {} if leak is None else {"leak_levels": leak}
+    settings = validate(ComparisonSettings, {"plants": plants, "validation": converge, **given}, "bound")
     files = ["bound.md", "bound.csv", "convergence.md", "convergence.png"]
     with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
         if converge:
-            settings = ComparisonSettings(leak_levels=(1.0,), validation=True)
             table = convergence(config, settings, VARIATIONS, display.update)
             text = markdown(table.set_index(["setting", "value"]).rename_axis([None, None]))
             write_whole(output / "convergence.png", convergence_picture(table))
             write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
         else:
-            frame = compare(config, {"PID": shipped("pid", config)}, ComparisonSettings(plants=plants), display.update)
+            frame = compare(config, {"PID": shipped("pid", config)}, settings, display.update)
             parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
             text = "\n\n".join(parts)
             frame.to_csv(output / "bound.csv", index=False)
