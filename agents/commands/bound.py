@@ -7,13 +7,13 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import OtherRig, Output, Overwrite, Task, command_line, say
+from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
 
 
 def bound(
     output: Output = Path("results/bound"),
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
     leak: Annotated[
         list[float] | None,
@@ -31,6 +31,8 @@ def bound(
     error for each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two
     quiet cores; `--converge` takes as long.
     """
+    import pandas as pd
+
     from agents.bound.comparison import (
         ComparisonSettings,
         compare,
@@ -52,7 +54,8 @@ def bound(
     with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
         if converge:
             table = convergence(config, settings, VARIATIONS, display.update)
-            text = markdown(table.set_index(["setting", "value"]).rename_axis([None, None]))
+            table.index = pd.Index(table["setting"] + " " + table["value"].astype(str), name="setting")
+            text = markdown(table.drop(columns=["setting", "value"]))
             write_whole(output / "convergence.png", convergence_picture(table))
             write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
         else:
