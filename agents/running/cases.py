@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,15 @@ _POSITION = CHANNELS.index("position")
 
 class ControllerError(ConfigurationError):
     """A controller raised an exception or returned something that is no command."""
+
+
+@runtime_checkable
+class Insider(Protocol):
+    """What acts on true states rather than observations, such as the best found; no controller."""
+
+    def begin(self, axes: Axes) -> None:
+        """Take the axes whose episodes begin."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -128,6 +137,8 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         options["parameters"] = cases.parameters
     observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
     axes, memory = env.axes, None
+    if isinstance(controller, Insider):
+        controller.begin(axes)
     kept = steps if keep_states else 0
     position, command, spool, power, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(5))
     reference = axes.reference[:, 1 : kept + 1].astype(np.float32)

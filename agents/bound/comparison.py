@@ -1,0 +1,148 @@
+"""Tables of the best found beside the tuned PID: for each family and leak, and as the search grows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from agents.bound.best_found import BoundSettings, best_found
+from agents.controllers.base import Controller
+from agents.evaluation.protocol import DRAWN_FAMILIES, ProtocolSettings, tracking_cases
+from agents.report.canvas import WIDE, looks_of, render
+from agents.running.cases import Cases, Rollout, run_cases
+from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_env import TaskConfig
+
+Progress = Callable[[str, int, int], None]
+
+TRUTH, NOMINAL = "told the truth", "told the nominal plant"
+
+
+class ComparisonSettings(ProtocolSettings):
+    """Cases of a comparison, and the size of the search."""
+
+    leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
+    plants: int = Field(3, ge=3, le=1000, description="per level and family")
+    validation: bool = Field(False, description="seeds of validation instead of the test's")
+    search: BoundSettings = BoundSettings()
+
+
+def compare(
+    config: TaskConfig,
+    controllers: Mapping[str, Controller],
+    settings: ComparisonSettings,
+    progress: Progress | None = None,
+) -> pd.DataFrame:
+    """Errors of controllers and of the best found on the same cases, one row per case.
+
+    Columns: ``controller``, ``leakage_flow_lpm``, ``family``, ``plant``, ``error_mm`` (mean of |error|, of the position
+    that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
+    ``failed``.
+    """
+    cases, table = _cases(settings)
+    frames = []
+    for name, controller in controllers.items():
+        rollout = run_cases(config, controller, cases)
+        frames.append(table.assign(controller=name, **_errors(rollout, config)))
+    for name, told in ((NOMINAL, "nominal"), (TRUTH, "truth")):
+        report = None if progress is None else _reporter(progress, name, len(cases))
+        rollout = best_found(config, cases, told, settings.search, report)  # type: ignore[arg-type]
+        frames.append(table.assign(controller=name, **_errors(rollout, config)))
+    return pd.concat(frames, ignore_index=True)
+
+
+def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
+    """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; the last row is over all.
+
+    The column ``floor`` holds the true error of the best found that is told the truth, but not the sensor's bias.
+    """
+    table = frame.pivot_table("error_mm", by, "controller", sort=False)
+    base = str(frame["controller"].iloc[0])
+    true = frame.pivot_table("true_error_mm", by, "controller", sort=False)
+    table[f"{base}, true position"], table["floor, true position"] = true[base], true[TRUTH]
+    table.loc["mean"] = table.mean()
+    return table
+
+
+def convergence(
+    config: TaskConfig,
+    settings: ComparisonSettings,
+    variations: Mapping[str, Sequence[Any]],
+    progress: Progress | None = None,
+) -> pd.DataFrame:
+    """Mean error of the best found, told the truth, as one setting of the search varies.
+
+    Returns:
+        One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
+    """
+    cases, table = _cases(settings)
+    rows: list[dict[str, Any]] = []
+    known: dict[BoundSettings, pd.Series] = {}
+    for setting, values in variations.items():
+        for value in values:
+            search = settings.search.model_copy(update={setting: value})
+            if search not in known:
+                report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
+                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), config))
+                known[search] = errors.groupby("family", sort=False)["error_mm"].mean()
+            rows.append({"setting": setting, "value": value, **known[search], "mean": known[search].mean()})
+    return pd.DataFrame(rows)
+
+
+def convergence_picture(table: pd.DataFrame) -> bytes:
+    """A PNG of :func:`convergence`: the error of steps, and of all other families, over each setting."""
+
+    def paint(figure: Figure) -> None:
+        settings = list(table["setting"].unique())
+        smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
+        looks = looks_of(["steps", "other families"])
+        for place, setting in zip(figure.subplots(1, len(settings), squeeze=False)[0], settings, strict=True):
+            rows = table[table["setting"] == setting]
+            lines = {"steps": rows.get("step"), "other families": rows[smooth].mean(axis=1) if smooth else None}
+            for name, values in lines.items():
+                if values is not None:
+                    ticks = np.arange(len(rows))
+                    place.plot(ticks, 1e3 * values, marker=looks[name].marker, label=name, **looks[name].stroke)
+                    place.set_xticks(ticks, rows["value"].astype(str))
+            place.set(title=setting.replace("_", " "), yscale="log", ylabel="mean error, µm")
+        place.legend(loc="center right")
+
+    return render(paint, (WIDE, 3.0), "png")[0]
+
+
+def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
+    """A table of numbers as Markdown; its index is the first column."""
+    head = [str(table.index.name or ""), *map(str, table.columns)]
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * len(table.columns)]
+    for label, row in table.iterrows():
+        cells = [f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row]
+        lines.append("| " + " | ".join([str(label), *cells]) + " |")
+    return "\n".join(lines)
+
+
+def _cases(settings: ComparisonSettings) -> tuple[Cases, pd.DataFrame]:
+    cases, table = tracking_cases(settings)
+    if settings.validation:
+        cases = Cases(cases.seeds - TEST_SEEDS.start + VALIDATION_SEEDS.start, cases.leakage_flow_lpm, cases.families)
+    return cases, table
+
+
+def _errors(rollout: Rollout, config: TaskConfig) -> dict[str, Any]:
+    error = 1e3 * (rollout.reference.astype(np.float64) - rollout.position)
+    travel = np.abs(np.diff(rollout.spool, axis=1)).sum(axis=1) / (config.control_period * rollout.spool.shape[1])
+    return {
+        "error_mm": np.abs(error - 1e3 * rollout.position_bias[:, None]).mean(axis=1),
+        "true_error_mm": np.abs(error).mean(axis=1),
+        "valve_travel_per_s": travel,
+        "failed": (rollout.failed_at >= 0).astype(float),
+    }
+
+
+def _reporter(progress: Progress, phase: str, total: int) -> Callable[[int], None]:
+    progress(phase, 0, total)
+    return lambda done: progress(phase, done, total)

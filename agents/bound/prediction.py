@@ -1,0 +1,199 @@
+"""Predicts the positions of many axes for many sequences of commands, with the simulator's own integrator."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.compiling import SOURCES, compiled
+from hydro_env.plant.arrays import coefficient_array
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.kernel import (
+    IMPACT_SPEED,
+    MOST_STEPS_PER_PERIOD,
+    N_PEAKS,
+    PEAK_PRESSURE,
+    Accuracy,
+    Plants,
+    integrate,
+)
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.kernel import FULL_VOLTAGE
+from hydro_env.task.schedules import follow_schedules
+from hydro_env.task.settings import settings_of
+
+Array = NDArray[np.float64]
+
+SCHEDULED = tuple(
+    Coefficients._fields.index(name) for name in ("leakage_conductance", "leakage_orifice_gain", "external_force")
+)
+"""Coefficients that change during an episode."""
+
+POSITION = State._fields.index("position")
+PERTURBATION = 0.01
+"""Change of a command, in parts of 10 V, that gives the sensitivities; it exceeds the integrator's error far."""
+
+ROWS_PER_THREAD = 128
+"""Each thread gets at least this many rows; with fewer, waking it takes longer than its work."""
+
+
+class Prediction:
+    """The positions of N axes over a horizon, from given states and commands.
+
+    Args:
+        config: the task.
+        coefficients: of each plant, (N, coefficients).
+        latency: from the start of a period until its command acts, (N,), s.
+        schedule: the coefficients :data:`SCHEDULED` in each control period of the episode and of the horizon beyond
+            its end, (periods, N, 3).
+        threads: worker threads; ``None`` takes one per core.
+    """
+
+    def __init__(
+        self, config: TaskConfig, coefficients: Array, latency: Array, schedule: Array, threads: int | None = None
+    ) -> None:
+        self.count = len(coefficients)
+        self._failure = config.failure
+        self._coefficients = coefficients
+        self._schedule = schedule
+        self._durations = np.stack([latency, config.control_period - latency], axis=1)
+        self._accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS_PER_PERIOD)
+        self._rows = (coefficients.copy(), self._durations)
+        self._threads = threads if threads is not None else (os.cpu_count() or 1)
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="bound") if self._threads > 1 else None
+
+    def positions(self, state: Array, before: Array, commands: Array, step: int, drift: Array | None = None) -> Array:
+        """Positions (N, M, H), m, at the end of each period; infinite from a failure on.
+
+        Args:
+            state: of each plant now, (N, states).
+            before: the command that acts until the first one of ``commands`` does, (N,), in parts of 10 V.
+            commands: M sequences for each axis, (N, M, H), in parts of 10 V.
+            step: number of the period that begins.
+            drift: what the model misses in each period, added to the state at its end, (N, states).
+        """
+        axes, sequences, horizon = commands.shape
+        states = np.tile(state, (sequences, 1, 1))  # (M, N, states)
+        volts = FULL_VOLTAGE * commands.transpose(2, 1, 0)  # (H, M, N)
+        voltage = np.empty((sequences, axes, 2))
+        voltage[..., 1] = FULL_VOLTAGE * before
+        peaks = np.zeros((sequences, axes, N_PEAKS))
+        positions = np.empty((axes, sequences, horizon))
+        failed = np.zeros((sequences, axes), dtype=np.bool_)
+        for period in range(horizon):
+            voltage[..., 0] = voltage[..., 1]
+            voltage[..., 1] = volts[period]
+            self._advance(states, voltage, peaks, step + period)
+            failed |= (peaks[..., IMPACT_SPEED] > self._failure.end_stop_speed) | (
+                peaks[..., PEAK_PRESSURE] > self._failure.pressure_rating
+            )
+            if drift is not None:
+                states += drift
+            position = states[..., POSITION]
+            failed |= ~np.isfinite(position)
+            positions[:, :, period] = np.where(failed, np.inf, position).T
+        return positions
+
+    def sensitivities(
+        self, state: Array, before: Array, commands: Array, step: int, drift: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Positions (N, H) of one sequence of commands (N, H), and their change per change of each command (N, H, H).
+
+        Entry [n, i, j] is the change of the position at the end of period i, m per 1 of command j. The differences are
+        one-sided, towards the middle of the range of commands. The other arguments are those of :meth:`positions`.
+        """
+        axes, horizon = commands.shape
+        changes = np.where(commands > 0.0, -PERTURBATION, PERTURBATION)
+        # Plants 0 follow the commands; plants j + 1 leave them in period j.
+        states = np.empty((horizon + 1, axes, N_STATES))
+        states[0] = state
+        voltage = np.empty((horizon + 1, axes, 2))
+        voltage[0, :, 1] = FULL_VOLTAGE * before
+        peaks = np.zeros((horizon + 1, axes, N_PEAKS))
+        positions = np.empty((horizon, horizon + 1, axes))
+        for period in range(horizon):
+            own, last = period + 1, period + 2
+            states[own] = states[0]
+            voltage[own] = voltage[0]
+            voltage[:last, :, 0] = voltage[:last, :, 1]
+            voltage[:last, :, 1] = FULL_VOLTAGE * commands[:, period]
+            voltage[own, :, 1] += FULL_VOLTAGE * changes[:, period]
+            self._advance(states[:last], voltage[:last], peaks[:last], step + period)
+            if drift is not None:
+                states[:last] += drift
+            positions[period, :last] = states[:last, :, POSITION]
+            positions[period, last:] = positions[period, 0]
+        differences = (positions[:, 1:] - positions[:, :1]) / changes.T
+        return np.ascontiguousarray(positions[:, 0].T), np.ascontiguousarray(differences.transpose(2, 0, 1))
+
+    def next_state(self, state: Array, before: Array, command: Array, step: int) -> Array:
+        """State (N, states) after one period with one command (N,) for each axis."""
+        states = state[None].copy()
+        voltage = FULL_VOLTAGE * np.stack([before, command], axis=1)[None]
+        self._advance(states, voltage, np.zeros((1, self.count, N_PEAKS)), step)
+        after: Array = states[0]
+        return after
+
+    def close(self) -> None:
+        """Stop the worker threads; may be called more than once."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def _advance(self, states: Array, voltage: Array, peaks: Array, step: int) -> None:
+        """Advance copies of the plants, (copies, N, …) each, by one control period, in place."""
+        copies = len(states)
+        rows = copies * self.count
+        if len(self._rows[0]) < rows:
+            self._rows = (np.tile(self._coefficients, (copies, 1)), np.tile(self._durations, (copies, 1)))
+        coefficients, durations = self._rows
+        now = self._schedule[min(step, len(self._schedule) - 1)]
+        coefficients[:rows].reshape(copies, self.count, -1)[..., SCHEDULED] = now
+        plants = Plants(
+            states.reshape(rows, -1), coefficients, voltage.reshape(rows, -1), durations, peaks.reshape(rows, -1)
+        )
+        parts = max(1, min(self._threads, rows // ROWS_PER_THREAD))
+        if self._pool is None or parts == 1:
+            integrate(plants, self._accuracy, 0, rows)
+            return
+        bounds = pairwise([rows * part // parts for part in range(parts + 1)])
+        for work in [self._pool.submit(integrate, plants, self._accuracy, *ends) for ends in bounds]:
+            work.result()
+
+
+def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Array:
+    """The coefficients :data:`SCHEDULED` of the true plants in each control period, (periods, N, 3)."""
+    schedule = np.empty((periods, axes.count, len(SCHEDULED)))
+    _follow(settings_of(config), axes.record.copy(), axes.coefficient.copy(), np.array(SCHEDULED), schedule)
+    return schedule
+
+
+def nominal_plants(config: TaskConfig, count: int) -> Array:
+    """The coefficients of the task's nominal plant, once for each axis, (N, coefficients)."""
+    return np.tile(coefficient_array(config.plant), (count, 1))
+
+
+def _build(sources: int) -> Any:
+    def follow(task: Any, record: Any, coefficient: Array, columns: Sequence[int], schedule: Array) -> None:
+        assert sources >= 0  # keys numba's cache
+        settings = task[0]
+        for axis in range(record.shape[0]):
+            row = record[axis]
+            for period in range(schedule.shape[0]):
+                row.step = period
+                follow_schedules(row, coefficient[axis], settings)
+                for index in range(schedule.shape[2]):
+                    schedule[period, axis, index] = coefficient[axis, columns[index]]
+
+    return compiled(follow)
+
+
+_follow = _build(SOURCES)

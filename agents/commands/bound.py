@@ -1,0 +1,76 @@
+"""``hydro bound``: how much room there is above a controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+
+
+def bound(
+    output: Output = Path("results/bound"),
+    task: Task = None,
+    rig: Rig = None,
+    plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
+    leak: Annotated[
+        list[float] | None,
+        typer.Option(help="l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1 and 4."),
+    ] = None,
+    converge: Annotated[
+        bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
+    ] = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find the smallest errors that a controller could reach, and compare them with those of the PID.
+
+    A predictive controller plans with the simulator itself. It is told the true state, and either the true plant with
+    its leak, or only the data sheet; the difference is what it is worth to know the plant. The command prints the mean
+    error for each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two
+    quiet cores; `--converge` takes as long.
+    """
+    import pandas as pd
+
+    from agents.bound.comparison import (
+        ComparisonSettings,
+        compare,
+        convergence,
+        convergence_picture,
+        markdown,
+        summary,
+    )
+    from agents.evaluation.opponents import shipped
+    from agents.running.console import ProgressDisplay
+    from agents.running.folders import output_folder
+    from hydro_env.files import validate, write_whole
+    from hydro_env.task.configuration import task_config
+
+    config = task_config(task, rig=rig)
+    given = {} if leak is None else {"leak_levels": leak}
+    settings = validate(ComparisonSettings, {"plants": plants, "validation": converge, **given}, "bound")
+    files = ["bound.md", "bound.csv", "convergence.md", "convergence.png"]
+    with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
+        if converge:
+            table = convergence(config, settings, VARIATIONS, display.update)
+            table.index = pd.Index(table["setting"] + " " + table["value"].astype(str), name="setting")
+            text = markdown(table.drop(columns=["setting", "value"]))
+            write_whole(output / "convergence.png", convergence_picture(table))
+            write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
+        else:
+            frame = compare(config, {"PID": shipped("pid", config)}, settings, display.update)
+            parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
+            text = "\n\n".join(parts)
+            frame.to_csv(output / "bound.csv", index=False)
+            write_whole(output / "bound.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
+    say(text, f"results in {output}")
+
+
+VARIATIONS = {
+    "horizon": (8, 12, 16, 20, 30),
+    "iterations": (1, 2, 4),
+    "samples": (0, 8, 64),
+    "preview": (0, 4, 8, 16, 400),
+}
+"""Settings of the search that ``--converge`` varies, one at a time."""
