@@ -1,0 +1,212 @@
+"""State feedback on a speed command: what controllers with an observer have in common.
+
+The flow law of the valve turns openings into speeds; observer and feedback work on these speeds, which makes the axis
+nearly linear. The observer reads the command that the axis got (the observation shows it), limited to full opening:
+saturation then winds nothing up, and a correction added by a policy is no disturbance.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from agents.controllers.preview import Preview
+from agents.controllers.sampled_loop import FULL_COMMAND, zero_order_hold
+from agents.controllers.valve_flow import ValveFlow
+from hydro_env import TaskConfig, linearise
+from hydro_env.files import Group
+from hydro_env.plant.analysis import reachable_range, speed_limits
+from hydro_env.plant.states import STATE_NAMES
+
+Array = NDArray[np.float64]
+
+JUMP = 1.2
+"""A reference that is faster than this, in parts of full speed, jumps: no axis can follow."""
+
+GAIN_RANGE = (0.6, 1.6)
+"""Lowest and highest adapted flow gain, in parts of the one without adaptation."""
+
+
+class ObserverFeedbackGains(Group):
+    """Gains of every controller with an observer, relative to the rig.
+
+    A delay is the time from a command to half its effect: latency, half a period, lag of the valve.
+    """
+
+    flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
+    flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
+    pressure_trust: float = gain(0.8, (0.0, 1.2), "1", "exponent on the flow gain at the measured pressures", high=2.0)
+    adaptation: float = gain(10.0, (0.0, 60.0), "1/s", "rate of the adaptation of the flow gain", high=1e3)
+    set_off_delay: float = gain(0.5, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
+    set_off_share: float = gain(0.8, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
+    braking: float = gain(
+        1.0, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
+        low=1e-3, logarithmic=True,
+    )  # fmt: skip
+
+
+class ObserverState(NamedTuple):
+    """Memory of the controller."""
+
+    estimate: Array  # (N, states), of the observer
+    command_before: Array  # (N,), m/s, speed command of the last but one period
+    supply: Array  # (N,), Pa, at the start
+    adapted: Array  # (N, 2), flow gain extending and retracting, in parts of that without adaptation
+    reference: Array  # (N, horizon + 2), m; see Preview
+
+
+class SampledModel(NamedTuple):
+    """x[n+1] = transition x[n] + input_old u[n−1] + input_new u[n], measured signals: outputs x[n]."""
+
+    transition: Array  # (n, n)
+    input_old: Array  # (n,)
+    input_new: Array  # (n,)
+    outputs: Array  # (m, n)
+
+
+def sampled(a: Array, b: Array, outputs: Array, config: TaskConfig) -> SampledModel:
+    """Sample dx/dt = a x + b u exactly; the command changes one latency after the sample.
+
+    Åström & Wittenmark, *Computer-Controlled Systems* (1997), section 2.3.
+
+    Args:
+        a: (n, n), 1/s.
+        b: (n,).
+        outputs: (m, n).
+        config: gives control period and latency.
+    """
+    first, held_first = zero_order_hold(a, b, config.command_latency)
+    rest, held_rest = zero_order_hold(a, b, config.control_period - config.command_latency)
+    return SampledModel(rest @ first, rest @ held_first, held_rest, outputs)
+
+
+class ObserverFeedback:
+    """Base of the controllers with an observer.
+
+    A subclass sets ``model`` and ``correction`` (n, m), the gain of the observer on the innovations of the measured
+    signals: position (m), force of the oil (N), speed of the measured opening (m/s), or the first m of them. It defines
+    :meth:`at_rest`, :meth:`disturbance` and :meth:`speed`.
+
+    The flow gain of each direction adapts by its gradient (MIT rule; Åström & Wittenmark, *Adaptive Control* (1995),
+    chapter 5): a disturbance that grows with the speed is an error of the flow gain.
+
+    Args:
+        gains: the gains.
+        config: the task; its plant is the nominal rig.
+    """
+
+    memory = ObserverState
+    model: SampledModel
+    correction: Array
+
+    def __init__(self, gains: Any, config: TaskConfig) -> None:
+        self.gains = gains
+        self.config = config
+        self.layout = ObservationLayout.of(config)
+        self.preview = Preview(config)
+        plant = config.plant
+        self.flow = ValveFlow(plant, gains.pressure_trust)
+        # Dry friction blocks a resting axis and hardly damps a moving one.
+        self.rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
+        rows = [STATE_NAMES.index(name) for name in ("spool_position", "spool_velocity", "coil_current")]
+        self.valve, self.drive = self.rig.a[np.ix_(rows, rows)], FULL_COMMAND * self.rig.b[rows]
+        self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
+        self.delay = config.command_latency + 0.5 * config.control_period + self.valve_lag
+        self.speed_limits = speed_limits(plant)
+        self.full_speed = max(self.speed_limits)
+        self._factors = np.array([[gains.flow_gain_extending], [gains.flow_gain_retracting]])
+        self._jump = JUMP * self.full_speed * config.control_period
+        self._near = gains.braking * self.full_speed * self.delay
+        self._times = config.control_period * np.arange(1.0, self.preview.horizon + 1)
+        self._adaptation = gains.adaptation * config.control_period / self.full_speed**2
+
+    def at_rest(self, measured: Array, command: Array) -> Array:
+        """Estimate (N, n) of an axis at rest from the measured signals (N, 3) and its speed command (N,)."""
+        raise NotImplementedError
+
+    def disturbance(self, estimate: Array) -> Array:
+        """Estimated speed in m/s, (N,), beyond that of the command: errors of the flow gain, leaks, offsets."""
+        raise NotImplementedError
+
+    def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
+        """The next speed command, m/s, (N,).
+
+        Args:
+            estimate: (N, n).
+            error: position minus reference, m, (N,), reduced where the axis has to brake.
+            command: speed command of the last period, m/s, (N,).
+            steps: changes of the reference from one period to the next, m, (N, horizon + 1), without jumps; the first
+                one ends now.
+        """
+        raise NotImplementedError
+
+    def predict(
+        self,
+        observation: Floats,
+        state: ObserverState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], ObserverState]:
+        """Commands for the observations; see :class:`~agents.controllers.base.Controller`."""
+        del deterministic
+        batch, single = as_batch(observation)
+        si = self.layout.si
+        pressure_a, pressure_b = si(batch, "pressure_a"), si(batch, "pressure_b")
+        force = self.flow.force(pressure_a, pressure_b)
+        openings = np.stack([si(batch, "spool_position"), si(batch, "previous_command")])
+
+        if state is None or (episode_start is not None and np.any(episode_start)):
+            supply = self.flow.supply_at_rest(pressure_a, pressure_b)
+            flow_gains = self._factors * self.flow.gains(pressure_a, pressure_b, supply)
+            spool, command = self.flow.speed(openings, flow_gains)
+            measured = np.stack([si(batch, "position"), force, spool], axis=1)
+            adapted, ahead = np.ones((len(batch), 2)), self.preview.start(batch)
+            fresh = ObserverState(self.at_rest(measured, command), command, supply, adapted, ahead)
+            going = fresh if state is None else self._advanced(state, batch)
+            now = restarted(going, fresh, episode_start)
+        else:
+            now = self._advanced(state, batch)
+
+        flow_gains = self._factors * now.adapted.T * self.flow.gains(pressure_a, pressure_b, now.supply)
+        spool, command = self.flow.speed(openings, flow_gains)
+        measured = np.stack([si(batch, "position"), force, spool], axis=1)[:, : len(self.model.outputs)]
+        m = self.model
+        expected = (
+            now.estimate @ m.transition.T + now.command_before[:, None] * m.input_old + command[:, None] * m.input_new
+        )
+        estimate = expected + (measured - expected @ m.outputs.T) @ self.correction.T
+
+        steps = np.diff(now.reference, axis=1)
+        jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
+        error = braked(estimate[:, 0] - now.reference[:, 1] - self._set_off(jumps[:, 1:]), self._near)
+        wanted = self.speed(estimate, error, command, steps - jumps)
+        action = np.clip(self.flow.opening(wanted, flow_gains), -1.0, 1.0).astype(np.float32)[:, None]
+
+        change = self._adaptation * self.disturbance(estimate) * command
+        direction = np.stack([command > 0.0, command <= 0.0], axis=1)
+        adapted = np.clip(now.adapted + change[:, None] * direction, *GAIN_RANGE)
+        new = ObserverState(estimate, command, now.supply, adapted, now.reference)
+        return (action[0] if single else action), new
+
+    def _advanced(self, state: ObserverState, batch: Floats) -> ObserverState:
+        return state._replace(reference=self.preview.advanced(state.reference, batch))
+
+    def _set_off(self, jumps: Array) -> Array:
+        """Sum of the future jumps (N, horizon) of the reference, m, for which the axis sets off already, (N,)."""
+        seconds = np.abs(jumps) / np.where(jumps > 0.0, *self.speed_limits)
+        early = self.gains.set_off_delay * self.delay + 0.5 * self.gains.set_off_share * seconds
+        result: Array = np.where(early >= self._times, jumps, 0.0).sum(axis=1)
+        return result
+
+
+def braked(error: Array, near: float) -> Array:
+    """The error where it is small; beyond ``near`` its root, because an axis brakes to rest at constant deceleration.
+
+    The reduced error and its slope are continuous at ``near`` (m).
+    """
+    size = np.abs(error)
+    root = np.sqrt(near * np.maximum(2.0 * size - near, near))
+    return np.where(size > near, np.copysign(root, error), error)
