@@ -22,51 +22,49 @@ from hydro_env import TaskConfig
 class ADRCGains(ObserverFeedbackGains):
     """Gains of :class:`ADRC`, relative to the rig."""
 
-    controller_bandwidth: float = gain(0.6, (0.1, 5.0), "1", "ω_c, per delay", low=1e-3, logarithmic=True)
-    observer_bandwidth: float = gain(2.0, (0.2, 10.0), "1", "ω_o, per delay", low=1e-3, logarithmic=True)
-    lag: float = gain(1.0, (0.2, 3.0), "1", "of speed behind command, in lags of the valve", low=1e-3, logarithmic=True)
+    controller_bandwidth: float = gain(0.9, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)
+    observer_bandwidth: float = gain(0.6, (0.1, 10.0), "1", "ω_o, per lag of the rig", low=1e-3, logarithmic=True)
+    speed_lag: float = gain(
+        1.0, (0.2, 3.0), "1", "of speed behind command, in lags of the valve", low=1e-3, logarithmic=True
+    )
     lead: float = gain(1.0, (0.0, 3.0), "1", "of the reference speed, in delays", high=100.0)
 
 
 class ADRC(ObserverFeedback):
-    """Speed dv/dt = (u − v)/lag + f, f the total disturbance; see :class:`ObserverFeedback`.
+    """Speed dv/dt = (u − v)/τ + f, f the total disturbance; see :class:`ObserverFeedback`.
 
-    The three-state extended state observer estimates position, speed and f from the measured position; all its poles
-    lie at exp(−ω_o T). Feedback of position, speed and last command places two poles at exp(−ω_c T) and one at 0. The
-    reference speed with its lead is fed forward.
+    The three-state extended state observer estimates position, speed and τ f (m/s) from the measured position; all its
+    poles lie at exp(−ω_o T). Feedback of position, speed and last command places two poles at exp(−ω_c T) and one at 0.
+    The reference speed with its lead is fed forward.
     """
+
+    disturbance = 2
 
     def __init__(self, gains: ADRCGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
-        period, self.lag = config.control_period, gains.lag * self.valve_lag
-        a = np.array([[0.0, 1.0, 0.0], [0.0, -1.0 / self.lag, 1.0], [0.0, 0.0, 0.0]])
-        b = np.array([0.0, 1.0 / self.lag, 0.0])
+        period, rate = config.control_period, 1.0 / (gains.speed_lag * self.valve_lag)
+        a, b = np.array([[0.0, 1.0, 0.0], [0.0, -rate, rate], [0.0, 0.0, 0.0]]), np.array([0.0, rate, 0.0])
         self.model = model = sampled(a, b, np.array([[1.0, 0.0, 0.0]]), config)
-        pole = np.exp(-period * gains.observer_bandwidth / self.delay)
+        pole = np.exp(-period * gains.observer_bandwidth / self.lag)
         observed = (model.outputs @ model.transition)[0]
         self.correction = placed(model.transition.T, observed, [pole] * 3)[:, None]
         # The last command is a state, because it acts on until the latency is over.
         transition = np.zeros((3, 3))
         transition[:2, :2], transition[:2, 2] = model.transition[:2, :2], model.input_old[:2]
-        pole = np.exp(-period * gains.controller_bandwidth / self.delay)
+        pole = np.exp(-period * gains.controller_bandwidth / self.lag)
         self.feedback = placed(transition, np.append(model.input_new[:2], 1.0), [pole, pole, 0.0])
         lead, middles = gains.lead * self.delay / period, np.arange(-0.5, self.preview.horizon)
         shares = [[np.interp(at, middles, step) for step in np.eye(len(middles))] for at in (0.0, lead - 1.0, lead)]
-        self._speeds = np.array(shares).T / period
+        self._reference_speeds = np.array(shares).T / period
 
     def at_rest(self, measured: Array, command: Array) -> Array:
         """See :meth:`ObserverFeedback.at_rest`."""
-        return np.stack([measured[:, 0], np.zeros(len(command)), -command / self.lag], axis=1)
-
-    def disturbance(self, estimate: Array) -> Array:
-        """See :meth:`ObserverFeedback.disturbance`."""
-        disturbance: Array = self.lag * estimate[:, 2]
-        return disturbance
+        return np.stack([measured[:, 0], np.zeros(len(command)), -command], axis=1)
 
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
         """See :meth:`ObserverFeedback.speed`."""
-        present, last, leading = (steps @ self._speeds).T
-        disturbance, k = self.disturbance(estimate), self.feedback
+        present, last, leading = (steps @ self._reference_speeds).T
+        disturbance, k = estimate[:, self.disturbance], self.feedback
         deviation = command + disturbance - last
         speed: Array = leading - disturbance - k[0] * error - k[1] * (estimate[:, 1] - present) - k[2] * deviation
         return speed

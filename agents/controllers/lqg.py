@@ -15,7 +15,6 @@ from agents.controllers.base import gain
 from agents.controllers.observer_feedback import Array, ObserverFeedback, ObserverFeedbackGains, SampledModel, sampled
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.plant.states import STATE_NAMES
 
 TAIL = 400
 """Periods after which the effect of the reference on a command has died away."""
@@ -35,7 +34,7 @@ REGULATED = 6
 class LQGGains(ObserverFeedbackGains):
     """Gains of :class:`LQG`, relative to the rig; drifts are those of random walks."""
 
-    bandwidth: float = gain(1.3, (0.1, 10.0), "1", "of the regulator, per delay", low=1e-3, logarithmic=True)
+    bandwidth: float = gain(1.1, (0.1, 10.0), "1", "of the regulator, per lag of the rig", low=1e-3, logarithmic=True)
     damping: float = gain(0.1, (0.02, 1.5), "1", "damping ratio of mass and oil", low=1e-3, logarithmic=True)
     acceleration_noise: float = gain(
         0.2, (0.01, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True
@@ -56,12 +55,11 @@ class LQG(ObserverFeedback):
         ConfigurationError: the Riccati equations have no solution for these gains.
     """
 
+    disturbance = FLOW
+
     def __init__(self, gains: LQGGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
-        c, rig, period = plant_coefficients(config.plant), self.rig.a, config.control_period
-        column = STATE_NAMES.index("velocity")
-        rate_a, rate_b = (rig[STATE_NAMES.index(name), column] for name in ("pressure_a", "pressure_b"))
-        frequency = float(np.sqrt((c.area_b * rate_b - c.area_a * rate_a) * c.inverse_mass))  # of mass and oil, rad/s
+        c, frequency, period = plant_coefficients(config.plant), self.frequency, config.control_period
         self._mass, self._spring = 1.0 / c.inverse_mass, c.spring_stiffness
         self._valve_at_rest = -np.linalg.solve(self.valve, self.drive)  # per command
 
@@ -95,7 +93,7 @@ class LQG(ObserverFeedback):
         oil = np.hypot(c.area_a * sensors.pressure_a.noise, c.area_b * sensors.pressure_b.noise)
         noise = np.array([sensors.position.noise, oil, sensors.spool_position.noise * full])
         noise = np.maximum(noise, 1e-6 * full * np.array([self.delay, frequency * self._mass, 1.0]))
-        weight = (gains.bandwidth / self.delay) ** 2 * period
+        weight = (gains.bandwidth / self.lag) ** 2 * period
         try:
             self.correction = kalman_gain(self.model, full * np.sqrt(period) * drift, noise, size)
             self.feedback, preview = regulator(self.model, weight, size[:REGULATED], full)
@@ -115,10 +113,6 @@ class LQG(ObserverFeedback):
         estimate[:, FORCE] = (measured[:, 1] - self._spring * measured[:, 0]) / self._mass
         estimate[:, SPOOL_OFFSET] = measured[:, 2] - command
         return estimate
-
-    def disturbance(self, estimate: Array) -> Array:
-        """See :meth:`ObserverFeedback.disturbance`."""
-        return estimate[:, FLOW]
 
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
         """See :meth:`ObserverFeedback.speed`."""

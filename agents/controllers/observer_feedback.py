@@ -19,6 +19,7 @@ from agents.controllers.valve_flow import ValveFlow
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
 
 Array = NDArray[np.float64]
@@ -26,24 +27,28 @@ Array = NDArray[np.float64]
 JUMP = 1.2
 """A reference that is faster than this, in parts of full speed, jumps: no axis can follow."""
 
-GAIN_RANGE = (0.6, 1.6)
-"""Lowest and highest adapted flow gain, in parts of the one without adaptation."""
+ADAPTED_LOW, ADAPTED_HIGH = (0.6, 0.6, 0.0), (1.6, 1.6, 0.5)
+"""Range of the adapted parameters."""
+
+_LINEARISED = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
 
 
 class ObserverFeedbackGains(Group):
     """Gains of every controller with an observer, relative to the rig.
 
-    A delay is the time from a command to half its effect: latency, half a period, lag of the valve.
+    The lag of the rig is that of its valve plus one over its hydraulic frequency. The delay is the time from a sample
+    to the effect of its command: latency, half a period, lag of the valve.
     """
 
     flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
     flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
-    pressure_trust: float = gain(0.8, (0.0, 1.2), "1", "exponent on the flow gain at the measured pressures", high=2.0)
-    adaptation: float = gain(10.0, (0.0, 60.0), "1/s", "rate of the adaptation of the flow gain", high=1e3)
-    set_off_delay: float = gain(0.5, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
-    set_off_share: float = gain(0.8, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
+    pressure_trust: float = gain(0.7, (0.0, 1.2), "1", "exponent on the flow gain at the measured pressures", high=2.0)
+    gain_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
+    leak_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
+    set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
+    set_off_share: float = gain(1.1, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
     braking: float = gain(
-        1.0, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
+        2.0, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
         low=1e-3, logarithmic=True,
     )  # fmt: skip
 
@@ -54,7 +59,7 @@ class ObserverState(NamedTuple):
     estimate: Array  # (N, states), of the observer
     command_before: Array  # (N,), m/s, speed command of the last but one period
     supply: Array  # (N,), Pa, at the start
-    adapted: Array  # (N, 2), flow gain extending and retracting, in parts of that without adaptation
+    adapted: Array  # (N, 3), parts of the flow gains extending and retracting; leak at full pressure, of full speed
     reference: Array  # (N, horizon + 2), m; see Preview
 
 
@@ -86,12 +91,14 @@ def sampled(a: Array, b: Array, outputs: Array, config: TaskConfig) -> SampledMo
 class ObserverFeedback:
     """Base of the controllers with an observer.
 
-    A subclass sets ``model`` and ``correction`` (n, m), the gain of the observer on the innovations of the measured
-    signals: position (m), force of the oil (N), speed of the measured opening (m/s), or the first m of them. It defines
-    :meth:`at_rest`, :meth:`disturbance` and :meth:`speed`.
+    A subclass sets ``model`` and ``correction`` (n, m), the gain of its observer on the innovations of the measured
+    signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. State
+    ``disturbance`` of the model is the speed (m/s) that the command does not explain. The subclass defines
+    :meth:`at_rest` and :meth:`speed`.
 
-    The flow gain of each direction adapts by its gradient (MIT rule; Åström & Wittenmark, *Adaptive Control* (1995),
-    chapter 5): a disturbance that grows with the speed is an error of the flow gain.
+    The flow gain of each direction and the leak adapt along their gradients (Åström & Wittenmark, *Adaptive Control*
+    (1995), chapter 5): a disturbance that grows with the speed is an error of the flow gain, one that grows with the
+    pressure across the piston is a leak. What they explain leaves the disturbance.
 
     Args:
         gains: the gains.
@@ -101,34 +108,36 @@ class ObserverFeedback:
     memory = ObserverState
     model: SampledModel
     correction: Array
+    disturbance: int
 
     def __init__(self, gains: Any, config: TaskConfig) -> None:
         self.gains = gains
         self.config = config
         self.layout = ObservationLayout.of(config)
         self.preview = Preview(config)
-        plant = config.plant
+        plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = ValveFlow(plant, gains.pressure_trust)
         # Dry friction blocks a resting axis and hardly damps a moving one.
-        self.rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
-        rows = [STATE_NAMES.index(name) for name in ("spool_position", "spool_velocity", "coil_current")]
-        self.valve, self.drive = self.rig.a[np.ix_(rows, rows)], FULL_COMMAND * self.rig.b[rows]
+        rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
+        velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
+        stiffness = c.area_b * rig.a[pressure_b, velocity] - c.area_a * rig.a[pressure_a, velocity]
+        self.frequency = float(np.sqrt(stiffness * c.inverse_mass))  # of mass and oil, rad/s
+        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_COMMAND * rig.b[valve]
         self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
-        self.delay = config.command_latency + 0.5 * config.control_period + self.valve_lag
+        self.lag = self.valve_lag + 1.0 / self.frequency
+        self.delay = config.command_latency + 0.5 * period + self.valve_lag
         self.speed_limits = speed_limits(plant)
         self.full_speed = max(self.speed_limits)
+        self._supply = plant.supply.pressure
         self._factors = np.array([[gains.flow_gain_extending], [gains.flow_gain_retracting]])
-        self._jump = JUMP * self.full_speed * config.control_period
+        rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
+        self._rates = rates * period / self.full_speed**2
+        self._jump = JUMP * self.full_speed * period
         self._near = gains.braking * self.full_speed * self.delay
-        self._times = config.control_period * np.arange(1.0, self.preview.horizon + 1)
-        self._adaptation = gains.adaptation * config.control_period / self.full_speed**2
+        self._times = period * np.arange(1.0, self.preview.horizon + 1)
 
     def at_rest(self, measured: Array, command: Array) -> Array:
         """Estimate (N, n) of an axis at rest from the measured signals (N, 3) and its speed command (N,)."""
-        raise NotImplementedError
-
-    def disturbance(self, estimate: Array) -> Array:
-        """Estimated speed in m/s, (N,), beyond that of the command: errors of the flow gain, leaks, offsets."""
         raise NotImplementedError
 
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
@@ -154,45 +163,52 @@ class ObserverFeedback:
         del deterministic
         batch, single = as_batch(observation)
         si = self.layout.si
-        pressure_a, pressure_b = si(batch, "pressure_a"), si(batch, "pressure_b")
-        force = self.flow.force(pressure_a, pressure_b)
+        position, pressure_a, pressure_b = (si(batch, name) for name in ("position", "pressure_a", "pressure_b"))
         openings = np.stack([si(batch, "spool_position"), si(batch, "previous_command")])
+        force = self.flow.force(pressure_a, pressure_b)
+        difference = (pressure_b - pressure_a) / self._supply
 
-        if state is None or (episode_start is not None and np.any(episode_start)):
+        now = None if state is None else state._replace(reference=self.preview.advanced(state.reference, batch))
+        if now is None or (episode_start is not None and np.any(episode_start)):
             supply = self.flow.supply_at_rest(pressure_a, pressure_b)
+            adapted = np.tile([1.0, 1.0, 0.0], (len(batch), 1))
             flow_gains = self._factors * self.flow.gains(pressure_a, pressure_b, supply)
-            spool, command = self.flow.speed(openings, flow_gains)
-            measured = np.stack([si(batch, "position"), force, spool], axis=1)
-            adapted, ahead = np.ones((len(batch), 2)), self.preview.start(batch)
-            fresh = ObserverState(self.at_rest(measured, command), command, supply, adapted, ahead)
-            going = fresh if state is None else self._advanced(state, batch)
-            now = restarted(going, fresh, episode_start)
-        else:
-            now = self._advanced(state, batch)
+            spool, command = self._speeds(openings, flow_gains, adapted, difference)
+            rest = self.at_rest(np.stack([position, force, spool], axis=1), command)
+            now = restarted(
+                now, ObserverState(rest, command, supply, adapted, self.preview.start(batch)), episode_start
+            )
 
-        flow_gains = self._factors * now.adapted.T * self.flow.gains(pressure_a, pressure_b, now.supply)
-        spool, command = self.flow.speed(openings, flow_gains)
-        measured = np.stack([si(batch, "position"), force, spool], axis=1)[:, : len(self.model.outputs)]
-        m = self.model
-        expected = (
-            now.estimate @ m.transition.T + now.command_before[:, None] * m.input_old + command[:, None] * m.input_new
+        flow_gains = self._factors * self.flow.gains(pressure_a, pressure_b, now.supply)
+        spool, command = self._speeds(openings, flow_gains, now.adapted, difference)
+        measured, m = np.stack([position, force, spool], axis=1)[:, : len(self.model.outputs)], self.model
+        estimate = (
+            now.estimate @ m.transition.T + np.outer(now.command_before, m.input_old) + np.outer(command, m.input_new)
         )
-        estimate = expected + (measured - expected @ m.outputs.T) @ self.correction.T
+        estimate += (measured - estimate @ m.outputs.T) @ self.correction.T
+
+        growth = np.stack([np.maximum(command, 0.0), np.minimum(command, 0.0), self.full_speed * difference], axis=1)
+        change = self._rates * estimate[:, [self.disturbance]] * growth
+        adapted = np.clip(now.adapted + change, ADAPTED_LOW, ADAPTED_HIGH)
+        unadapted, command = command, self._speeds(openings, flow_gains, adapted, difference)[1]
+        estimate[:, self.disturbance] -= command - unadapted
 
         steps = np.diff(now.reference, axis=1)
         jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
         error = braked(estimate[:, 0] - now.reference[:, 1] - self._set_off(jumps[:, 1:]), self._near)
-        wanted = self.speed(estimate, error, command, steps - jumps)
-        action = np.clip(self.flow.opening(wanted, flow_gains), -1.0, 1.0).astype(np.float32)[:, None]
-
-        change = self._adaptation * self.disturbance(estimate) * command
-        direction = np.stack([command > 0.0, command <= 0.0], axis=1)
-        adapted = np.clip(now.adapted + change[:, None] * direction, *GAIN_RANGE)
+        wanted = self.speed(estimate, error, command, steps - jumps) - self._leak(adapted, difference)
+        opening = np.clip(self.flow.opening(wanted, flow_gains * adapted.T[:2]), -1.0, 1.0)
+        action = opening.astype(np.float32)[:, None]
         new = ObserverState(estimate, command, now.supply, adapted, now.reference)
         return (action[0] if single else action), new
 
-    def _advanced(self, state: ObserverState, batch: Floats) -> ObserverState:
-        return state._replace(reference=self.preview.advanced(state.reference, batch))
+    def _speeds(self, openings: Array, flow_gains: Array, adapted: Array, difference: Array) -> Array:
+        """Speeds in m/s, (M, N), of openings (M, N) with the adapted flow gains and leak."""
+        return self.flow.speed(openings, flow_gains * adapted.T[:2]) + self._leak(adapted, difference)
+
+    def _leak(self, adapted: Array, difference: Array) -> Array:
+        leak: Array = self.full_speed * adapted[:, 2] * difference
+        return leak
 
     def _set_off(self, jumps: Array) -> Array:
         """Sum of the future jumps (N, horizon) of the reference, m, for which the axis sets off already, (N,)."""

@@ -80,7 +80,7 @@ def test_all_poles_of_the_extended_state_observer_lie_at_its_bandwidth(bandwidth
     controller = ADRC(ADRCGains(observer_bandwidth=bandwidth), TASK)
     m = controller.model
     errors = (np.eye(3) - controller.correction @ m.outputs) @ m.transition
-    wanted = np.exp(-bandwidth / controller.delay * TASK.control_period)
+    wanted = np.exp(-bandwidth / controller.lag * TASK.control_period)
     # The characteristic polynomial, because a triple eigenvalue is not well conditioned.
     np.testing.assert_allclose(
         np.poly(errors * [[1.0], [0.01], [1e-4]] / [1.0, 0.01, 1e-4]), np.poly([wanted] * 3), atol=1e-9
@@ -98,7 +98,7 @@ def test_without_lag_the_observer_has_gaos_gains():
 
 def test_poles_of_adrc_are_those_of_observer_and_controller():
     controller = ADRC(ADRCGains(controller_bandwidth=0.5, observer_bandwidth=2.0), TASK)
-    period = TASK.control_period / controller.delay
+    period = TASK.control_period / controller.lag
     inner, outer = np.exp(-0.5 * period), np.exp(-2.0 * period)
     # The disturbance is not controllable: its pole stays at 1, and it is cancelled.
     wanted = np.poly([inner, inner, 0.0, outer, outer, outer, 1.0])
@@ -160,7 +160,7 @@ def test_the_regulator_of_lqg_has_the_margins_that_optimality_gives():
     a, b = np.eye(n + 1), np.append(m.input_new[:n], 1.0)
     a[:n, :n], a[:n, n] = m.transition[:n, :n], (m.input_old + m.input_new)[:n]
     weight = np.zeros(n + 1)
-    weight[0] = (controller.gains.bandwidth / controller.delay) ** 2 * TASK.control_period
+    weight[0] = (controller.gains.bandwidth / controller.lag) ** 2 * TASK.control_period
     cost = solve_discrete_are(a, b[:, None], np.outer(weight, weight), np.eye(1))
     z = np.exp(1j * np.linspace(0.01, np.pi, 2000))
     loop = np.array([controller.feedback @ np.linalg.solve(point * np.eye(n + 1) - a, b) for point in z])
