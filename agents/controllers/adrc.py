@@ -16,7 +16,7 @@ import numpy as np
 
 from agents.controllers.base import gain
 from agents.controllers.observer_feedback import Array, ObserverFeedback, ObserverFeedbackGains, sampled
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
 
 
 class ADRCGains(ObserverFeedbackGains):
@@ -25,7 +25,7 @@ class ADRCGains(ObserverFeedbackGains):
     controller_bandwidth: float = gain(0.9, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)
     observer_bandwidth: float = gain(0.6, (0.1, 10.0), "1", "ω_o, per lag of the rig", low=1e-3, logarithmic=True)
     speed_lag: float = gain(
-        1.0, (0.2, 3.0), "1", "of speed behind command, in lags of the valve", low=1e-3, logarithmic=True
+        0.6, (0.1, 2.0), "1", "τ of the speed behind the command, in lags of the rig", low=0.01, logarithmic=True
     )
     lead: float = gain(1.0, (0.0, 3.0), "1", "of the reference speed, in delays", high=100.0)
 
@@ -42,7 +42,7 @@ class ADRC(ObserverFeedback):
 
     def __init__(self, gains: ADRCGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
-        period, rate = config.control_period, 1.0 / (gains.speed_lag * self.valve_lag)
+        period, rate = config.control_period, 1.0 / (gains.speed_lag * self.lag)
         a, b = np.array([[0.0, 1.0, 0.0], [0.0, -rate, rate], [0.0, 0.0, 0.0]]), np.array([0.0, rate, 0.0])
         self.model = model = sampled(a, b, np.array([[1.0, 0.0, 0.0]]), config)
         pole = np.exp(-period * gains.observer_bandwidth / self.lag)
@@ -76,5 +76,8 @@ def placed(a: Array, b: Array, poles: Sequence[float]) -> Array:
     polynomial = np.eye(len(b))
     for pole in poles:
         polynomial = polynomial @ (a - pole * np.eye(len(b)))
-    k: Array = np.linalg.solve(controllability.T, np.eye(len(b))[-1]) @ polynomial
+    try:
+        k: Array = np.linalg.solve(controllability.T, np.eye(len(b))[-1]) @ polynomial
+    except np.linalg.LinAlgError:
+        raise ConfigurationError("adrc: no feedback or observer for these gains: speed_lag is too short") from None
     return k

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from agents.controllers.flow_model import Flow, FlowModel
 from agents.controllers.preview import Preview
 from agents.controllers.sampled_loop import FULL_COMMAND, zero_order_hold
-from agents.controllers.valve_flow import ValveFlow
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
@@ -27,8 +27,8 @@ Array = NDArray[np.float64]
 JUMP = 1.2
 """A reference that is faster than this, in parts of full speed, jumps: no axis can follow."""
 
-ADAPTED_LOW, ADAPTED_HIGH = (0.6, 0.6, 0.0), (1.6, 1.6, 0.5)
-"""Range of the adapted parameters."""
+LEAST_ADAPTED, MOST_ADAPTED = (0.6, 0.6, 0.0), (1.6, 1.6, 0.5)
+"""Range of the adapted parameters, as in :class:`ObserverState`."""
 
 _LINEARISED = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
 
@@ -42,7 +42,6 @@ class ObserverFeedbackGains(Group):
 
     flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
     flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
-    pressure_trust: float = gain(0.7, (0.0, 1.2), "1", "exponent on the flow gain at the measured pressures", high=2.0)
     gain_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
     leak_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
     set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
@@ -59,7 +58,9 @@ class ObserverState(NamedTuple):
     estimate: Array  # (N, states), of the observer
     command_before: Array  # (N,), m/s, speed command of the last but one period
     supply: Array  # (N,), Pa, at the start
-    adapted: Array  # (N, 3), parts of the flow gains extending and retracting; leak at full pressure, of full speed
+    adapted: (
+        Array  # (N, 3), flow gain extending and retracting, of the nominal one; leak at full pressure, of full speed
+    )
     reference: Array  # (N, horizon + 2), m; see Preview
 
 
@@ -116,7 +117,7 @@ class ObserverFeedback:
         self.layout = ObservationLayout.of(config)
         self.preview = Preview(config)
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
-        self.flow = ValveFlow(plant, gains.pressure_trust)
+        self.flow = FlowModel(plant)
         # Dry friction blocks a resting axis and hardly damps a moving one.
         rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
         velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
@@ -126,10 +127,9 @@ class ObserverFeedback:
         self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
         self.lag = self.valve_lag + 1.0 / self.frequency
         self.delay = config.command_latency + 0.5 * period + self.valve_lag
-        self.speed_limits = speed_limits(plant)
-        self.full_speed = max(self.speed_limits)
+        self.full_speed = max(speed_limits(plant))
         self._supply = plant.supply.pressure
-        self._factors = np.array([[gains.flow_gain_extending], [gains.flow_gain_retracting]])
+        self._rest = np.array([gains.flow_gain_extending, gains.flow_gain_retracting, 0.0])
         rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
         self._rates = rates * period / self.full_speed**2
         self._jump = JUMP * self.full_speed * period
@@ -163,25 +163,23 @@ class ObserverFeedback:
         del deterministic
         batch, single = as_batch(observation)
         si = self.layout.si
-        position, pressure_a, pressure_b = (si(batch, name) for name in ("position", "pressure_a", "pressure_b"))
+        position, pressures = si(batch, "position"), np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
         openings = np.stack([si(batch, "spool_position"), si(batch, "previous_command")])
-        force = self.flow.force(pressure_a, pressure_b)
-        difference = (pressure_b - pressure_a) / self._supply
+        difference = (pressures[1] - pressures[0]) / self._supply
 
         now = None if state is None else state._replace(reference=self.preview.advanced(state.reference, batch))
         if now is None or (episode_start is not None and np.any(episode_start)):
-            supply = self.flow.supply_at_rest(pressure_a, pressure_b)
-            adapted = np.tile([1.0, 1.0, 0.0], (len(batch), 1))
-            flow_gains = self._factors * self.flow.gains(pressure_a, pressure_b, supply)
-            spool, command = self._speeds(openings, flow_gains, adapted, difference)
-            rest = self.at_rest(np.stack([position, force, spool], axis=1), command)
+            supply, adapted = self.flow.supply(pressures), np.tile(self._rest, (len(batch), 1))
+            flow = self.flow.at(position, pressures, supply)
+            spool, command = self._speeds(openings, flow, adapted, difference)
+            rest = self.at_rest(np.stack([position, flow.force, spool], axis=1), command)
             now = restarted(
                 now, ObserverState(rest, command, supply, adapted, self.preview.start(batch)), episode_start
             )
 
-        flow_gains = self._factors * self.flow.gains(pressure_a, pressure_b, now.supply)
-        spool, command = self._speeds(openings, flow_gains, now.adapted, difference)
-        measured, m = np.stack([position, force, spool], axis=1)[:, : len(self.model.outputs)], self.model
+        flow = self.flow.at(position, pressures, now.supply)
+        spool, command = self._speeds(openings, flow, now.adapted, difference)
+        measured, m = np.stack([position, flow.force, spool], axis=1)[:, : len(self.model.outputs)], self.model
         estimate = (
             now.estimate @ m.transition.T + np.outer(now.command_before, m.input_old) + np.outer(command, m.input_new)
         )
@@ -189,33 +187,41 @@ class ObserverFeedback:
 
         growth = np.stack([np.maximum(command, 0.0), np.minimum(command, 0.0), self.full_speed * difference], axis=1)
         change = self._rates * estimate[:, [self.disturbance]] * growth
-        adapted = np.clip(now.adapted + change, ADAPTED_LOW, ADAPTED_HIGH)
-        unadapted, command = command, self._speeds(openings, flow_gains, adapted, difference)[1]
+        adapted = np.clip(now.adapted + change, LEAST_ADAPTED, MOST_ADAPTED)
+        unadapted, command = command, self._speeds(openings, flow, adapted, difference)[1]
         estimate[:, self.disturbance] -= command - unadapted
 
         steps = np.diff(now.reference, axis=1)
         jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
-        error = braked(estimate[:, 0] - now.reference[:, 1] - self._set_off(jumps[:, 1:]), self._near)
+        error = braked(estimate[:, 0] - now.reference[:, 1] - self._set_off(jumps[:, 1:], flow, now.supply), self._near)
         wanted = self.speed(estimate, error, command, steps - jumps) - self._leak(adapted, difference)
-        opening = np.clip(self.flow.opening(wanted, flow_gains * adapted.T[:2]), -1.0, 1.0)
+        opening = np.clip(self.flow.opening(wanted, _scaled(flow, adapted)), -1.0, 1.0)
         action = opening.astype(np.float32)[:, None]
         new = ObserverState(estimate, command, now.supply, adapted, now.reference)
         return (action[0] if single else action), new
 
-    def _speeds(self, openings: Array, flow_gains: Array, adapted: Array, difference: Array) -> Array:
+    def _speeds(self, openings: Array, flow: Flow, adapted: Array, difference: Array) -> Array:
         """Speeds in m/s, (M, N), of openings (M, N) with the adapted flow gains and leak."""
-        return self.flow.speed(openings, flow_gains * adapted.T[:2]) + self._leak(adapted, difference)
+        return self.flow.speed(openings, _scaled(flow, adapted)) + self._leak(adapted, difference)
 
     def _leak(self, adapted: Array, difference: Array) -> Array:
         leak: Array = self.full_speed * adapted[:, 2] * difference
         return leak
 
-    def _set_off(self, jumps: Array) -> Array:
+    def _set_off(self, jumps: Array, flow: Flow, supply: Array) -> Array:
         """Sum of the future jumps (N, horizon) of the reference, m, for which the axis sets off already, (N,)."""
-        seconds = np.abs(jumps) / np.where(jumps > 0.0, *self.speed_limits)
+        if not jumps.any():
+            return np.zeros(len(jumps))
+        out, back = self.flow.full_speeds(flow.force, supply)
+        seconds = np.abs(jumps) / np.where(jumps > 0.0, out[:, None], back[:, None])
         early = self.gains.set_off_delay * self.delay + 0.5 * self.gains.set_off_share * seconds
         result: Array = np.where(early >= self._times, jumps, 0.0).sum(axis=1)
         return result
+
+
+def _scaled(flow: Flow, adapted: Array) -> Flow:
+    """The flow model with the adapted flow gains."""
+    return flow._replace(extending=adapted[:, 0] * flow.extending, retracting=adapted[:, 1] * flow.retracting)
 
 
 def braked(error: Array, near: float) -> Array:

@@ -11,9 +11,7 @@ from agents.controllers.base import ObservationLayout
 from agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from agents.controllers.observer_feedback import SampledModel, braked
 from agents.controllers.registry import make_controller
-from agents.controllers.valve_flow import ValveFlow
-from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.plant.analysis import speed_limits
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 
 TASK = TaskConfig()
 RIGS = ("kovari_2015", "symmetric_eha", "aalborg_svsdp_2017")
@@ -40,27 +38,6 @@ def closed_loop(controller):
     moved = x @ m.transition.T + np.outer(before, m.input_old) + np.outer(command, m.input_new)
     expected = corrected @ m.transition.T + np.outer(before, m.input_old) + np.outer(command, m.input_new)
     return np.concatenate([moved, expected, command[:, None]], axis=1).T
-
-
-# Flow law ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", RIGS)
-def test_the_opening_of_a_speed_gives_that_speed(name):
-    flow = ValveFlow(task_of_rig(name).plant)
-    gains = flow.gains(np.array([30e5, 50e5]), np.array([45e5, 20e5]), np.array([70e5, 70e5]))
-    for speed in (-0.2, -1e-4, 0.0, 1e-3, 0.3):
-        np.testing.assert_allclose(flow.speed(flow.opening(np.full(2, speed), gains), gains), speed, atol=1e-12)
-
-
-def test_full_opening_gives_the_speed_limit_at_the_pressures_of_steady_motion():
-    plant = PlantParameters().replace(valve={"underlap": 0.0, "transition_pressure": 1.0})
-    flow, supply, tank = ValveFlow(plant), plant.supply.pressure, plant.supply.tank_pressure
-    ratio = flow._area_b / flow._area_a
-    # Without a load: P_a A_a = P_b A_b, and both flows fit: (P_s − P_a)/A_a² = (P_b − P_T)/A_b².
-    pressure_a = (supply + tank / ratio**2) / (1.0 + 1.0 / ratio**3)
-    gains = flow.gains(np.array([pressure_a]), np.array([pressure_a / ratio]), np.array([supply]))
-    assert gains[0, 0] == pytest.approx(speed_limits(plant).extending, rel=1e-6)
 
 
 def test_braking_is_a_root_and_joins_smoothly():
@@ -153,6 +130,20 @@ def test_the_loop_on_the_linear_model_is_stable_on_every_rig(kind, name, period,
     assert radii[-disturbances - 1] < 0.995
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("valve", ["spool", "ideal"])
+def test_simpler_valves_give_stable_loops_too(kind, valve):
+    config = TaskConfig(plant=PlantParameters().replace(valve={"model": valve}))
+    radii = np.sort(np.abs(np.linalg.eigvals(closed_loop(make_controller(kind, config)))))
+    assert radii[-(1 if kind == "adrc" else 3) - 1] < 0.995
+
+
+def test_gains_without_a_solution_are_refused_in_one_line():
+    with pytest.raises(ConfigurationError, match="lqg: no regulator or Kalman filter for these gains") as raised:
+        LQG(LQGGains(bandwidth=1e9), TASK)
+    assert "\n" not in str(raised.value)
+
+
 def test_the_regulator_of_lqg_has_the_margins_that_optimality_gives():
     """Distance of the loop transfer function from −1: at least 1/√(1 + BᵀPB) in discrete time."""
     controller = LQG(LQGGains(), TASK)
@@ -189,6 +180,30 @@ def test_a_constant_load_leaves_no_error(kind):
     env.close()
     assert np.all(np.max(errors, axis=0) > 10e-6)  # the force pushed the axis away
     assert np.all(np.array(errors)[-20:] < 1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("previews", [(), (0.005, 0.010, 0.020, 0.040)])
+def test_a_long_saturated_move_ends_without_overshoot(kind, previews):
+    """At full speed for a tenth of a second, with and without a preview: nothing has wound up."""
+    config = TaskConfig(
+        randomisation={},
+        sensors={"enabled": False},
+        references={"weights": {"user": 1.0}, "user": [0.0] * 20 + [0.03], "preview_times": previews},
+        episode_duration=1.0,
+    )
+    controller, state, positions, commands = make_controller(kind, config), None, [], []
+    env = ServoHydraulicVectorEnv(1, config, autoreset_mode="NextStep")
+    observation, _ = env.reset(seed=1)
+    for _ in range(config.steps - 1):
+        action, state = controller.predict(observation, state)
+        observation, *_ = env.step(action)
+        positions.append(env.axes.column("position")[0])
+        commands.append(action[0, 0])
+    env.close()
+    assert np.sum(np.array(commands) == 1.0) > 20
+    assert max(positions) < 0.03 + 0.3e-3
+    assert abs(positions[-1] - 0.03) < 5e-6
 
 
 # What every controller with an observer does -------------------------------------------------------------------------
