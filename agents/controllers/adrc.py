@@ -22,12 +22,12 @@ from hydro_env import ConfigurationError, TaskConfig
 class ADRCGains(ObserverFeedbackGains):
     """Gains of :class:`ADRC`, relative to the rig."""
 
-    controller_bandwidth: float = gain(0.9, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)
-    observer_bandwidth: float = gain(0.6, (0.1, 10.0), "1", "ω_o, per lag of the rig", low=1e-3, logarithmic=True)
+    controller_bandwidth: float = gain(1.2, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)
+    observer_bandwidth: float = gain(0.4, (0.1, 10.0), "1", "ω_o, per lag of the rig", low=1e-3, logarithmic=True)
     speed_lag: float = gain(
         0.6, (0.1, 2.0), "1", "τ of the speed behind the command, in lags of the rig", low=0.01, logarithmic=True
     )
-    lead: float = gain(1.0, (0.0, 3.0), "1", "of the reference speed, in delays", high=100.0)
+    lead: float = gain(1.3, (0.0, 3.0), "1", "of the reference speed, in delays", high=100.0)
 
 
 class ADRC(ObserverFeedback):

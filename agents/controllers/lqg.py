@@ -34,7 +34,7 @@ REGULATED = 6
 class LQGGains(ObserverFeedbackGains):
     """Gains of :class:`LQG`, relative to the rig; drifts are those of random walks."""
 
-    bandwidth: float = gain(1.1, (0.1, 10.0), "1", "of the regulator, per lag of the rig", low=1e-3, logarithmic=True)
+    bandwidth: float = gain(0.9, (0.1, 10.0), "1", "of the regulator, per lag of the rig", low=1e-3, logarithmic=True)
     damping: float = gain(0.1, (0.02, 1.5), "1", "damping ratio of mass and oil", low=1e-3, logarithmic=True)
     acceleration_noise: float = gain(
         0.2, (0.01, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True

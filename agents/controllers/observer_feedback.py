@@ -42,12 +42,12 @@ class ObserverFeedbackGains(Group):
 
     flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
     flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
-    gain_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
-    leak_adaptation: float = gain(40.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
+    gain_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
+    leak_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
     set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
-    set_off_share: float = gain(1.1, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
+    set_off_share: float = gain(0.9, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
     braking: float = gain(
-        2.0, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
+        1.4, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
         low=1e-3, logarithmic=True,
     )  # fmt: skip
 
