@@ -9,8 +9,10 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from agents.controllers.adrc import ADRC, ADRCGains
 from agents.controllers.base import ClassicalController, Controller
 from agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from agents.controllers.lqg import LQG, LQGGains
 from agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -18,6 +20,8 @@ from hydro_env.files import Group, validate
 CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
     "pid": (PID, PIDGains),
     "flow_linearising": (FlowLinearising, FlowLinearisingGains),
+    "adrc": (ADRC, ADRCGains),
+    "lqg": (LQG, LQGGains),
 }
 """Class and class of gains of each classical controller, by kind."""
 

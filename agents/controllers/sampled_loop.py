@@ -157,8 +157,8 @@ def sampled_loop(
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
     b = FULL_COMMAND * plant.b[rows] / size
     force = plant.force[rows] / size
-    first, held_first = _hold(a, b, latency)
-    rest, held_rest = _hold(a, b, control_period - latency)
+    first, held_first = zero_order_hold(a, b, latency)
+    rest, held_rest = zero_order_hold(a, b, control_period - latency)
     return SampledLoop(rest @ first, rest @ held_first, held_rest, a, b, force, float(size[0]), control_period)
 
 
@@ -180,7 +180,7 @@ def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> flo
     return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_COMMAND * plant.b[rows])[0])
 
 
-def _hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:
+def zero_order_hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:
     """exp(A t) and ∫₀ᵗ exp(A s) ds B from one matrix exponential (Van Loan 1978)."""
     n = len(b)
     block = np.zeros((n + 1, n + 1))

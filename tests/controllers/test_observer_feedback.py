@@ -1,0 +1,250 @@
+"""Controllers with an observer, against known answers: poles, Riccati equations, margins, steady errors."""
+
+import copy
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from agents.controllers.adrc import ADRC, ADRCGains, placed
+from agents.controllers.base import ObservationLayout
+from agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
+from agents.controllers.observer_feedback import SampledModel, braked
+from agents.controllers.registry import make_controller
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
+
+TASK = TaskConfig()
+RIGS = ("kovari_2015", "symmetric_eha", "aalborg_svsdp_2017")
+KINDS = ("adrc", "lqg")
+
+
+def task_of_rig(name, **fields):
+    """A task on a rig of configs/rigs, without randomisation."""
+    return TaskConfig(plant=PlantParameters.from_yaml(f"configs/rigs/{name}.yaml"), randomisation={}, **fields)
+
+
+def closed_loop(controller):
+    """Transition matrix of the loop of controller and its own model: state, estimate, last command, (2n + 1, 2n + 1).
+
+    Built by perturbing each of them, so that it tests the equations as they are used.
+    """
+    m = controller.model
+    n = len(m.transition)
+    steps = np.zeros((2 * n + 1, controller.preview.horizon + 1))
+    x, estimate, before = np.split(np.eye(2 * n + 1), [n, 2 * n], axis=1)
+    innovation = (x - estimate) @ m.outputs.T
+    corrected = estimate + innovation @ controller.correction.T
+    command = controller.speed(corrected, corrected[:, 0], before[:, 0], steps)
+    moved = x @ m.transition.T + np.outer(before, m.input_old) + np.outer(command, m.input_new)
+    expected = corrected @ m.transition.T + np.outer(before, m.input_old) + np.outer(command, m.input_new)
+    return np.concatenate([moved, expected, command[:, None]], axis=1).T
+
+
+def test_braking_is_a_root_and_joins_smoothly():
+    near, small = 2e-3, 1e-9
+    error = np.array([-near / 2, near / 2, near - small, near + small, 8.5 * near])
+    reduced = braked(error, near)
+    np.testing.assert_allclose(reduced[:2], error[:2])
+    assert (reduced[3] - reduced[2]) / (2 * small) == pytest.approx(1.0, rel=1e-3)
+    assert reduced[4] == pytest.approx(4.0 * near)
+
+
+# ADRC ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bandwidth", [0.5, 1.5, 4.0])
+def test_all_poles_of_the_extended_state_observer_lie_at_its_bandwidth(bandwidth):
+    controller = ADRC(ADRCGains(observer_bandwidth=bandwidth), TASK)
+    m = controller.model
+    errors = (np.eye(3) - controller.correction @ m.outputs) @ m.transition
+    wanted = np.exp(-bandwidth / controller.lag * TASK.control_period)
+    # The characteristic polynomial, because a triple eigenvalue is not well conditioned.
+    np.testing.assert_allclose(
+        np.poly(errors * [[1.0], [0.01], [1e-4]] / [1.0, 0.01, 1e-4]), np.poly([wanted] * 3), atol=1e-9
+    )
+
+
+def test_without_lag_the_observer_has_gaos_gains():
+    """Miklosovic, Radke & Gao (2006): a double integrator's observer has 1 − β³, 3(1 − β)²(1 + β)/(2T), (1 − β)³/T²."""
+    period, beta = 5e-3, 0.4
+    transition = np.array([[1.0, period, 0.5 * period**2], [0.0, 1.0, period], [0.0, 0.0, 1.0]])
+    gain = placed(transition.T, transition[0], [beta] * 3)
+    known = 1.0 - beta**3, 1.5 * (1.0 - beta) ** 2 * (1.0 + beta) / period, (1.0 - beta) ** 3 / period**2
+    np.testing.assert_allclose(gain, known, rtol=1e-9)
+
+
+def test_poles_of_adrc_are_those_of_observer_and_controller():
+    controller = ADRC(ADRCGains(controller_bandwidth=0.5, observer_bandwidth=2.0), TASK)
+    period = TASK.control_period / controller.lag
+    inner, outer = np.exp(-0.5 * period), np.exp(-2.0 * period)
+    # The disturbance is not controllable: its pole stays at 1, and it is cancelled.
+    wanted = np.poly([inner, inner, 0.0, outer, outer, outer, 1.0])
+    scale = np.array([1.0, 0.01, 1e-4, 1.0, 0.01, 1e-4, 0.01])
+    np.testing.assert_allclose(np.poly(closed_loop(controller) * scale / scale[:, None]), wanted, atol=1e-6)
+
+
+# LQG -----------------------------------------------------------------------------------------------------------------
+
+
+def test_the_kalman_gain_is_that_of_the_riccati_equation():
+    model = SampledModel(np.array([[1.0, 0.1], [0.0, 0.9]]), np.zeros(2), np.array([0.0, 1.0]), np.array([[1.0, 0.0]]))
+    drift, noise = np.array([0.1, 0.3]), np.array([0.2])
+    p = solve_discrete_are(model.transition.T, model.outputs.T, np.diag(drift**2), np.diag(noise**2))
+    known = p @ model.outputs.T / (model.outputs @ p @ model.outputs.T + noise**2)
+    for size in (np.ones(2), np.array([1e-3, 40.0])):
+        np.testing.assert_allclose(kalman_gain(model, drift, noise, size), known, rtol=1e-8)
+
+
+def test_the_regulator_is_that_of_the_riccati_equation_and_its_preview_sums_to_the_feedback():
+    model = LQG(LQGGains(), TASK).model
+    feedback, preview = regulator(model, 20.0, np.ones(6), 1.0)
+    scaled, same = regulator(model, 20.0, np.array([1e-3, 0.2, 60.0, 0.2, 100.0, 0.3]), 0.2)
+    np.testing.assert_allclose(feedback, scaled, rtol=1e-5)
+    np.testing.assert_allclose(preview, same, rtol=1e-4, atol=1e-6)
+    assert preview.sum() == pytest.approx(feedback[0], rel=1e-6)  # position and reference moved alike: no command
+
+
+def test_preview_of_an_integrator_is_known():
+    """x⁺ = x + u with Σ x² + r (Δu)²; optimal commands from one long least-squares problem."""
+    weight, horizon = 0.7, 60
+    model = SampledModel(np.array([[1.0]]), np.zeros(1), np.ones(1), np.ones((1, 1)))
+    feedback, preview = regulator(model, weight, np.ones(1), 1.0)
+    reference = np.zeros(horizon)
+    reference[3:] = 1.0
+    changes = np.tril(np.ones((horizon, horizon)))
+    positions = np.tril(np.ones((horizon, horizon)), 0) @ changes  # after 1, 2, … periods
+    target = np.concatenate([weight * reference, np.zeros(horizon)])
+    best = np.linalg.lstsq(np.concatenate([weight * positions, np.eye(horizon)]), target, rcond=None)[0]
+    assert preview[:horizon] @ reference == pytest.approx(best[0], rel=1e-6)
+    assert feedback.shape == (2,)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize(("period", "latency"), [(5e-3, 1e-3), (2e-3, 0.0), (10e-3, 5e-3), (5e-3, 5e-3)])
+def test_the_loop_on_the_linear_model_is_stable_on_every_rig(kind, name, period, latency):
+    controller = make_controller(kind, task_of_rig(name, control_period=period, command_latency=latency))
+    radii = np.sort(np.abs(np.linalg.eigvals(closed_loop(controller))))
+    disturbances = 1 if kind == "adrc" else 3
+    assert np.all(radii[-disturbances:] == pytest.approx(1.0, abs=1e-5))  # nothing moves a constant disturbance
+    assert radii[-disturbances - 1] < 0.995
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("valve", ["spool", "ideal"])
+def test_simpler_valves_give_stable_loops_too(kind, valve):
+    config = TaskConfig(plant=PlantParameters().replace(valve={"model": valve}))
+    radii = np.sort(np.abs(np.linalg.eigvals(closed_loop(make_controller(kind, config)))))
+    assert radii[-(1 if kind == "adrc" else 3) - 1] < 0.995
+
+
+def test_gains_without_a_solution_are_refused_in_one_line():
+    with pytest.raises(ConfigurationError, match="lqg: no regulator or Kalman filter for these gains") as raised:
+        LQG(LQGGains(bandwidth=1e9), TASK)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_regulator_of_lqg_has_the_margins_that_optimality_gives():
+    """Distance of the loop transfer function from −1: at least 1/√(1 + BᵀPB) in discrete time."""
+    controller = LQG(LQGGains(), TASK)
+    m, n = controller.model, 6
+    a, b = np.eye(n + 1), np.append(m.input_new[:n], 1.0)
+    a[:n, :n], a[:n, n] = m.transition[:n, :n], (m.input_old + m.input_new)[:n]
+    weight = np.zeros(n + 1)
+    weight[0] = (controller.gains.bandwidth / controller.lag) ** 2 * TASK.control_period
+    cost = solve_discrete_are(a, b[:, None], np.outer(weight, weight), np.eye(1))
+    z = np.exp(1j * np.linspace(0.01, np.pi, 2000))
+    loop = np.array([controller.feedback @ np.linalg.solve(point * np.eye(n + 1) - a, b) for point in z])
+    distance = np.abs(1.0 + loop).min()
+    assert distance >= 0.99 / np.sqrt(1.0 + b @ cost @ b)
+    assert distance > 0.3  # gain margin above 1.4, phase margin above 17°
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_constant_load_leaves_no_error(kind):
+    """Exact sensors, an axis that leaks and is lighter than the nominal one, and a force that stays."""
+    config = TaskConfig(
+        randomisation={"load.mass": {"uniform": (40.0, 40.0)}},
+        sensors={"enabled": False},
+        references={"weights": {"user": 1.0}, "user": [0.01]},
+        disturbance={"kind": "step", "force_range": (400.0, 400.0), "start_range": (0.1, 0.1)},
+    )
+    controller, state = make_controller(kind, config), None
+    env = ServoHydraulicVectorEnv(2, config, autoreset_mode="NextStep")
+    observation, _ = env.reset(seed=[1, 2], options={"leakage_flow_lpm": np.array([0.1, 4.0])})
+    errors = []
+    for _ in range(config.steps - 1):
+        action, state = controller.predict(observation, state)
+        observation, *_ = env.step(action)
+        errors.append(np.abs(env.axes.column("position") - 0.01))
+    env.close()
+    assert np.all(np.max(errors, axis=0) > 10e-6)  # the force pushed the axis away
+    assert np.all(np.array(errors)[-20:] < 1e-6)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("previews", [(), (0.005, 0.010, 0.020, 0.040)])
+def test_a_long_saturated_move_ends_without_overshoot(kind, previews):
+    """At full speed for a tenth of a second, with and without a preview: nothing has wound up."""
+    config = TaskConfig(
+        randomisation={},
+        sensors={"enabled": False},
+        references={"weights": {"user": 1.0}, "user": [0.0] * 20 + [0.03], "preview_times": previews},
+        episode_duration=1.0,
+    )
+    controller, state, positions, commands = make_controller(kind, config), None, [], []
+    env = ServoHydraulicVectorEnv(1, config, autoreset_mode="NextStep")
+    observation, _ = env.reset(seed=1)
+    for _ in range(config.steps - 1):
+        action, state = controller.predict(observation, state)
+        observation, *_ = env.step(action)
+        positions.append(env.axes.column("position")[0])
+        commands.append(action[0, 0])
+    env.close()
+    assert np.sum(np.array(commands) == 1.0) > 20
+    assert max(positions) < 0.03 + 0.3e-3
+    assert abs(positions[-1] - 0.03) < 5e-6
+
+
+# What every controller with an observer does -------------------------------------------------------------------------
+
+
+def observations(config, axes=3, seed=5):
+    env = ServoHydraulicVectorEnv(axes, config, autoreset_mode="NextStep")
+    observation, _ = env.reset(seed=list(range(seed, seed + axes)))
+    return env, observation
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", RIGS)
+def test_the_start_is_bumpless(kind, name):
+    """At rest on the reference, the first commands are those that hold the axis."""
+    config = task_of_rig(name, sensors={"enabled": False}, references={"weights": {"step": 1.0}})
+    env, observation = observations(config)
+    controller, state = make_controller(kind, config), None
+    held = ObservationLayout.of(config).si(observation, "previous_command")
+    for _ in range(2):  # the first step comes after 50 ms at the earliest
+        action, state = controller.predict(observation, state)
+        np.testing.assert_allclose(action[:, 0], held, atol=2e-3)
+        observation, *_ = env.step(action)
+    env.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_state_is_never_changed_and_a_batch_equals_single_axes(kind):
+    controller = make_controller(kind, TASK)
+    env, observation = observations(TASK)
+    state, singles = None, [None] * 3
+    for step in range(40):
+        before = copy.deepcopy(state)
+        start = np.array([False, step == 20, False])
+        action, new = controller.predict(observation, state, start)
+        if state is not None:
+            for kept, now in zip(before, state, strict=True):
+                np.testing.assert_array_equal(kept, now)
+        for axis in range(3):
+            one, singles[axis] = controller.predict(observation[axis], singles[axis], start[axis : axis + 1])
+            np.testing.assert_allclose(one, action[axis], atol=1e-6)
+        state = new
+        observation, *_ = env.step(action)
+    env.close()
