@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,43 +15,67 @@ if TYPE_CHECKING:
     from agents.study.settings import StudySettings
 
 
+class Objective(StrEnum):
+    """What tuned gains make small; see :class:`agents.learning.tuning.Score`."""
+
+    MEAN = "mean"
+    EQUAL = "equal"
+
+
 def train(
     what: Annotated[
         str,
         typer.Argument(
-            help="ppo (or another trained controller of the study), head (the leakage head), or pid (optimises its "
-            "gains)."
+            help="ppo (or another trained controller of the study), head (the leakage head), or a classical controller "
+            "(pid, flow_linearising, ...), whose gains are tuned."
         ),
     ],
     output: Output = Path("results/train"),
     config: Config = None,
     agent: Agents = None,
     steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
+    objective: Annotated[
+        Objective | None,
+        typer.Option(
+            help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default)."
+        ),
+    ] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(min=1, help="For gains: sets of gains that are tried, instead of 2800.")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="For gains: YAML file of gains from which the search starts.")
+    ] = None,
     seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
 
+    The gains of a classical controller go to KIND.yaml, the best so far after every generation.
     The head learns from episodes under every controller of the study; trained controllers take the shipped weights
     unless `--agent` gives others.
     """
+    from agents.controllers.registry import CONTROLLERS
     from agents.study.settings import default_study
 
     study = default_study(config)
     seed = study.seed if seed is None else seed
     part = what.lower()
-    _refuse("--steps", steps is not None and part in ("head", "pid"), part)
+    classical = part in CONTROLLERS
+    _refuse("--steps", steps is not None and (classical or part == "head"), part)
     _refuse("--agent", agent is not None and part != "head", part)
-    _refuse("--resume", resume and part == "pid", part)
+    for option, value in (("--objective", objective), ("--evaluations", evaluations), ("--start", start)):
+        _refuse(option, value is not None and not classical, part)
     if part == "head":
         file = _head(study, output, seed, resume, overwrite, named_agents(agent))
-    elif part == "pid":
-        file = _gains(study, output, seed, overwrite)
+    elif classical:
+        aim = objective or Objective.EQUAL
+        file = _gains(study, part, output, aim, evaluations, start, seed, resume, overwrite)
     else:
         name = next((name for name in study.trained if name.lower() == part), None)
         if name is None:
-            known = ", ".join([*(name.lower() for name in study.trained), "head", "pid"])
+            known = ", ".join([*(name.lower() for name in study.trained), "head", *CONTROLLERS])
             raise ConfigurationError(f"train '{what}': unknown; this study trains: {known}")
         file = _controller(study, name, output, seed, resume, overwrite, steps)
     say(f"written: {file}")
@@ -102,20 +127,45 @@ def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite
     return folder / f"{HEAD_WEIGHTS}.safetensors"
 
 
-def _gains(study: StudySettings, folder: Path, seed: int, overwrite: bool) -> Path:
-    from agents.learning.tuning import tune_pid
+def _gains(
+    study: StudySettings,
+    kind: str,
+    folder: Path,
+    objective: Objective,
+    evaluations: int | None,
+    start: Path | None,
+    seed: int,
+    resume: bool,
+    overwrite: bool,
+) -> Path:
+    from agents.controllers.registry import CONTROLLERS
+    from agents.learning.tuning import EVALUATIONS, Tuned, tune
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
+    from hydro_env.files import read_yaml, validate, write_yaml
 
-    generations = 80
-    path = folder / "pid.yaml"
-    with output_folder(folder, "train pid", [path.name], overwrite=overwrite), ProgressDisplay() as display:
+    budget = EVALUATIONS if evaluations is None else evaluations
+    path, log = folder / f"{kind}.yaml", folder / "tuning.csv"
+    first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
+    if resume and not log.exists():
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no tuning.csv; leave --resume out")
+    with (
+        output_folder(folder, f"train {kind}", [path.name, log.name], resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
 
-        def report(generation: int, cost: float, gains: object) -> None:
-            note = f"mean cost {cost:.5f}, proportional {getattr(gains, 'proportional', 0.0):.4g} 1/m"
-            display.update("tune PID", min(generation, generations), generations, note)
+        def report(best: Tuned) -> None:
+            note = f"mean {1e3 * best.score.mean:.4f} mm, equal {1e3 * best.score.equal:.4f} mm"
+            display.update(f"tune {kind}", min(best.evaluations, budget), budget, note)
+            write_yaml(path, best.gains.model_dump())
 
-        display.update("tune PID", 0, generations)
-        gains, _ = tune_pid(study.task, generations=generations, seed=seed, progress=report)
-        gains.to_yaml(path)
+        display.update(f"tune {kind}", 0, budget)
+        best = tune(
+            kind, study.task, objective.value, budget, seed, start=first, log=log, resume=resume, progress=report
+        )
+        write_yaml(path, best.gains.model_dump())
+        display.say(
+            f"{kind}: training cases, price on changes of the command included: mean {1e3 * best.score.mean:.4f} mm, "
+            f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"
+        )
     return path

@@ -6,6 +6,7 @@ linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -32,15 +33,16 @@ _LEAST_GAIN = 0.3
 class FlowLinearisingGains(Group):
     """Gains of :class:`FlowLinearising`: factors of what the data sheet of the rig gives, and uncertainties.
 
-    A *delay* is the time from a sample to the motion that follows from it: latency, half a control period, and valve.
+    A *delay* is the time from a sample to the motion that follows from it: latency, half a control period, and valve. A
+    *pace* is the longer of that and half a period of the hydraulic oscillation.
     """
 
-    position_gain: float = gain(0.4, (0.1, 1.5), "1", "speed per error, times the delay", high=100.0, logarithmic=True)
+    position_gain: float = gain(0.4, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
     braking: float = gain(
         4.0,
         (0.3, 20.0),
         "1",
-        "error beyond which the speed grows with its root, per way at full speed in a delay",
+        "error beyond which the speed grows with its root, per way at full speed in a pace",
         low=1e-3,
         high=1e4,
         logarithmic=True,
@@ -54,7 +56,7 @@ class FlowLinearisingGains(Group):
     set_off_delay: float = gain(1.4, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
     damping: float = gain(0.2, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
     damping_filter: float = gain(
-        0.7, (0.1, 4.0), "1", "time of its high-pass, in delays", low=1e-3, high=1e3, logarithmic=True
+        0.7, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
     )
     friction: float = gain(1.0, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
     flow_gain_spread: float = gain(
@@ -113,6 +115,7 @@ class FlowLinearising:
         self.config = config
         self.layout = ObservationLayout.of(config)
         self.delay = _delay(config)
+        self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
         self._model = FlowModel(plant)
         self._preview = Preview(config)
@@ -121,8 +124,8 @@ class FlowLinearising:
         self._weights = self._reference_weights()
         self._times = period * np.arange(1.0, self._preview.horizon + 1)
         self._jump = max(speed_limits(plant)) * period
-        self._gain, self._linear = g.position_gain / delay, g.braking * full_speed * delay
-        self._blend = period / (period + g.damping_filter * delay)
+        self._gain, self._linear = g.position_gain / self.pace, g.braking * full_speed * self.pace
+        self._blend = period / (period + g.damping_filter * self.pace)
         self._damping = g.damping * closed_port_natural_frequency(plant)
         self._friction = g.friction * plant.friction.largest_force / period
         self._turned = _REVERSAL * plant.friction.stribeck_velocity

@@ -38,8 +38,8 @@ class FlowModel:
 
     In each chamber A v = q − C dp/dt with the compliance C = V/β of its oil. Weighted with A/C and added up, the
     pressures appear as the force of the oil alone: v = Σ (A/C) q / k − dF/dt / k, with k = Σ A²/C. The flow gains
-    follow from the measured pressures. So the model holds while the pressures move from one level to another, for example
-    after a reversal of an unequal cylinder.
+    follow from the measured pressures. So the model also holds while the pressures move from one level to another, for
+    example after a reversal of an unequal cylinder.
     """
 
     def __init__(self, plant: PlantParameters) -> None:

@@ -59,9 +59,9 @@ class PID:
     """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
 
     The preview gives e and ẋ_ref with a lead that compensates latency and valve. Without a preview there is no lead,
-    and ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the measured
-    position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the integral
-    takes over the command that holds the axis.
+    and ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the
+    measured position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the
+    integral takes over the command that holds the axis.
     """
 
     memory = PIDState

@@ -314,7 +314,10 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
         written = json.loads(first.removeprefix("# "))
         scores: dict[int, list[Score]] = {}
         for row in csv.DictReader(io.StringIO(table)):
-            scores.setdefault(int(row["generation"]), []).append(Score(float(row["mean"]), float(row["equal"])))
+            generation = scores.setdefault(int(row["generation"]), [])
+            if int(row["candidate"]) != len(generation):
+                raise ValueError(f"candidate {row['candidate']} is out of order")
+            generation.append(Score(float(row["mean"]), float(row["equal"])))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
     other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]

@@ -1,36 +1,127 @@
-"""The search for gains lowers the cost and is reproducible."""
+"""Tuning lowers the cost, repeats and resumes bit-equal; what cannot be made or fails is a bad candidate."""
 
 import numpy as np
 import pytest
 
 from agents.controllers import PID, PIDGains
-from agents.learning.tuning import SEARCH, gains_from_vector, mean_costs, tune_pid
-from agents.running.folders import config_folder
-from hydro_env import ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.files import validate
+from agents.controllers.base import gain, search_space
+from agents.controllers.registry import CONTROLLERS
+from agents.learning.tuning import LEAK_LEVELS, REFUSED, Space, Trial, TuningCases, tune
+from agents.running.cases import Cases, run_cases
+from agents.running.seeds import TRAINING_SEEDS
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.plant.analysis import speed_limits
+
+SHORT = TaskConfig(episode_duration=0.3)
+OPTIONS = {"cases": 14, "population": 6}
 
 
-def test_search_improves_and_repeats():
-    config = TaskConfig(episode_duration=0.3)
-    seen = []
-    options = {"plants": 14, "generations": 4, "population": 2}
-    gains, cost = tune_pid(config, **options, progress=lambda *now: seen.append(now))
-    assert [generation for generation, _, _ in seen] == [1, 2, 3, 4]
-    assert seen[-1][1] < seen[0][1]
-    assert (gains, cost) == (seen[-1][2], seen[-1][1])
-    assert tune_pid(config, **options) == (gains, cost)
+class Nothing:
+    """No command, or what it is told."""
 
-
-class Full:
-    """Full command on the first axis, none on the others."""
+    def __init__(self, command=0.0):
+        self.command = command
 
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        action = np.zeros((len(observation), 1), dtype=np.float32)
-        action[0] = 1.0
-        return action, None
+        if self.command is None:
+            raise RuntimeError("broken")
+        return np.full((len(observation), 1), self.command, dtype=np.float32), None
 
 
-def test_an_axis_that_fails_pays_the_worst_tracking_cost_until_the_end():
+def test_the_search_improves_and_repeats():
+    seen = []
+    best = tune("pid", SHORT, evaluations=30, progress=seen.append, **OPTIONS)
+    assert [one.evaluations for one in seen] == [6, 12, 18, 24, 30]
+    assert seen[-1].score.equal < seen[0].score.equal
+    assert (seen[-1].gains, seen[-1].score) == (best.gains, best.score)
+    again = tune("pid", SHORT, evaluations=30, **OPTIONS)
+    assert (again.gains, again.score) == (best.gains, best.score)
+    assert tune("pid", SHORT, "mean", evaluations=30, **OPTIONS).score.mean < best.score.mean
+
+
+def test_a_stopped_search_goes_on_bit_equal(tmp_path):
+    whole = tune("pid", SHORT, evaluations=36, log=tmp_path / "whole.csv", **OPTIONS)
+
+    def stop(best):
+        if best.evaluations == 18:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tune("pid", SHORT, evaluations=36, log=tmp_path / "parts.csv", progress=stop, **OPTIONS)
+    done = []
+    parts = tune("pid", SHORT, evaluations=36, log=tmp_path / "parts.csv", resume=True, progress=done.append, **OPTIONS)
+    assert [one.evaluations for one in done] == [24, 30, 36]
+    assert parts == whole
+    assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
+    log = tmp_path / "tuning.csv"
+    tune("pid", SHORT, evaluations=6, log=log, **OPTIONS)
+    for other, what in (({"objective": "mean"}, "objective"), ({"seed": 1}, "seed"), ({"cases": 7}, "cases")):
+        with pytest.raises(ConfigurationError, match=f"tuning.csv: was written with another {what}"):
+            tune("pid", SHORT, evaluations=6, log=log, resume=True, **{**OPTIONS, **other})
+    with pytest.raises(ConfigurationError, match="was written with another task"):
+        tune("pid", TaskConfig(episode_duration=0.4), evaluations=6, log=log, resume=True, **OPTIONS)
+    text = log.read_text()
+    for damaged in (text[:-40], text.replace("0,3,", "0,x,", 1), "no log"):
+        log.write_text(damaged)
+        with pytest.raises(ConfigurationError, match=r"tuning\.csv: is damaged"):
+            tune("pid", SHORT, evaluations=6, log=log, resume=True, **OPTIONS)
+
+
+def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched():
+    start = PIDGains(proportional=300.0, lead_in_integral=False)
+    best = tune("pid", SHORT, evaluations=6, start=start, **OPTIONS)
+    assert best.gains.lead_in_integral is False
+    space = Space(PIDGains)
+    assert space.values(space.point(start))["proportional"] == pytest.approx(300.0)
+    outside = PIDGains(proportional=1.0, integral=0.0, derivative=7.0)
+    low, high = (space.values(np.full(len(space.names), end)) for end in (0.0, 1.0))
+    moved = space.values(space.point(outside))
+    ends = [low["proportional"], low["integral"], high["derivative"]]
+    assert [moved[name] for name in ("proportional", "integral", "derivative")] == pytest.approx(ends)
+
+
+def test_cases_are_training_cases_with_all_leaks_and_families():
+    families = [name for name in REFERENCE_FAMILIES if name != "user"]
+    cases = TuningCases.of(TaskConfig(), 42, seed=3)
+    assert cases.seeds == tuple(range(126, 168))
+    assert set(cases.seeds) <= set(TRAINING_SEEDS)
+    pairs = set(zip(cases.leakage_flow_lpm, cases.families, strict=True))
+    assert pairs == {(leak, name) for leak in LEAK_LEVELS for name in families}
+
+
+def test_costs_are_error_and_price_of_the_same_cases_for_every_candidate():
+    cases = TuningCases.of(SHORT, 14)
+    pid = PID(PIDGains(proportional=200.0), SHORT)
+    trial = Trial(SHORT, cases, 3)
+    costs = trial.costs([pid, Nothing(), pid])
+    run = run_cases(
+        SHORT, pid, Cases(np.array(cases.seeds), np.array(cases.leakage_flow_lpm), np.array(cases.families))
+    )
+    error = np.abs(run.reference.astype(float) - run.position).mean(axis=1)
+    changes = np.diff(run.command.astype(float), axis=1) ** 2
+    price = 3e-3 * np.mean(speed_limits(SHORT.plant)) * changes.sum(axis=1) / SHORT.steps
+    np.testing.assert_array_equal(costs[0], costs[2])
+    assert (costs[0] >= error + price - 1e-8).all()  # the first change is not in the run
+    np.testing.assert_allclose(costs[0], error + price, atol=2e-6)
+    score = trial.scores([pid, Nothing(), pid])[0]
+    families = np.array(cases.families)
+    means = [costs[0][families == name].mean() for name in dict.fromkeys(cases.families)]
+    assert (score.mean, score.equal) == pytest.approx((costs[0].mean(), np.exp(np.mean(np.log(means)))))
+
+
+def test_a_candidate_that_is_refused_or_fails_costs_much_and_disturbs_no_other():
+    trial = Trial(SHORT, TuningCases.of(SHORT, 7), 4)
+    alone = trial.costs([Nothing()] * 4)
+    costs = trial.costs([None, Nothing(None), Nothing(np.nan), Nothing()])
+    assert (costs[:3] == REFUSED).all()
+    np.testing.assert_array_equal(costs[3], alone[3])
+
+
+def test_an_axis_that_fails_pays_the_stroke_until_the_end():
     config = TaskConfig(
         episode_duration=0.5,
         plant={"cylinder": {"stroke": 0.06}, "load": {"spring_stiffness": 0.0}},
@@ -38,52 +129,47 @@ def test_an_axis_that_fails_pays_the_worst_tracking_cost_until_the_end():
         references={"largest_amplitude": 0.01},
         failure={"end_stop_speed": 0.01},
         initial_position_range=(0.0, 0.0),
-        reward={"failure": 7.0, "error_limit": 3.0, "tracking": 2.0},
     )
-    seeds = [4, 5]
-
-    def env():
-        return ServoHydraulicVectorEnv(2, config, autoreset_mode="SameStep", info=False)
-
-    costs = mean_costs(env(), Full(), seeds, {})
-    again = env()
-    again.reset(seed=seeds)
-    paid, failed_at = np.zeros(2), None
-    for step in range(config.steps):
-        _, reward, terminated, _, _ = again.step(np.array([[1.0], [0.0]]))
-        paid[1] -= reward[1]
-        if failed_at is None:
-            paid[0] -= reward[0]
-            failed_at = step if terminated[0] else None
-        assert not terminated[1]
-    assert failed_at is not None
-    paid[0] += 3.0 * 2.0 * (config.steps - 1 - failed_at)
-    np.testing.assert_allclose(costs, paid / config.steps, rtol=1e-12)
+    cases = TuningCases.of(config, 1)
+    failing, resting = Trial(config, cases, 2).costs([Nothing(1.0), Nothing()])[:, 0]
+    run = run_cases(config, Nothing(1.0), Cases(np.array(cases.seeds), np.array([0.01]), np.array(cases.families)))
+    periods = run.failed_at[0] + 1
+    assert 0 < periods < config.steps
+    error = np.abs(run.reference[0, :periods].astype(float) - run.position[0, :periods]).sum()
+    first_change = 3e-3 * np.mean(speed_limits(config.plant))
+    paid = (error + 0.06 * (config.steps - periods)) / config.steps
+    assert paid <= failing < paid + 1.1 * first_change / config.steps
+    assert resting < failing
 
 
-def test_search_space_maps_to_gains():
-    low = np.array([np.log(low) if log else low for low, _, log in SEARCH.values()])
-    gains = gains_from_vector(low)
-    assert [getattr(gains, name) for name in SEARCH] == pytest.approx([low for low, _, _ in SEARCH.values()])
-    many = gains_from_vector(np.column_stack([low, low + 0.1]))
-    assert many.proportional == pytest.approx([2.0, 2.0 * np.exp(0.1)])
+class Unwilling(Group):
+    """Gains of which a part of the search space is refused, by the class or by the controller."""
+
+    proportional: float = gain(100.0, (1.0, 500.0), "1/m", "", high=300.0)
 
 
-def test_cost_is_the_mean_over_plants_that_are_the_same_for_every_candidate():
-    config = TaskConfig(episode_duration=0.1)
-    gains, cost = tune_pid(config, plants=12, generations=1, population=1, seed=3)
-    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
-    leak = np.array([0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 0.01, 0.03, 0.1, 0.3, 1.0])
-    options = {"leakage_flow_lpm": leak, "reference": [families[0]] * 7 + [families[1]] * 5}
-    env = ServoHydraulicVectorEnv(12, config, autoreset_mode="SameStep", info=False)
-    controller = PID(PIDGains(**gains.model_dump()), config)
-    assert cost == pytest.approx(mean_costs(env, controller, list(range(36, 48)), options).mean(), rel=1e-9)
+class Picky(PID):
+    def __init__(self, gains, config):
+        if gains.proportional < 50.0:
+            raise np.linalg.LinAlgError("no solution")
+        super().__init__(PIDGains(proportional=gains.proportional), config)
 
 
-def test_search_space_holds_the_shipped_gains_and_only_valid_ones():
-    shipped = PIDGains.from_yaml(config_folder() / "agents" / "pid.yaml")
-    for name, (low, high, logarithmic) in SEARCH.items():
-        assert low < getattr(shipped, name) < high
-        assert (low > 0.0) == logarithmic
+def test_refused_gains_are_bad_candidates(monkeypatch, tmp_path):
+    monkeypatch.setitem(CONTROLLERS, "picky", (Picky, Unwilling))
+    log = tmp_path / "log.csv"
+    best = tune("picky", SHORT, evaluations=40, population=20, cases=7, log=log)
+    assert 50.0 <= best.gains.proportional <= 300.0
+    assert str(REFUSED) in log.read_text()
+    with pytest.raises(ConfigurationError, match="kind 'none': unknown; known: pid"):
+        tune("none", SHORT)
+
+
+@pytest.mark.parametrize("kind", CONTROLLERS)
+def test_the_search_space_holds_the_defaults_and_only_valid_gains(kind):
+    _, group = CONTROLLERS[kind]
+    for name, (low, high, logarithmic) in search_space(group).items():
+        assert low <= getattr(group(), name) <= high
+        assert not logarithmic or low > 0.0
         for bound in (low, high):
-            validate(PIDGains, {name: bound}, "search")
+            group(**{name: bound})
