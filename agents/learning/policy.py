@@ -130,7 +130,7 @@ class PolicyController:
         policy, env = model.policy, model.get_env()
         features = features or getattr(env, "features", None)
         activation = getattr(getattr(policy, "activation_fn", None), "__name__", "none").lower()
-        off_policy = hasattr(policy, "actor")
+        off_policy = hasattr(getattr(policy, "actor", None), "latent_pi")  # of SAC and TQC
         if not (off_policy or hasattr(policy, "action_net")) or activation not in ("tanh", "relu"):
             raise ConfigurationError(f"from_sb3: {type(policy).__name__}: must be an MlpPolicy of tanh or relu layers")
         body = (

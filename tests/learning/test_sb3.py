@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from stable_baselines3 import A2C, PPO, SAC
+from stable_baselines3 import A2C, PPO, SAC, TD3
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.features import PolicyFeatures
@@ -66,8 +66,8 @@ def test_models_that_do_not_fit_are_refused():
     plain = AxisVecEnv(CONFIG, 2)
     with pytest.raises(ConfigurationError, match="must be PolicyFeatures"):
         PolicyController.from_sb3(PPO("MlpPolicy", plain, n_steps=8, batch_size=8, device="cpu"))
-    with pytest.raises(ConfigurationError, match="SACPolicy: must be an MlpPolicy of tanh or relu"):
-        PolicyController.from_sb3(SAC("MlpPolicy", plain, device="cpu", buffer_size=10))
+    with pytest.raises(ConfigurationError, match="TD3Policy: must be an MlpPolicy of tanh or relu"):
+        PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
     policy = PolicyController.load(pretrained_folder() / "policy")
     with pytest.raises(ConfigurationError, match=r"inputs of shape \(13,\), the policy needs \(77,\)"):
         policy.to_sb3(plain)
