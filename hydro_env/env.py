@@ -95,8 +95,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ``config``: YAML file, mapping or :class:`TaskConfig`; every field of ``TaskConfig`` is also a keyword:
     ``gym.make("ServoHydraulic-v0", control_period=0.002, leakage={"healthy_share": 0.5})``.
-    ``task``: name in ``configs/tasks`` or YAML file. ``rig``: name in ``configs/rigs`` or YAML file of a rig; references,
-    sensors, randomisation and reward then follow from it.
+    ``task``: name in ``configs/tasks`` or YAML file. ``rig``: name in ``configs/rigs`` or YAML file of a rig;
+    references, sensors, randomisation and reward then follow from it.
     ``render_mode``: ``"rgb_array"`` or ``"human"``. ``info``: ``True``; ``False`` for none; ``"flat"`` for numbers
     only, as array libraries need them: indices of family and failure, reward terms as ``reward_tracking`` and so on.
 

@@ -19,8 +19,9 @@ from agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
-from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT, merged
+from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
+from hydro_env.task.rig import merged
 
 FIRST_SEED = TEST_SEEDS.start + 200_000
 """The first of 100 000 seeds that the protocol alone uses; the ordinary evaluation has others."""

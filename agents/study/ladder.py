@@ -26,7 +26,7 @@ from agents.study.settings import ControllerEntry, Name
 from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_json, read_yaml, validate, write_whole
-from hydro_env.task.configuration import merged
+from hydro_env.task.rig import merged
 
 LADDER_SEEDS = VALIDATION_SEEDS.start + 100_000
 """First validation seed of the cases."""
