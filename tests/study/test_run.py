@@ -222,10 +222,12 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
     assert algorithm.calls[-1]["seed"] == 3
     assert (tmp_path / "out" / "policy.json").exists()
     for what, options, message in (
-        ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid"),
+        ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("pid", {"steps": 3}, "--steps: does not apply to hydro train pid"),
-        ("pid", {"resume": True}, "--resume: does not apply to hydro train pid"),
+        ("pid", {"resume": True}, "nothing to resume, there is no tuning.csv"),
+        ("head", {"evaluations": 3}, "--evaluations: does not apply to hydro train head"),
+        ("mine", {"objective": "mean"}, "--objective: does not apply to hydro train mine"),
         ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
         ("mine", {"resume": True}, "nothing to resume"),
