@@ -225,7 +225,7 @@ def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid"),
         ("head", {"steps": 3}, "--steps: does not apply to hydro train head"),
         ("pid", {"steps": 3}, "--steps: does not apply to hydro train pid"),
-        ("pid", {"resume": True}, "--resume: does not apply to hydro train pid"),
+        ("pid", {"resume": True}, "nothing to resume"),
         ("pid", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train pid"),
         ("mine", {"agent": ["PPO=ppo"]}, "--agent: does not apply to hydro train mine"),
         ("mine", {"resume": True}, "nothing to resume"),
