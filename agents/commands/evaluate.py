@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +19,10 @@ from agents.commands.options import (
     named_agents,
     tell_rigs,
 )
+
+if TYPE_CHECKING:
+    from agents.leakage.head import LeakageHead
+    from hydro_env import TaskConfig
 
 
 def evaluate(
@@ -59,7 +64,6 @@ def evaluate(
     training seeds of one controller; `--agent NAME@CONDITION=…` was tuned or trained for one condition. Ctrl-C keeps
     the finished jobs, and `--resume` goes on.
     """
-    from agents.evaluation.opponents import load_head
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
@@ -87,7 +91,7 @@ def evaluate(
         study = study.model_copy(update={"evaluation": changed})
     controllers = study.with_weights(named_agents(agent))
     tell_rigs(study, controllers)
-    watching = load_head(head, study.task)
+    watching = _watching(head, study.task)
     settings_file = "evaluation.yaml"
     with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
         write_yaml(output / settings_file, study.model_dump(mode="json"))
@@ -99,3 +103,17 @@ def evaluate(
             print_summary(evaluation, display)
     if evaluation.errors:
         raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")
+
+
+def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:
+    """The leakage head; none, with one line on standard error, if the shipped one cannot watch this task."""
+    from agents.evaluation.opponents import load_head
+    from hydro_env import ConfigurationError
+
+    try:
+        return load_head(head, task)
+    except ConfigurationError as error:
+        if head is not None:
+            raise
+        print(f"hydro: no leak detection: {error}; hydro train head makes one for this task", file=sys.stderr)
+        return None

@@ -2,7 +2,11 @@
 
 import json
 import math
+import os
 import re
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -264,3 +268,21 @@ def test_the_rig_of_the_page_works(tmp_path):
     assert 0.95 * 70e5 <= values["supply.pressure"].min() < values["supply.pressure"].max() <= 1.05 * 70e5
     for name in TASKS:
         assert f"`{name}`" in page
+
+
+def test_an_installed_package_finds_its_configurations(tmp_path):
+    """They lie inside the package then, where pyproject.toml puts them."""
+    root = Path(__file__).parents[2]
+    assert '"configs" = "hydro_env/configs"' in (root / "pyproject.toml").read_text(encoding="utf-8")
+    shutil.copytree(root / "hydro_env", tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(root / "configs", tmp_path / "hydro_env" / "configs")
+    code = "from hydro_env.folders import config_file; print(config_file('tasks', 'worn').read_text())"
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.stdout.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip(), answer.stderr
