@@ -29,6 +29,7 @@ KICK, KICK_SHARE = 0.5, 0.01
 SETTLING, JUDGED = 1.5, 6.0
 """s from then on until the axis is judged, and for how long."""
 
+
 def standstill(
     config: TaskConfig,
     controllers: Mapping[str, Controller],
