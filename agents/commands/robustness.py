@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
+from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
@@ -19,8 +20,9 @@ from agents.robustness.participants import (
     shipped_controllers,
     split_name,
 )
-from agents.robustness.running import JOBS_FOLDER, NOT_APPLICABLE, default_jobs, run_protocol
+from agents.robustness.running import JOBS_FOLDER, NOT_APPLICABLE, default_jobs, replay, run_protocol
 from agents.robustness.tables import Tables, make_tables
+from agents.robustness_report.page import PAGE_FILE, write_robustness_report
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.machine import machine_description, package_versions
@@ -41,7 +43,7 @@ def evaluate_protocol(
     overwrite: bool,
     command: str,
 ) -> None:
-    """Run a protocol and write its tables.
+    """Run a protocol, and write its tables and its page.
 
     Args:
         name: of the protocol in ``configs/protocols``, or the path of a YAML file.
@@ -60,7 +62,7 @@ def evaluate_protocol(
     protocol, file = protocol_named(name)
     chosen = _participants(protocol, agents, study_file)
     output = output if output is not None else Path("results") / file.stem
-    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv"]
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
         run = run_protocol(protocol, chosen, output, jobs or default_jobs(), display.update)
@@ -74,8 +76,18 @@ def evaluate_protocol(
         }
         tables = make_tables(protocol, chosen, run, list(facts.items()))
         tables.write(output / "tables")
+        write_robustness_report(
+            output,
+            {field.name: getattr(tables, field.name) for field in fields(tables)},
+            protocol.task,
+            chosen.controllers,
+            lambda row: replay(protocol, chosen, row),
+            protocol.experiments,
+            jobs or default_jobs(),
+            display.update,
+        )
         _print_ranking(tables, display)
-        display.say(f"tables: {(output / 'tables').resolve()}   protocol: SHA-256 {facts['file_sha256']}")
+        display.say(f"report: {(output / PAGE_FILE).resolve()}   protocol: SHA-256 {facts['file_sha256']}")
     if run.errors:
         more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
         raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")

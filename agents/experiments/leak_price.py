@@ -70,7 +70,7 @@ def _leaking(config: TaskConfig, leak: float) -> PlantParameters:
 def _flows(plant: PlantParameters, **state: float) -> Derived:
     """Flows of a plant in a state; states that are not given are zero."""
     row = np.array([[state.get(name, 0.0) for name in STATE_NAMES]])
-    return Derived(*derived_array(row, coefficient_array(plant))[0].tolist())
+    return Derived(*derived_array(row, coefficient_array(plant)[None])[0].tolist())
 
 
 def _holding(plant: PlantParameters, position: float) -> tuple[float, float]:

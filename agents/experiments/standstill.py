@@ -8,13 +8,13 @@ it oscillates by itself: what remains is the limit cycle. With noise the run sho
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from agents.controllers.base import Controller
-from agents.experiments.runs import FIRST_SEED, Array, noiseless, own_reference, run_sweep, working_place
+from agents.evaluation.limit_cycles import find_limit_cycle
+from agents.experiments.runs import FIRST_SEED, noiseless, own_reference, run_sweep, working_place
 from hydro_env import TaskConfig
 
 STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
@@ -28,36 +28,6 @@ KICK, KICK_SHARE = 0.5, 0.01
 
 SETTLING, JUDGED = 1.5, 6.0
 """s from then on until the axis is judged, and for how long."""
-
-LEAST_CYCLES = 3
-"""Cycles that the judged time must hold; a slower motion, below 0.5 Hz, is drift."""
-
-LASTING = 0.5
-"""An oscillation whose last third has less than this share of its amplitude is dying out."""
-
-
-class Oscillation(NamedTuple):
-    """What moves an axis that should rest."""
-
-    amplitude: float  # m; √2 times the root mean square
-    frequency: float  # Hz, the strongest one
-    lasting: bool
-
-
-def oscillation(position: Array, period: float, floor: float) -> Oscillation:
-    """The oscillation in a run without sensor noise, (T,), m; slow drift does not count.
-
-    It is lasting if its amplitude exceeds ``floor`` (m) and does not decay to half within the run.
-    """
-    rows = np.asarray(position, dtype=np.float64)
-    time = np.linspace(-1.0, 1.0, len(rows))
-    spectrum = np.fft.rfft(rows - np.polyval(np.polyfit(time, rows, 1), time))
-    spectrum[:LEAST_CYCLES] = 0.0
-    motion = np.fft.irfft(spectrum, len(rows))
-    amplitude = float(np.sqrt(2.0) * np.std(motion))
-    last = float(np.sqrt(2.0) * np.std(motion[-len(rows) // 3 :]))
-    frequency = float(np.argmax(np.abs(spectrum)) / (len(rows) * period))
-    return Oscillation(amplitude, frequency, amplitude > floor and last > LASTING * amplitude)
 
 
 def standstill(
@@ -100,16 +70,16 @@ def standstill(
             sweep = run_sweep(still, controller, leaks, plants, first_seed)
             resting = run_sweep(noisy, controller, leaks, plants, first_seed).rollout
             for case in range(len(sweep.seeds)):
-                cycle = oscillation(sweep.rollout.position[case, -judged:].astype(np.float64), period, floor)
+                cycle = find_limit_cycle(sweep.rollout.position[case, -judged:].astype(np.float64), period, floor)
                 held = resting.position[case, -judged:].astype(np.float64)
                 travel = np.abs(np.diff(resting.spool[case, -judged:].astype(np.float64))).sum()
                 rows.append(
                     {
                         **sweep.labels(name, case),
                         "place_mm": 1e3 * position,
-                        "limit_cycle": cycle.lasting,
+                        "limit_cycle": cycle.sustained,
                         "amplitude_um": 1e6 * cycle.amplitude,
-                        "frequency_hz": cycle.frequency if cycle.lasting else np.nan,
+                        "frequency_hz": cycle.frequency if cycle.sustained else np.nan,
                         "unrest_um": 1e6 * float(np.std(held)),
                         "offset_um": 1e6 * abs(float(np.mean(held)) + float(resting.position_bias[case]) - position),
                         "valve_travel_per_s": float(travel) / JUDGED,

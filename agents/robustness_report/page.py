@@ -10,7 +10,6 @@ import pandas as pd
 from markupsafe import Markup
 
 from agents.controllers.base import Controller
-from agents.evaluation.statistics import RESAMPLES
 from agents.experiments.series import run_experiments
 from agents.report.text import Table, templates
 from agents.robustness_report.findings import findings
@@ -117,7 +116,6 @@ def render_page(record: Record) -> str:
             sees=sees_table(record),
             facts=Table("", ("Fact", "Value"), list(facts.items())),
             conditions=conditions_table(record),
-            resamples=RESAMPLES,
             svg=lambda plot: Markup(plot.svg),
         )
     )

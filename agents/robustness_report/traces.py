@@ -21,7 +21,7 @@ CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
 
 
 def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFrame:
-    """The cases with the largest ratio of errors of every controller, from different conditions.
+    """The cases that every controller loses by the largest ratio of errors, from different conditions.
 
     The rival of a controller is the baseline; that of the baseline is the controller with the smallest error on the
     case. With several training seeds, the worst seed counts.
@@ -44,7 +44,7 @@ def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFra
     paired = [others.merge(base.rename(columns=rivals), on=CASE), base.merge(best.rename(columns=rivals), on=CASE)]
     table = pd.concat(paired, ignore_index=True)
     table["ratio"] = table["mean_error_mm"] / table["rival_error_mm"]
-    table = table.sort_values("ratio", ascending=False, kind="stable")
+    table = table[table["ratio"] > 1.0].sort_values("ratio", ascending=False, kind="stable")
     table = table.drop_duplicates(["controller", "condition"])  # a condition shows its worst case only
     table["rank"] = table.groupby("controller").cumcount() + 1
     table = table[table["rank"] <= count]

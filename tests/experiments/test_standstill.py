@@ -1,33 +1,12 @@
-"""Limit cycles: known signals, and known loops on the real plant."""
+"""Limit cycles of known loops on the real plant."""
 
-import numpy as np
-import pytest
 from proportional import Proportional, Relay
 
 from agents.evaluation.opponents import shipped
 from agents.experiments.runs import HiddenPreview
-from agents.experiments.standstill import oscillation, standstill
+from agents.experiments.standstill import standstill
 from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
-
-PERIOD = 5e-3
-TIME = PERIOD * np.arange(600)
-
-
-@pytest.mark.parametrize("frequency", [1.5, 8.0, 40.0])
-def test_a_sine_in_noise_is_found(frequency):
-    noise = np.random.default_rng(0).normal(0.0, 5e-6, len(TIME))
-    found = oscillation(30e-6 * np.sin(2 * np.pi * frequency * TIME) + noise, PERIOD, 15e-6)
-    assert found.lasting
-    assert found.amplitude == pytest.approx(30e-6, rel=0.1)
-    assert found.frequency == pytest.approx(frequency, abs=0.2)
-
-
-def test_noise_alone_drift_and_a_dying_oscillation_are_no_limit_cycle():
-    noise = np.random.default_rng(1).normal(0.0, 5e-6, len(TIME))
-    dying = 200e-6 * np.exp(-3.0 * TIME) * np.sin(2 * np.pi * 8.0 * TIME)
-    for signal in (noise, 1e-4 * TIME + noise, dying, np.zeros(600)):
-        assert not oscillation(signal, PERIOD, 15e-6).lasting
 
 
 def test_a_relay_cycles_on_the_real_plant_and_a_soft_loop_does_not():
