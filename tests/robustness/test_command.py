@@ -76,6 +76,8 @@ def test_resuming_uses_the_finished_jobs(place):
     ("arguments", "parts"),
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
+        (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
+        (("--protocol", "own.yaml", "--task", "hard"), ("task 'hard': unknown", "no_preview")),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "own.yaml", "--agent", "PID@noon=pid"), ("PID@noon", "NAME@CONDITION")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
