@@ -11,6 +11,7 @@ import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Table
 
+from agents.controllers.base import Controller
 from agents.robustness.conditions import Protocol, file_sha256, protocol_named
 from agents.robustness.participants import (
     CONDITION_MARK,
@@ -98,10 +99,10 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
     special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
     general = {name: what for name, what in agents.items() if name not in special}
     if study_file is None:
-        controllers = {**shipped_controllers(), **general}
+        controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **general}
     else:
         study = StudySettings.from_yaml(study_file).model_copy(update={"task": protocol.task})
-        controllers = dict(study.with_weights(general))  # type: ignore[arg-type]
+        controllers = dict(study.with_weights(general))
     seeded = {split_name(name)[0] for name in general if SEED_MARK in name}
     controllers = {name: what for name, what in controllers.items() if name not in seeded or name in general}
     return participants(controllers, protocol, special)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,12 +14,12 @@ import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
 from agents.running.cases import Cases
-from agents.running.folders import config_folder
 from agents.running.seeds import TEST_SEEDS
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
+from hydro_env.folders import config_file
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
-from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT
+from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT, task_config
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged
 
@@ -158,8 +158,7 @@ class Protocol(Group):
         values = read_yaml(path)
         folder = Path(path).parent
         if isinstance(values.get("task"), str):
-            file = _file(values["task"], folder, "tasks")
-            values["task"] = validate(TaskConfig, read_yaml(file), str(file))
+            values["task"] = task_config(values["task"], folder=folder)
         conditions = values.get("conditions")
         if "sweep" in values and isinstance(conditions, dict):
             swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
@@ -171,11 +170,11 @@ class Protocol(Group):
             if not isinstance(condition, dict):
                 continue
             if isinstance(condition.get("rig"), str):
-                condition["rig"] = str(_file(condition["rig"], folder, "rigs"))
+                condition["rig"] = str(config_file("rigs", condition["rig"], folder))
             chosen = condition.get("controllers")
             for choice in chosen.values() if isinstance(chosen, dict) else ():
                 if isinstance(choice, dict) and isinstance(choice.get("settings"), str):
-                    choice["settings"] = read_yaml(_file(choice["settings"], folder, "agents"))
+                    choice["settings"] = read_yaml(folder / choice["settings"])
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
                     choice["weights"] = str(folder / choice["weights"])
         protocol = validate(cls, values, str(path))
@@ -183,6 +182,17 @@ class Protocol(Group):
             _ = protocol.tasks
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
+        return protocol
+
+    def moved(self, task: str | None, rig: str | Path | None) -> Protocol:
+        """The protocol with another task, or on another rig.
+
+        Raises:
+            ConfigurationError: no such task or rig, or a condition that does not fit it.
+        """
+        base = task_config(self.task if task is None else task, rig=rig)
+        protocol = validate(Protocol, {**self.model_dump(), "task": base}, "protocol")
+        _ = protocol.tasks
         return protocol
 
     @cached_property
@@ -201,14 +211,13 @@ class Protocol(Group):
     def _task(self, name: str) -> TaskConfig:
         condition = self.conditions[name]
         where = f"conditions.{name}"
-        base = self.task.model_dump()
-        if condition.rig is not None:
-            plant = validate(PlantParameters, read_yaml(condition.rig), condition.rig)
-            base |= {"plant": plant.model_dump(), "randomisation": {}}
-        values = merged(base, condition.task)
+        changes = dict(condition.task)
         if condition.families == ("user",):
-            values = merged(values, {"references": {"weights": {"user": 1.0}}})
-        task = validate(TaskConfig, values, f"{where}: task")
+            changes = merged(changes, {"references": {"weights": {"user": 1.0}}})
+        try:
+            task = task_config(self.task, rig=condition.rig, **changes)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{where}: {error}") from None
         sensors = {
             channel: {
                 "noise": condition.noise_factor * getattr(task.sensors, channel).noise,
@@ -301,14 +310,8 @@ def protocol_named(name: str) -> tuple[Protocol, Path]:
     Raises:
         ConfigurationError: there is no such protocol, or it is wrong.
     """
-    folder = config_folder() / "protocols"
-    named = folder / f"{name}.yaml"
-    if named.is_file():
-        return Protocol.from_yaml(named), named
-    if not Path(name).is_file():
-        known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
-        raise ConfigurationError(f"protocol '{name}': unknown; must be {known}, or the path of a YAML file")
-    return Protocol.from_yaml(name), Path(name)
+    file = config_file("protocols", name)
+    return Protocol.from_yaml(file), file
 
 
 def file_sha256(path: Path) -> str:
@@ -319,9 +322,3 @@ def file_sha256(path: Path) -> str:
     """
     read_text(path)
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _file(text: str, folder: Path, kind: str) -> Path:
-    """A file named by its path relative to a folder, or by its name in ``configs/<kind>``."""
-    named: Mapping[bool, Path] = {True: config_folder() / kind / f"{text}.yaml", False: folder / text}
-    return named[named[True].is_file()]

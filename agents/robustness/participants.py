@@ -20,7 +20,7 @@ from agents.robustness.conditions import ControllerChoice, Protocol
 from agents.running.cases import check_predict
 from agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, validate
+from hydro_env.files import Group, read_yaml, validate
 
 SEED_MARK = "#"
 """Between the name of a controller and the number of its training seed, as in ``PPO#3``."""
@@ -40,11 +40,13 @@ class Sees(Group):
     note: str = ""
 
 
-def shipped_controllers() -> dict[str, str]:
+def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
     """Every controller that comes with gains or weights, by name; the PID is the first, the baseline."""
-    tuned = [kind for kind in CONTROLLERS if (config_folder() / "agents" / f"{kind}.yaml").is_file()]
-    kinds = [*tuned, *SHIPPED_WEIGHTS]
-    return {kind.upper() if len(kind) < 5 else kind.replace("_", "-"): kind for kind in kinds}
+    folder = config_folder() / "agents"
+    tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
+    named = {kind.upper() if len(kind) < 5 else kind.replace("_", "-"): kind for kind in (*tuned, *SHIPPED_WEIGHTS)}
+    mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))
+    return {"PID": "pid", "PID mended": mended, **named}
 
 
 @dataclass(frozen=True)

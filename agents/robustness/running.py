@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from multiprocessing import parent_process
 from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
+from threading import current_thread, main_thread
 from typing import Any
 
 import numpy as np
@@ -173,13 +176,20 @@ def _named(key: str, job: Job) -> tuple[str, JobResult]:
     return key, run_job(job)
 
 
+def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
+    """Run a job in a process of the pool: there Ctrl-C is left to the process that waits."""
+    if parent_process() is not None and current_thread() is main_thread():
+        signal(SIGINT, SIG_IGN)
+    return _named(key, job)
+
+
 def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str, JobResult]]:
     """Results of jobs as they are ready, each with its key."""
     if not waiting:
         return
     first, *others = waiting.items()
     yield _named(*first)  # here: what it compiles, the other processes read from the disk
-    calls = [delayed(_named)(key, job) for key, job in others]
+    calls = [delayed(_in_worker)(key, job) for key, job in others]
     pool: Any
     try:
         pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")

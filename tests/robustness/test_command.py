@@ -1,9 +1,15 @@
 """``hydro evaluate --protocol``: tables, resumption, own agents, and one line for what is wrong."""
 
+import os
+import signal
+import subprocess
+import sys
+import time
+
 import pandas as pd
 import pytest
 import yaml
-from command_line import assert_one_clear_line, hydro
+from command_line import COMMAND, assert_one_clear_line, environment, hydro, own_lines
 from small_protocol import SMALL
 
 AGENTS = """
@@ -71,6 +77,8 @@ def test_resuming_uses_the_finished_jobs(place):
     ("arguments", "parts"),
     [
         (("--protocol", "robst"), ("protocol 'robst': unknown", "quick, robustness")),
+        (("--protocol", "own.yaml", "--rig", "nowhere"), ("rig 'nowhere': unknown", "symmetric_eha")),
+        (("--protocol", "own.yaml", "--task", "hard"), ("task 'hard': unknown", "no_preview")),
         (("--protocol", "own.yaml", "--plants", "9"), ("--plants", "from its file")),
         (("--protocol", "own.yaml", "--agent", "PID@noon=pid"), ("PID@noon", "NAME@CONDITION")),
         (("--protocol", "own.yaml", "--agent", "mine=nowhere:Agent"), ("mine", "nowhere")),
@@ -83,3 +91,21 @@ def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):
     before = sorted(place.iterdir())
     assert_one_clear_line(hydro("evaluate", *arguments), *parts)
     assert sorted(place.iterdir()) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of a terminal")
+def test_ctrl_c_keeps_the_finished_jobs_and_says_so_in_one_line(place):
+    many = {**SMALL, "plants": 200, "chunk": 4}
+    (place / "own.yaml").write_text(yaml.safe_dump(many, sort_keys=False))
+    line = [*COMMAND, "evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-o", "out", "-j", "2"]
+    running = subprocess.Popen(
+        line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment()
+    )
+    jobs = place / "out" / "jobs"
+    while running.poll() is None and (not jobs.is_dir() or len(list(jobs.glob("*.npz"))) < 8):
+        time.sleep(0.1)
+    os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the workers as well
+    _, errors = running.communicate()
+    assert running.returncode == 130
+    assert own_lines(errors) == ["hydro: stopped; out keeps what is done so far, --resume goes on with it"]
+    assert 8 <= len(list(jobs.glob("*.npz"))) < 400

@@ -105,9 +105,10 @@ def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
         entries = [c.factors[path] for c in protocol.conditions.values() if path in c.factors]
         group, field = path.split(".")
         if draw.times is None and "external" not in path:
-            values = np.array(entries) * getattr(getattr(protocol.task.plant, group), field)
-            assert values.max() > draw.bounds[1] or path == "load.mass"
-            assert values.min() < draw.bounds[0]
+            own = getattr(getattr(protocol.task.plant, group), field)
+            low, high = draw.bounds(own)
+            assert own * min(entries) < low
+            assert own * max(entries) > high
     assert len(protocol_named("quick")[0].table()) < 12
 
 
@@ -176,6 +177,17 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):
     assert "own.yaml" in str(raised.value)
 
 
+def test_a_protocol_moves_to_another_task_and_rig():
+    protocol = small(conditions={"plain": {}, "heavy": {"factors": {"load.mass": 2.0}}})
+    moved = protocol.moved(None, "symmetric_eha")
+    assert moved.task.plant.load.mass == 20.0
+    assert moved.parameters_in("heavy") == {"load": {"mass": 40.0}}
+    assert moved.task.references.step_range != protocol.task.references.step_range
+    assert moved.task.episode_duration == protocol.task.episode_duration
+    assert moved.sha256 != protocol.sha256
+    assert protocol.moved("no_preview", None).task_in("heavy").references.preview_times == ()
+
+
 def test_an_unknown_protocol_names_the_known_ones():
-    with pytest.raises(ConfigurationError, match="'robust': unknown; must be quick, robustness"):
+    with pytest.raises(ConfigurationError, match="'robust': unknown; known: quick, robustness"):
         protocol_named("robust")
