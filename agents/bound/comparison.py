@@ -69,6 +69,13 @@ def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
     return table
 
 
+def travel(frame: pd.DataFrame) -> pd.DataFrame:
+    """Mean valve travel in full strokes per second by ``family``, one column per controller; last row: over all."""
+    table = frame.pivot_table("valve_travel_per_s", "family", "controller", sort=False)
+    table.loc["mean"] = table.mean()
+    return table
+
+
 def convergence(
     config: TaskConfig,
     settings: ComparisonSettings,
