@@ -69,6 +69,13 @@ def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
     return table
 
 
+def travel(frame: pd.DataFrame) -> pd.DataFrame:
+    """Mean valve travel in full strokes per second by ``family``, one column per controller; last row: over all."""
+    table = frame.pivot_table("valve_travel_per_s", "family", "controller", sort=False)
+    table.loc["mean"] = table.mean()
+    return table
+
+
 def convergence(
     config: TaskConfig,
     settings: ComparisonSettings,
@@ -101,7 +108,8 @@ def convergence_picture(table: pd.DataFrame) -> bytes:
         settings = list(table["setting"].unique())
         smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
         looks = looks_of(["steps", "other families"])
-        for place, setting in zip(figure.subplots(1, len(settings), squeeze=False)[0], settings, strict=True):
+        panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
+        for place, setting in zip(panels, settings, strict=True):
             rows = table[table["setting"] == setting]
             lines = {"steps": rows.get("step"), "other families": rows[smooth].mean(axis=1) if smooth else None}
             for name, values in lines.items():
@@ -109,8 +117,9 @@ def convergence_picture(table: pd.DataFrame) -> bytes:
                     ticks = np.arange(len(rows))
                     place.plot(ticks, 1e3 * values, marker=looks[name].marker, label=name, **looks[name].stroke)
                     place.set_xticks(ticks, rows["value"].astype(str))
-            place.set(title=setting.replace("_", " "), yscale="log", ylabel="mean error, µm")
-        place.legend(loc="center right")
+            place.set(title=setting.replace("_", " "), yscale="log")
+        panels[0].set_ylabel("mean error, µm")
+        panels[0].legend(loc="center right")
 
     return render(paint, (WIDE, 3.0), "png")[0]
 

@@ -17,7 +17,9 @@ def bound(
     plants: Annotated[int, typer.Option(min=3, max=1000, help="Plants per leak level and reference family.")] = 3,
     leak: Annotated[
         list[float] | None,
-        typer.Option(help="l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1 and 4."),
+        typer.Option(
+            help="l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1 and 4; with --converge 1."
+        ),
     ] = None,
     converge: Annotated[
         bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
@@ -40,6 +42,7 @@ def bound(
         convergence_picture,
         markdown,
         summary,
+        travel,
     )
     from agents.evaluation.opponents import shipped
     from agents.running.console import ProgressDisplay
@@ -48,8 +51,8 @@ def bound(
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
-    given = {} if leak is None else {"leak_levels": leak}
-    settings = validate(ComparisonSettings, {"plants": plants, "validation": converge, **given}, "bound")
+    levels = leak or ([1.0] if converge else [0.01, 0.3, 1.0, 4.0])
+    settings = validate(ComparisonSettings, {"leak_levels": levels, "plants": plants, "validation": converge}, "bound")
     files = ["bound.md", "bound.csv", "convergence.md", "convergence.png"]
     with output_folder(output, "bound", files, overwrite=overwrite), ProgressDisplay() as display:
         if converge:
@@ -61,9 +64,10 @@ def bound(
         else:
             frame = compare(config, {"PID": shipped("pid", config)}, settings, display.update)
             parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
-            text = "\n\n".join(parts)
+            price = "Valve travel, full strokes per second:"
+            text = "\n\n".join(["Mean |error|, mm:", *parts, price, markdown(travel(frame), 2)])
             frame.to_csv(output / "bound.csv", index=False)
-            write_whole(output / "bound.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
+            write_whole(output / "bound.md", f"`{command_line()}`\n\n{text}\n".encode())
     say(text, f"results in {output}")
 
 

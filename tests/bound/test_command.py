@@ -12,6 +12,7 @@ from agents.bound.comparison import (
     convergence_picture,
     markdown,
     summary,
+    travel,
 )
 from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro
@@ -27,7 +28,7 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     assert set(cases["controller"]) == {"PID", TRUTH, NOMINAL}
     mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()
     assert f"| {mean:.4f} |" in answer.stdout
-    assert (tmp_path / "out" / "bound.md").read_text(encoding="utf-8").count("| mean |") == 2
+    assert (tmp_path / "out" / "bound.md").read_text(encoding="utf-8").count("| mean |") == 3
     assert_one_clear_line(hydro("bound", "--task", task, "--output", tmp_path / "out"), "holds results already")
 
 
@@ -40,13 +41,20 @@ def test_wrong_input_gets_one_line(tmp_path):
 
 def test_the_summary_has_both_frames():
     rows = [
-        {"controller": name, "family": family, "error_mm": error, "true_error_mm": error + 0.03}
+        {
+            "controller": name,
+            "family": family,
+            "error_mm": error,
+            "true_error_mm": error + 0.03,
+            "valve_travel_per_s": 2.0,
+        }
         for name, error in (("PID", 0.2), (NOMINAL, 0.1), (TRUTH, 0.0))
         for family in ("step", "sine")
     ]
     table = summary(pd.DataFrame(rows), "family")
     assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
     np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
+    assert markdown(travel(pd.DataFrame(rows)), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
     assert markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
 
 
