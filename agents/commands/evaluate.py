@@ -62,7 +62,7 @@ def evaluate(
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
     protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…`, `NAME#1=…` are
     training seeds of one controller; `--agent NAME@CONDITION=…` was tuned or trained for one condition. Ctrl-C keeps
-    the finished jobs, and `--resume` goes on.
+    the finished jobs, and `--resume` goes on. `--task` and `--rig` then replace those of the protocol.
     """
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay
@@ -73,14 +73,13 @@ def evaluate(
     from hydro_env.files import validate, write_yaml
 
     if protocol is not None:
-        from agents.commands.robustness import evaluate_protocol
+        from agents.commands.robustness import Place, evaluate_protocol
 
-        given = {"--head": head, "--plants": plants, "--task": task, "--rig": rig}
-        for option, value in given.items():
+        for option, value in {"--head": head, "--plants": plants}.items():
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
-        agents = named_agents(agent)
-        evaluate_protocol(protocol, agents, config, output, jobs, resume, overwrite, command_line())
+        place = Place(task, rig, output)
+        evaluate_protocol(protocol, named_agents(agent), config, place, jobs, resume, overwrite, command_line())
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")

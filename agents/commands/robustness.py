@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping
-from dataclasses import fields
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Table
 
+from agents.bound.best_found import best_found
 from agents.controllers.base import Controller
 from agents.robustness.conditions import Protocol, file_sha256, protocol_named
 from agents.robustness.participants import (
@@ -34,23 +36,31 @@ from hydro_env.files import write_yaml
 PROTOCOL_FILE = "protocol.yaml"
 
 
+class Place(NamedTuple):
+    """Where a protocol runs; ``None`` for what it says itself."""
+
+    task: str | None  # name or file
+    rig: Path | None
+    output: Path | None  # default: results/<name of the protocol>
+
+
 def evaluate_protocol(
     name: str,
     agents: Mapping[str, str],
     study_file: Path | None,
-    output: Path | None,
+    place: Place,
     jobs: int | None,
     resume: bool,
     overwrite: bool,
     command: str,
 ) -> None:
-    """Run a protocol, and write its tables and its page.
+    """Run a protocol, write its tables and its page.
 
     Args:
         name: of the protocol in ``configs/protocols``, or the path of a YAML file.
         agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
         study_file: a study whose controllers take part; default: all that are shipped.
-        output: folder for the results; default: ``results/<name of the protocol>``.
+        place: another task or rig, and the folder for the results.
         jobs: number of jobs side by side; default: one per core.
         resume: whether to use the finished jobs in the folder.
         overwrite: whether to replace the results in the folder.
@@ -61,12 +71,16 @@ def evaluate_protocol(
             (after the results of the others are written).
     """
     protocol, file = protocol_named(name)
+    if place.task is not None or place.rig is not None:
+        protocol = protocol.moved(place.task, place.rig)
     chosen = _participants(protocol, agents, study_file)
-    output = output if output is not None else Path("results") / file.stem
+    output = place.output if place.output is not None else Path("results") / file.stem
     writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
-        run = run_protocol(protocol, chosen, output, jobs or default_jobs(), display.update)
+        best = partial(best_found, settings={"threads": 1})  # as many jobs as cores run side by side
+        jobs = jobs or default_jobs()
+        run = run_protocol(protocol, chosen, output, jobs, display.update, best)
         facts = {
             "file": str(file),
             "file_sha256": file_sha256(file),
@@ -79,16 +93,17 @@ def evaluate_protocol(
         tables.write(output / "tables")
         write_robustness_report(
             output,
-            {field.name: getattr(tables, field.name) for field in fields(tables)},
+            tables.by_name(),
             protocol.task,
-            chosen.controllers,
+            {name: controller for name, controller in chosen.controllers.items() if name in run.working},
             lambda row: replay(protocol, chosen, row),
-            protocol.experiments,
-            jobs or default_jobs(),
-            display.update,
+            experiments=protocol.experiments,
+            jobs=jobs,
+            progress=display.update,
         )
         _print_ranking(tables, display)
-        display.say(f"report: {(output / PAGE_FILE).resolve()}   protocol: SHA-256 {facts['file_sha256']}")
+        display.say(f"page: {(output / PAGE_FILE).resolve()}")
+        display.say(f"tables: {(output / 'tables').resolve()}   protocol: SHA-256 {facts['file_sha256']}")
     if run.errors:
         more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
         raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")
@@ -113,14 +128,14 @@ def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
     baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
     table = Table(title=f"Ratios to {baseline}; every condition and family weighs the same", box=SIMPLE, pad_edge=False)
     table.add_column("controller", no_wrap=True)
-    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "energy", "fails", "cycles"):
+    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
         table.add_column(heading, justify="right", no_wrap=True)
     for _, row in tables.ranking.iterrows():
         table.add_row(
             str(row["controller"]),
             f"{row['equal_weight']:.3f}",
             f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
-            *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio", "energy_ratio")),
+            *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio")),
             str(row["failures"]),
             f"{row['limit_cycles']}/{row['standstills']}",
         )

@@ -131,7 +131,7 @@ class Protocol(Group):
     standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
     bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
     bound_plants: int = Field(2, ge=1, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
-    experiments: bool = Field(True, description="frequency response, stiffness and standstill of each controller")
+    experiments: bool = Field(True, description="also frequency response, stiffness, standstill, price of the leak")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
     conditions: dict[Name, Condition] = Field(min_length=1)
 

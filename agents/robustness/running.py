@@ -42,6 +42,12 @@ class ProtocolRun:
     reused: int  # jobs whose results were there already
 
     @property
+    def working(self) -> set[str]:
+        """Names, with training seeds, of the controllers that ran under every condition that applies to them."""
+        failed = set(self.status.loc[self.status["status"] == FAILED, "controller"])
+        return set(self.status["controller"]) - failed
+
+    @property
     def errors(self) -> list[str]:
         """One line per controller that failed, with its first failure."""
         failed = self.status[self.status["status"] == FAILED]

@@ -47,10 +47,13 @@ class Tables:
         Raises:
             ConfigurationError: a file cannot be written.
         """
-        for part in fields(self):
-            table = getattr(self, part.name)
+        for name, table in self.by_name().items():
             if not table.empty:
-                write_whole(folder / f"{part.name}.csv", table.to_csv(index=False).encode())
+                write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
+
+    def by_name(self) -> dict[str, pd.DataFrame]:
+        """The tables by the names of their files."""
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
 
 def make_tables(

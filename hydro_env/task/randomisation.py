@@ -155,6 +155,8 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
             low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
             for value in values:
                 if (low is not None and value < low) or (above is not None and value <= above):
-                    raise ValueError(f"randomisation: {path} = {value:g} is below its limit {low or above:g}")
+                    raise ValueError(
+                        f"randomisation: {path} = {value:g} is below its limit {above if low is None else low:g}"
+                    )
                 if high is not None and value > high:
                     raise ValueError(f"randomisation: {path} = {value:g} is above its limit {high:g}")
