@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from agents.commands.options import Agents, Output, Overwrite, Rig, Task, command_line, named_agents, say
 
 
 def bound(
@@ -24,9 +24,10 @@ def bound(
     converge: Annotated[
         bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
     ] = False,
+    agent: Agents = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Find the smallest errors that a controller could reach, and compare them with those of the PID.
+    """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
     A predictive controller plans with the simulator itself. It is told the true state, and either the true plant with
     its leak, or only the data sheet; the difference is what it is worth to know the plant. The command prints the mean
@@ -44,12 +45,14 @@ def bound(
         summary,
         travel,
     )
-    from agents.evaluation.opponents import shipped
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
+    from agents.study.settings import StudySettings
     from hydro_env.files import validate, write_whole
+    from hydro_env.folders import config_file
     from hydro_env.task.configuration import task_config
 
+    study = StudySettings.from_yaml(config_file("studies", "opponents"))
     config = task_config(task, rig=rig)
     levels = leak or ([1.0] if converge else [0.01, 0.3, 1.0, 4.0])
     settings = validate(ComparisonSettings, {"leak_levels": levels, "plants": plants, "validation": converge}, "bound")
@@ -62,7 +65,10 @@ def bound(
             write_whole(output / "convergence.png", convergence_picture(table))
             write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
         else:
-            frame = compare(config, {"PID": shipped("pid", config)}, settings, display.update)
+            controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
+            for reason in unfit:
+                display.say(f"left out: {reason}")
+            frame = compare(config, controllers, settings, display.update)
             parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
             price = "Valve travel, full strokes per second:"
             text = "\n\n".join(["Mean |error|, mm:", *parts, price, markdown(travel(frame), 2)])

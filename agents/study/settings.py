@@ -214,6 +214,20 @@ class StudySettings(Group):
                 controllers[name] = opponent(what, self.task, name)
         return controllers
 
+    def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
+        """As :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
+        reasons = []
+        study = self
+        for name, entry in self.controllers.items():
+            if entry.trainer is not None and name not in agents:
+                try:
+                    opponent(shipped(entry.kind, self.task), self.task, name)
+                except ConfigurationError as error:
+                    reasons.append(str(error))
+                    others = {key: value for key, value in study.controllers.items() if key != name}
+                    study = study.model_copy(update={"controllers": others})
+        return study.with_weights(agents), reasons
+
 
 def default_study(
     path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None

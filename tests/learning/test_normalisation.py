@@ -1,0 +1,122 @@
+"""Inputs in units of their own size, what the corrected controller estimates, and both in stored weights."""
+
+import numpy as np
+import pytest
+import yaml
+
+from agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from agents.controllers.pid import PID, PIDGains
+from agents.learning.features import PolicyFeatures
+from agents.learning.normalisation import Normalisation, observed
+from agents.learning.policy import PolicyController
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.folders import config_folder
+
+CONFIG = TaskConfig(episode_duration=0.6)
+BASE = FlowLinearising(FlowLinearisingGains(), CONFIG)
+
+
+def policy(features):
+    rng = np.random.default_rng(1)
+    sizes = [features.size, 8, 1]
+    layers = [
+        (rng.normal(0, 0.3, (out, inputs)).astype(np.float32), rng.normal(0, 0.1, out).astype(np.float32))
+        for inputs, out in zip(sizes, sizes[1:], strict=False)
+    ]
+    return PolicyController(features, layers, activation="relu")
+
+
+def commands(controller, count=5, steps=40):
+    env = ServoHydraulicVectorEnv(count, CONFIG)
+    observation, _ = env.reset(seed=3)
+    memory, given = None, []
+    for step in range(steps):
+        action, memory = controller.predict(observation, memory, np.full(count, step == 0))
+        given.append(action)
+        observation, *_ = env.step(action)
+    return np.array(given)
+
+
+def test_a_normalisation_is_linear_near_its_centre_and_logarithmic_far_away():
+    normalisation = Normalisation(np.array([1.0], np.float32), np.array([1e-3], np.float32))
+    near, far = normalisation(np.array([[1.0001]], np.float32)), normalisation(np.array([[2.0]], np.float32))
+    assert near[0, 0] == pytest.approx(0.1, rel=0.01)
+    assert far[0, 0] == pytest.approx(np.log(2e3), rel=1e-3)
+
+
+def test_units_are_those_that_the_inputs_have():
+    """A constant, white noise of known size, and an input that moves now and then."""
+    rng = np.random.default_rng(0)
+
+    def act(observation, memory, step):
+        count = len(observation)
+        columns = [np.full(count, 7.0), rng.normal(3.0, 2e-4, count), np.where(rng.random(count) < 0.05, 1.0, 0.0)]
+        return np.stack(columns, axis=1), np.zeros((count, 1), np.float32), None
+
+    centre, unit = observed(CONFIG, act)
+    np.testing.assert_allclose(centre, [7.0, 3.0, 0.0], atol=1e-5)
+    assert unit[0] == 1.0  # a constant has no size
+    assert unit[1] == pytest.approx(0.8416 * 2e-4, rel=0.02)  # 60 % of a normal distribution
+    assert unit[2] == pytest.approx(0.3 * np.sqrt(0.05 * 0.95), rel=0.05)
+
+
+def test_normalised_inputs_are_of_order_one_under_the_corrected_controller():
+    features = PolicyFeatures(CONFIG, BASE, 0.2, full_preview=True, see_estimates=True).normalised()
+    env = ServoHydraulicVectorEnv(100, CONFIG)
+    observation, _ = env.reset(seed=11)
+    memory, rows = None, []
+    for step in range(CONFIG.steps - 1):
+        inputs, memory = features(observation, memory, np.full(100, step == 0))
+        rows.append(inputs)
+        observation, *_ = env.step(features.command(np.zeros((100, 1)), memory))
+    middle = np.quantile(np.abs(np.concatenate(rows)), 0.6, axis=0)
+    moving = features.normalisation.unit != 1.0
+    assert np.median(middle[moving]) == pytest.approx(np.arcsinh(1.0), rel=0.1)
+    assert middle.max() < 3.0
+    plain = PolicyFeatures(CONFIG, BASE, 0.2, full_preview=True, see_estimates=True)
+    assert np.abs(plain(observation, None, None)[0]).min() < 1e-3  # where they were
+
+
+def test_estimates_tell_position_leak_and_speed():
+    """On an axis with a known leak the filter's leak approaches it, and the estimated error follows the true one."""
+    config = TaskConfig.from_yaml(config_folder() / "tasks" / "default.yaml", sensors={"enabled": False})
+    gains = FlowLinearisingGains(**yaml.safe_load((config_folder() / "agents/flow_linearising.yaml").read_text()))
+    base = FlowLinearising(gains, config)
+    env = ServoHydraulicVectorEnv(40, config)
+    options = {"leakage_flow_lpm": 4.0, "reference": "multi_sine"}
+    observation, _ = env.reset(seed=5, options=options)
+    memory = None
+    for _ in range(300):
+        action, memory = base.predict(observation, memory)
+        observation, *_ = env.step(action)
+    _, memory = base.predict(observation, memory)
+    estimates = base.estimates(memory)
+    assert estimates.shape == (40, len(base.estimate_names))
+    error = 1e4 * (env.axes.column("reference") - env.axes.column("position"))
+    np.testing.assert_allclose(estimates[:, 0], error, atol=0.2)
+    assert 1.5 < np.median(estimates[:, 2]) < 6.0  # l/min; it learns slowly
+    speed = estimates[:, 4] * base._full_speed
+    assert np.corrcoef(speed, env.axes.column("velocity"))[0, 1] > 0.95
+
+
+def test_stored_weights_keep_normalisation_and_estimates(tmp_path):
+    features = PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True).normalised()
+    before = policy(features)
+    before.save(tmp_path / "policy")
+    after = PolicyController.load(tmp_path / "policy")
+    np.testing.assert_array_equal(commands(before), commands(after))
+    plain = policy(PolicyFeatures(CONFIG, BASE, 0.2, see_estimates=True))
+    assert (commands(plain) != commands(after)).any()
+
+
+def test_a_damaged_normalisation_is_refused(tmp_path):
+    features = PolicyFeatures(CONFIG, BASE, 0.2).normalised()
+    features.normalisation.unit[3] = 0.0
+    policy(features).save(tmp_path / "policy")
+    with pytest.raises(ConfigurationError, match=r"normalisation\.unit.*must be positive"):
+        PolicyController.load(tmp_path / "policy")
+
+
+def test_a_controller_that_estimates_nothing_has_nothing_to_show():
+    with pytest.raises(ConfigurationError, match="see_estimates: PID estimates nothing"):
+        PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG), 0.2, see_estimates=True)
