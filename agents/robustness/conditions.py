@@ -14,6 +14,7 @@ import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
 from agents.running.cases import Cases
+from agents.running.folders import pretrained_folder
 from agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
@@ -37,7 +38,7 @@ class ControllerChoice(Group):
 
     kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
     settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
-    weights: str | None = Field(None, description="path of weights, for a trained controller")
+    weights: str | None = Field(None, description="weights of a trained controller: a path, or a name in agents/pretrained")
 
 
 class Condition(Group):
@@ -176,7 +177,9 @@ class Protocol(Group):
                 if isinstance(choice, dict) and isinstance(choice.get("settings"), str):
                     choice["settings"] = read_yaml(folder / choice["settings"])
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
-                    choice["weights"] = str(folder / choice["weights"])
+                    shipped = pretrained_folder() / choice["weights"]
+                    own = folder / choice["weights"]
+                    choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
         protocol = validate(cls, values, str(path))
         try:
             _ = protocol.tasks
