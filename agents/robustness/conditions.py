@@ -38,7 +38,9 @@ class ControllerChoice(Group):
 
     kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
     settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
-    weights: str | None = Field(None, description="weights of a trained controller: a path, or a name in agents/pretrained")
+    weights: str | None = Field(
+        None, description="weights of a trained controller: a path, or a name in agents/pretrained"
+    )
 
 
 class Condition(Group):

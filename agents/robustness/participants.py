@@ -44,7 +44,8 @@ def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
     """Every controller that comes with gains or weights, by name; the PID is the first, the baseline."""
     folder = config_folder() / "agents"
     tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
-    named = {kind.upper() if len(kind) < 5 else kind.replace("_", "-").capitalize(): kind for kind in (*tuned, *SHIPPED_WEIGHTS)}
+    kinds = (*tuned, *SHIPPED_WEIGHTS)
+    named = {kind.upper() if len(kind) < 5 else kind.replace("_", "-").capitalize(): kind for kind in kinds}
     mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))
     return {"PID": "pid", "PID mended": mended, **named}
 
