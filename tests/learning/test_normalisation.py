@@ -1,5 +1,7 @@
 """Inputs in units of their own size, what the corrected controller estimates, and both in stored weights."""
 
+import itertools
+
 import numpy as np
 import pytest
 import yaml
@@ -21,7 +23,7 @@ def policy(features):
     sizes = [features.size, 8, 1]
     layers = [
         (rng.normal(0, 0.3, (out, inputs)).astype(np.float32), rng.normal(0, 0.1, out).astype(np.float32))
-        for inputs, out in zip(sizes, sizes[1:], strict=False)
+        for inputs, out in itertools.pairwise(sizes)
     ]
     return PolicyController(features, layers, activation="relu")
 
