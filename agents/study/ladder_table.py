@@ -43,7 +43,8 @@ def rung_scores(
     row["worst case"] = float(np.max(cases[ERROR].to_numpy() / reference[ERROR].to_numpy()))
     for label, metric in COSTS.items():
         if metric in cases and metric in reference:
-            row[label] = cases[metric].mean() / reference[metric].mean()
+            there = float(reference[metric].mean())
+            row[label] = float(cases[metric].mean()) / there if there > 0.0 else math.nan
     row["failed"] = cases["failed"].sum()
     row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else float("nan")
     return pd.DataFrame([row])
