@@ -84,7 +84,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     At rest at a random position inside the range of the references: pressures, spool and supply in equilibrium. The
     position sensor reads the reference there, apart from noise; its bias (up to ±80 µm) is where the axis truly is.
-    ``start="true"`` puts the axis itself on the reference.
+    ``start="actual"`` puts the axis itself on the reference.
 
     ## Episode End
 
@@ -118,7 +118,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
       whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``, ``info="flat"``,
       ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased sensor would
       hold the axis. Before, the true position was on the reference, and the mean of the first errors told the bias:
-      subtracting it "improved" controllers by 7 to 20 %; ``start="true"`` brings that back. Plants, leaks, references
+      subtracting it "improved" controllers by 7 to 20 %; ``start="actual"`` brings that back. Plants, leaks, references
       and noise of a seed are the same as before.
     """
 

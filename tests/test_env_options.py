@@ -16,7 +16,7 @@ def test_the_family_of_the_reference(family):
 
 
 def test_the_initial_position():
-    env = ServoHydraulicEnv(start="true")
+    env = ServoHydraulicEnv(start="actual")
     for position in (-0.02, 0.0, 0.035):
         observation, info = env.reset(seed=1, options={"initial_position": position, "reference": "sine"})
         assert info["position"] == info["reference"] == position

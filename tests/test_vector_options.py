@@ -33,11 +33,11 @@ def test_options_per_axis_are_those_of_the_single_environments():
         "reference": references,
         "parameters": {"load": {"mass": np.array([50.0, 60.0, 70.0, 80.0])}, "friction": {"model": "none"}},
     }
-    envs = ServoHydraulicVectorEnv(count, start="true")
+    envs = ServoHydraulicVectorEnv(count, start="actual")
     rows, info = envs.reset(seed=30, options=options)
     stepped = envs.step(np.full((count, 1), 0.3))[0]
     for axis in range(count):
-        single = ServoHydraulicEnv(start="true")
+        single = ServoHydraulicEnv(start="actual")
         own = {
             "leakage_flow_lpm": options["leakage_flow_lpm"][axis],
             "initial_position": options["initial_position"][axis],
@@ -62,7 +62,7 @@ def test_references_by_name_per_axis():
 
 
 def test_a_mask_begins_only_some_axes():
-    envs, untouched = (ServoHydraulicVectorEnv(5, start="true") for _ in range(2))
+    envs, untouched = (ServoHydraulicVectorEnv(5, start="actual") for _ in range(2))
     for each in (envs, untouched):
         each.reset(seed=0)
         each.step(np.ones((5, 1)))

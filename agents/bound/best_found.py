@@ -38,7 +38,7 @@ class BoundSettings(Group):
     beyond_preview: Continuation = Field(
         "acceleration", description="with what the reference goes on beyond the preview; hold: it stays where it is"
     )
-    aim: Literal["true", "sensor"] = Field(
+    aim: Literal["axis", "sensor"] = Field(
         "sensor",
         description="which position follows the reference: the true one, or the one that the biased sensor reads",
     )

@@ -154,8 +154,8 @@ class Reward(Group):
     family_scale: dict[str, Annotated[float, Field(gt=0.0, le=1e6)]] = Field(
         default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
     )
-    frame: Literal["true", "sensor"] = Field(
-        "true", description="error of the true position, or without the bias of the sensor, which nobody can see"
+    frame: Literal["axis", "sensor"] = Field(
+        "axis", description="whose position counts: the axis', or the biased sensor's without its noise"
     )
     error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, in parts of error_scale", 1e-6, 1e6)
     effort: Number = quantity(0.05, "1", "weight of the change of command", 0.0, 1e6)
@@ -225,7 +225,7 @@ class TaskConfig(TaskGroup):
     initial_position_range: Range = interval(
         (-1.0, 1.0), "1", "start, as a share of the range of references on either side of mid-stroke", -1.0, 1.0
     )
-    start: Literal["measured", "true"] = Field(
+    start: Literal["measured", "actual"] = Field(
         "measured",
         description="which position is on the reference when an episode begins: the one that the biased sensor "
         "measures, where a controller would hold the axis; or the true one, and the first readings tell the bias",

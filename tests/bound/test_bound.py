@@ -137,7 +137,7 @@ def test_a_case_depends_on_neither_its_neighbours_nor_threads(told, truth, nomin
 
 def test_without_the_sensors_aim_the_true_position_follows():
     case = CASES.part(3, 4)
-    rollout = best_found(SHORT, case, settings={"aim": "true"})
+    rollout = best_found(SHORT, case, settings={"aim": "axis"})
     assert np.abs(rollout.reference - rollout.position)[:, 40:].mean() < 2e-6 < 10e-6 < np.abs(rollout.position_bias[0])
 
 

@@ -34,7 +34,7 @@ def test_an_episode_begins_where_the_sensor_reads_the_reference():
 
 
 def test_the_true_start_tells_the_bias():
-    envs, first = begun(start="true")
+    envs, first = begun(start="actual")
     np.testing.assert_array_equal(errors(envs), 0.0)
     read = 0.01 * first[:, envs.axes.observation_names.index("tracking_error")]
     assert np.corrcoef(read, envs.axes.column("bias")[:, POSITION])[0, 1] < -0.7

@@ -14,7 +14,7 @@ RANGE_SHARE, SPEED_SHARE, LARGEST, ACCELERATION = 0.6, 0.7, 0.10, 4.0
 
 def drawn(family, count=COUNT, seed=0, **config):
     """References of one family (axis, sample) and the axes behind them."""
-    envs = ServoHydraulicVectorEnv(count, start="true", **config)
+    envs = ServoHydraulicVectorEnv(count, start="actual", **config)
     envs.reset(seed=seed, options={"reference": family})
     return envs.axes.reference.copy(), envs.axes
 
@@ -192,7 +192,7 @@ def test_other_preview_times():
 
 def test_a_users_reference_is_followed_sample_by_sample_and_held_at_its_end():
     wanted = 0.02 * np.sin(np.arange(30) * 0.2) + 0.01
-    short = {"episode_duration": 0.25, "start": "true"}
+    short = {"episode_duration": 0.25, "start": "actual"}
     for env in (
         ServoHydraulicEnv(references={"user": wanted.tolist(), "weights": {"user": 1.0}}, **short),
         ServoHydraulicEnv(**short),

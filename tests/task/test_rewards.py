@@ -69,7 +69,7 @@ def test_a_weight_of_zero_removes_a_term():
 
 
 def test_perfect_tracking_costs_nothing():
-    env = ServoHydraulicEnv(randomisation={}, leakage={"healthy_share": 1.0}, start="true")
+    env = ServoHydraulicEnv(randomisation={}, leakage={"healthy_share": 1.0}, start="actual")
     env.reset(seed=0, options={"reference": np.full(10, 0.02)})
     hold = env.axes.column("command").copy()
     for _ in range(100):

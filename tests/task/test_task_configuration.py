@@ -262,7 +262,7 @@ def test_numbers_at_their_bounds_poison_nothing():
         "references": {"frequency_range": [1e-3, 1e3], "acceleration_limit": 100.0, "largest_amplitude": 5.0},
         "leakage": {"schedule": "growth", "healthy_range": [1e-6, 20.0], "faulty_range": [1e-6, 20.0]},
     }
-    envs = ServoHydraulicVectorEnv(60, start="true", **absurd)
+    envs = ServoHydraulicVectorEnv(60, start="actual", **absurd)
     observation, _ = envs.reset(seed=0)
     rng = np.random.default_rng(0)
     failures = set()
