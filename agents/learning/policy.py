@@ -259,7 +259,8 @@ class PolicyController:
         if described.normalised:
             features.normalisation = _stored_normalisation(tensors, features.size, path)
         layers = _stored_layers(tensors, "layer", sizes, path)
-        critic = _stored_layers(tensors, "critic", critic_sizes, path) if "critic0.weight" in tensors else None
+        has_critic = stored.critic_layer_sizes is not None or any(name.startswith("critic") for name in tensors)
+        critic = _stored_layers(tensors, "critic", critic_sizes, path) if has_critic else None
         return cls(
             features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic, stored.output
         )

@@ -24,8 +24,9 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     answer = hydro("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
     assert answer.returncode == 0, answer.stderr
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
-    assert len(cases) == 3 * 2 * 6 * 3  # controllers, leaks, families, plants
-    assert set(cases["controller"]) == {"PID", TRUTH, NOMINAL}
+    shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow-linearising", "PPO"}
+    assert set(cases["controller"]) == {*shipped, TRUTH, NOMINAL}
+    assert len(cases) == (len(shipped) + 2) * 2 * 6 * 3  # controllers, leaks, families, plants
     mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()
     assert f"| {mean:.4f} |" in answer.stdout
     assert (tmp_path / "out" / "bound.md").read_text(encoding="utf-8").count("| mean |") == 3
