@@ -68,6 +68,9 @@ class FlowLinearisingGains(Group):
     leak_spread: float = gain(
         3.0, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
     )
+    leak_drift: float = gain(
+        0.0, (0.01, 20.0), "l/min at 100 bar per √s", "drift of the leak", high=1e3, logarithmic=True
+    )
     offset_spread: float = gain(
         0.05, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
     )
@@ -132,11 +135,13 @@ class FlowLinearising:
         self._friction = g.friction * plant.friction.largest_force / period
         self._turned = _REVERSAL * plant.friction.stribeck_velocity
         noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
-        leak = g.leak_spread * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+        leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
         self._filter = MotionFilter(
             noise,
-            np.array([noise, g.flow_gain_spread, leak, g.offset_spread * full_speed]),
-            np.array([g.motion_spread * full_speed, g.flow_gain_drift, 0.0, g.offset_drift * full_speed]),
+            np.array([noise, g.flow_gain_spread, g.leak_spread * leak, g.offset_spread * full_speed]),
+            np.array(
+                [g.motion_spread * full_speed, g.flow_gain_drift, g.leak_drift * leak, g.offset_drift * full_speed]
+            ),
             period,
         )
 

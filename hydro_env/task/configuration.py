@@ -39,8 +39,10 @@ class LeakageDraw(TaskGroup):
         (0.03, 0.3, 1.0), description="l/min at 100 bar; highest of healthy, incipient, moderate; above is severe"
     )
     law: Literal["laminar", "orifice"] = Field("laminar", description="flow ∝ Δp (10), or ∝ √Δp as through a throttle")
-    schedule: Literal["constant", "onset", "growth"] = Field(
-        "constant", description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode"
+    schedule: Literal["constant", "onset", "growth", "mixed"] = Field(
+        "constant",
+        description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode; "
+        "mixed: one of the three, drawn per episode",
     )
     start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
 

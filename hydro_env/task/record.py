@@ -23,6 +23,7 @@ RECORD = np.dtype(
         ("redraws", "f8"),  # draws of this episode that could not be held
         ("leak_flow", "f8"),  # l/min at 100 bar, now
         ("leak_class", "f8"),  # index into LEAKAGE_CLASSES
+        ("leak_schedule", "f8"),  # index of the schedule
         ("leak_start_flow", "f8"),
         ("leak_target_flow", "f8"),
         ("leak_start_time", "f8"),  # s

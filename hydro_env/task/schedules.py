@@ -16,6 +16,8 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gai
 _LAMINAR = choice(LeakageDraw, "law", "laminar")
 _CONSTANT = choice(LeakageDraw, "schedule", "constant")
 _ONSET = choice(LeakageDraw, "schedule", "onset")
+_MIXED_SCHEDULE = choice(LeakageDraw, "schedule", "mixed")
+_SCHEDULES = 3.0  # constant, onset, growth come before "mixed"
 _NONE = choice(Disturbance, "kind", "none")
 _PULSE = choice(Disturbance, "kind", "pulse")
 _SINE = choice(Disturbance, "kind", "sine")
@@ -40,6 +42,9 @@ def draw_leak(row, key, fixed, settings):
         healthy = min(healthy, target)
     row.leak_start_flow = healthy
     row.leak_target_flow = target
+    row.leak_schedule = leakage.schedule
+    if leakage.schedule == _MIXED_SCHEDULE:
+        row.leak_schedule = math.floor(_SCHEDULES * uniform(key, 4))
     duration = settings.steps * settings.control_period
     row.leak_start_time = duration * between(key, 3, leakage.start_range[0], leakage.start_range[1])
 
@@ -48,11 +53,11 @@ def draw_leak(row, key, fixed, settings):
 def _leak_flow(row, time, settings):
     """Leakage of the schedule at a time, l/min at 100 bar: constant, sudden onset, or log-linear growth."""
     start, target, begin = row.leak_start_flow, row.leak_target_flow, row.leak_start_time
-    if settings.leakage.schedule == _CONSTANT:
+    if row.leak_schedule == _CONSTANT:
         return target
     if time < begin:
         return start
-    if settings.leakage.schedule == _ONSET or target == start:  # which may both be 0
+    if row.leak_schedule == _ONSET or target == start:  # which may both be 0
         return target
     end = settings.steps * settings.control_period
     share = min((time - begin) / max(end - begin, settings.control_period), 1.0)
@@ -128,7 +133,7 @@ def draw_latency(row, key, settings):
 def follow_schedules(row, coefficient, settings):
     """Set leak and external force for the control period that begins."""
     time = row.step * settings.control_period
-    if settings.leakage.schedule != _CONSTANT:
+    if row.leak_schedule != _CONSTANT:
         set_leak(row, coefficient, time, settings)
     if settings.disturbance.kind != _NONE:
         coefficient[_EXTERNAL_FORCE] = _external_force(row, time + 0.5 * settings.control_period, settings)

@@ -254,3 +254,19 @@ def test_impossible_leakage_is_refused_with_one_line(leakage, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         ServoHydraulicEnv(leakage=leakage)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_mixed_schedules_are_constant_onset_and_growth_alike():
+    envs = ServoHydraulicVectorEnv(600, leakage={"schedule": "mixed", "healthy_share": 0.0, "start_range": (0.5, 0.5)})
+    envs.reset(seed=4)
+    kinds, counts = np.unique(envs.axes.column("leak_schedule"), return_counts=True)
+    np.testing.assert_array_equal(kinds, [0.0, 1.0, 2.0])
+    assert counts.min() > 200 - 4 * np.sqrt(600 * 2 / 9)
+    kind, target = envs.axes.column("leak_schedule").copy(), envs.axes.column("leak_target_flow").copy()
+    np.testing.assert_array_equal(envs.axes.column("leak_flow")[kind == 0], target[kind == 0])
+    assert (envs.axes.column("leak_flow")[kind > 0] <= 0.03).all()
+    for _ in range(300):  # three quarters of the episode
+        envs.step(np.zeros((600, 1), np.float32))
+    flow = envs.axes.column("leak_flow")
+    np.testing.assert_array_equal(flow[kind < 2], target[kind < 2])
+    assert (flow[kind == 2] < target[kind == 2]).all()
