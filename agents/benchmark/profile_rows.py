@@ -109,7 +109,7 @@ def _vector_cases(extent: Extent) -> list[Case]:
 
 PARTS = {
     "environment: compiled step": "of both: the axes and, with paired rewards, their twins",
-    "environment: features and PIDs": "history, the PID below the policy, the twins' PID",
+    "environment: features and controllers": "history, the controller below the policy, the twins' controller",
     "environment: rest": "restarts, infos, copies",
     "inference": "actor and critic on one observation per axis",
     "collection: rest": "rollout buffer, advantages, bookkeeping of stable-baselines3",

@@ -15,9 +15,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from agents.benchmark.environment_rows import single_axis
 from agents.benchmark.table import Case, Row
 from agents.benchmark.timing import Extent, time_in
-from agents.controllers.base import Controller
-from agents.controllers.pid import PID, PIDGains
+from agents.controllers.base import ClassicalController, Controller
 from agents.evaluation.metrics import rollout_metrics
+from agents.evaluation.opponents import shipped
 from agents.evaluation.protocol import ProtocolSettings
 from agents.learning.policy import PolicyController
 from agents.learning.settings import PPOSettings
@@ -32,7 +32,7 @@ TRAININGS = 3  # runs of each row of the training
 PLANTS = 4  # per leak level and kind of reference, for the comparison with the PID
 SINGLE_AXES = 16  # that stable-baselines3's own vector environments run
 NATIVE_ROW = "PPO, native vector environment"
-PARTS = ("environment", "policy inputs and PIDs", "inference", "update", "rest")
+PARTS = ("environment", "policy inputs and controllers", "inference", "update", "rest")
 """Parts of a training: the axes' steps and restarts; what the adaptor makes of them; networks; stable-baselines3."""
 
 CHECK_EVERY = 50_000  # steps
@@ -44,10 +44,10 @@ IN_A_ROW = 3
 
 
 class DefaultStudy(NamedTuple):
-    """Settings of the policy of ``make study``, and the PID that it corrects."""
+    """Settings of the policy of ``make study``, and the controller that it corrects."""
 
     task: TaskConfig
-    pid: PIDGains
+    base: ClassicalController
     ppo: PPOSettings
     evaluation: ProtocolSettings
 
@@ -56,16 +56,23 @@ def default_study() -> DefaultStudy:
     """The study of ``make study``."""
     study = read_default_study()
     name = study.trained[0]
-    base, ppo = study.make(study.controllers[name].corrects or ""), study.training_settings(name)
-    assert isinstance(base, PID)
+    base: Any = study.make(study.controllers[name].corrects or "")
+    ppo = study.training_settings(name)
     assert isinstance(ppo, PPOSettings)
-    return DefaultStudy(study.task, base.gains, ppo, study.evaluation)
+    return DefaultStudy(study.task, base, ppo, study.evaluation)
+
+
+def study_of_the_pid() -> DefaultStudy:
+    """The same training as a correction of the tuned PID, which estimates nothing."""
+    study = default_study()
+    pid: Any = shipped("pid", study.task)
+    return study._replace(base=pid, ppo=study.ppo.model_copy(update={"see_estimates": False}))
 
 
 def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
-    features = make_features(settings.task, ppo, PID(settings.pid, settings.task))
+    features = make_features(settings.task, ppo, settings.base)
     env = make_env(settings.task, ppo, features, 0)
     return make_model(env, ppo, 0), env
 
@@ -89,7 +96,7 @@ def training_cases(extent: Extent) -> list[Case]:
         rows += [Row(f"{name}: {part}", "% of time") for part in PARTS]
         return Case(tuple(rows), measure, TRAININGS)
 
-    paired = ", each with its twin under the PID" if ppo.residual and ppo.paired else ""
+    paired = ", each with its twin under the corrected controller" if ppo.residual and ppo.paired else ""
     size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
     other = 2 if ppo.torch_threads == 1 else 1
     waiting = "fewer steps: where another process holds a core, torch's threads wait for each other"
@@ -155,7 +162,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
     Raises:
         RuntimeError: a whole training did not reach this error.
     """
-    pid = PID(settings.pid, settings.task)
+    pid = settings.base
     bar = (1.0 - MARGIN) * validation_error(settings, pid, plants)
     below: list[tuple[float, int]] = []
     checking, next_check = 0.0, 0
@@ -173,7 +180,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
         checking += time.perf_counter() - began
         return len(below) >= IN_A_ROW
 
-    train_ppo(settings.task, settings.ppo, PID(settings.pid, settings.task), seed, check=check)
+    train_ppo(settings.task, settings.ppo, settings.base, seed, check=check)
     if not below:
         raise RuntimeError("PPO did not get below the PID")
     return *below[0], checking
@@ -181,7 +188,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
 
 def beating_cases(extent: Extent) -> list[Case]:
     """Time until PPO's mean error is below the tuned PID's."""
-    settings = default_study()
+    settings = study_of_the_pid()
     cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * PLANTS
     note = f"mean error 1 % lower on {cases} validation cases; checked every {CHECK_EVERY:,} steps, checks not counted"
     rows = (

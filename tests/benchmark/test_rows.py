@@ -13,8 +13,7 @@ from agents.benchmark.resource_rows import array_bytes, inference_cases, memory_
 from agents.benchmark.solver_rows import error_of, matching_tolerance, solver_cases
 from agents.benchmark.table import UnavailableError
 from agents.benchmark.timing import QUICK, fresh_process, rate, time_in
-from agents.benchmark.training_rows import default_study, validation_error
-from agents.controllers.pid import PID
+from agents.benchmark.training_rows import study_of_the_pid, validation_error
 from hydro_env import ServoHydraulicVectorEnv
 
 TINY = dataclasses.replace(
@@ -106,6 +105,6 @@ def test_timed_functions_are_put_back():
 
 
 def test_validation_error_of_the_pid():
-    settings = default_study()
-    error = validation_error(settings, PID(settings.pid, settings.task), 1)
+    settings = study_of_the_pid()
+    error = validation_error(settings, settings.base, 1)
     assert 0.05 < error < 1.0  # mm
