@@ -69,7 +69,7 @@ class FlowLinearisingGains(Group):
         3.0, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
     )
     leak_drift: float = gain(
-        0.0, (0.01, 20.0), "l/min at 100 bar per √s", "drift of the leak", high=1e3, logarithmic=True
+        0.7, (0.01, 20.0), "l/min at 100 bar per √s", "drift of the leak", low=1e-9, high=1e3, logarithmic=True
     )
     offset_spread: float = gain(
         0.05, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
