@@ -47,7 +47,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, notice the leak.
 
-Begin with `hydro study` (the whole job, about six minutes on two cores), or with
+Begin with `hydro study` (the whole job, about eight minutes on two cores), or with
 `hydro simulate --leakage 1` (one run, a second). Leaks are in l/min at 100 bar across the piston, as in practice: up to
 0.03 is healthy, 1 to 4 is severe.""",
 )

@@ -16,7 +16,7 @@ def study(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train PPO and the leakage head from scratch, compare them with the PID, write one report.
+    """Train PPO and the leakage head from scratch, compare all controllers, write one report.
 
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
