@@ -77,17 +77,18 @@ class FlowModel:
             stiffness,
         )
 
-    def speed(self, opening: Array, flow: Flow) -> Array:
-        """Speed (m/s) at an opening of the valve (−1 to 1) without leak and at constant force, (N,)."""
+    def speed(self, spool: Array, flow: Flow) -> Array:
+        """Speed (m/s) at a position of the spool (−1 to 1) without leak and at constant force, (N,)."""
+        opening = spool - self._c.null_shift
         width = np.sqrt(opening * opening + self._c.underlap_squared)
         speed: Array = 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
         return speed
 
     def opening(self, speed: Array, flow: Flow) -> Array:
-        """Opening of the valve that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
+        """Position of the spool that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
         root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
         opening: Array = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
-        return opening
+        return opening + self._c.null_shift
 
     def full_speeds(self, force: Array, supply: Array) -> tuple[Array, Array]:
         """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""

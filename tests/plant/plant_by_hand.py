@@ -62,8 +62,9 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
         if (spool_speed >= slew and spool_acceleration > 0) or (spool_speed <= -slew and spool_acceleration < 0):
             spool_acceleration = 0.0
         # four edges, leakage
-        width = sqrt(spool**2 + valve.underlap**2)
-        forward, backward = (width + spool) / 2, (width - spool) / 2
+        opening = spool - valve.null_shift
+        width = sqrt(opening**2 + valve.underlap**2)
+        forward, backward = (width + opening) / 2, (width - opening) / 2
         into_a, out_of_a = gain * forward * root(p_s - p_a), gain * backward * root(p_a - supply.tank_pressure)
         out_of_b, into_b = gain * forward * root(p_b - supply.tank_pressure), gain * backward * root(p_s - p_b)
         leak = (p_a - p_b) / leakage.internal_resistance + leakage.orifice_gain * root(p_a - p_b)

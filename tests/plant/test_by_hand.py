@@ -22,6 +22,7 @@ RIGS = (
         cylinder={"rod_diameter_a": 0.02},
         leakage={"internal_resistance": 1e11, "external_resistance": 1e12, "orifice_gain": 1e-8},
         load={"external_force": 500.0},
+        valve={"null_shift": -0.02},
     ),
 )
 

@@ -183,6 +183,16 @@ def test_steady_spool_follows_the_voltage():
     assert run.spool_position[-1] == pytest.approx(0.3, abs=1e-6)
 
 
+def test_a_null_shift_moves_the_spool_and_nothing_else():
+    parameters = PlantParameters().replace(valve={"model": "ideal"})
+    shifted = parameters.replace(valve={"null_shift": 0.05})
+    voltage = np.repeat([2.0, -1.5, 4.0, 0.0], 20)
+    usual = simulate(parameters, voltage, 5e-3)
+    moved = simulate(shifted, voltage + 0.5, 5e-3)
+    assert np.abs(moved.position - usual.position).max() < 1e-9
+    assert moved.spool_position[10] - usual.spool_position[10] == pytest.approx(0.05)
+
+
 def test_force_rate_terms_add_up():
     parameters = PlantParameters().replace(leakage={"internal_resistance": 6e11, "external_resistance": 5e12})
     run = simulate(parameters, np.repeat([3.0, -2.0], 100), 1e-3)

@@ -37,6 +37,9 @@ class Valve(Group):
     damping_ratio: Number = quantity(0.8, "1", "assumed", 0.05, 5.0)
     slew_limit: Number = quantity(100.0, "1/s", "assumed; full stroke in 10 ms", 0.1, 1e5)
     underlap: Number = quantity(0.015, "1", "assumed; of full spool stroke, 0 = zero-lapped", 0.0, 0.5)
+    null_shift: Number = quantity(
+        0.0, "1", "none in a new valve; spool position at which the edges are centred, of full stroke", -0.5, 0.5
+    )
     coil_resistance: Number = quantity(2.5, "Ω", "assumed", 1e-3, 1e5)
     coil_inductance: Number = quantity(2.5e-3, "H", "assumed; with the drive's current loop", 1e-6, 100.0)
     amplifier_gain: Number = quantity(0.625, "V/V", "assumed", 1e-6, 1e6)
@@ -50,6 +53,7 @@ class ValveCoefficients(NamedTuple):
     edge_gain: float  # K, m³/(s √Pa)
     transition_squared: float  # dp_t², Pa²
     underlap_squared: float  # x_0²
+    null_shift: float
     spool_stiffness: float  # ω_s², 1/s²
     spool_damping: float  # 2 ζ_s ω_s, 1/s
     slew_limit: float  # 1/s
@@ -70,6 +74,7 @@ def valve_coefficients(p):
         edge_gain=p.valve_rated_flow / math.sqrt(0.5 * p.valve_rated_pressure_drop),  # (3), K alone
         transition_squared=p.valve_transition_pressure**2,
         underlap_squared=p.valve_underlap**2,
+        null_shift=p.valve_null_shift,
         spool_stiffness=p.valve_natural_frequency**2,
         spool_damping=2.0 * p.valve_damping_ratio * p.valve_natural_frequency,
         slew_limit=p.valve_slew_limit,
@@ -97,9 +102,13 @@ def _inverse_fourth_root(x):
 
 @inline
 def edge_openings(spool_position, c):
-    """Openings (P→A and B→T, A→T and P→B) of the four edges, 1 = full; zero-lapped for x_0 = 0."""
-    width = math.sqrt(spool_position * spool_position + c.underlap_squared)
-    return 0.5 * (width + spool_position), 0.5 * (width - spool_position)
+    """Openings (P→A and B→T, A→T and P→B) of the four edges, 1 = full; zero-lapped for x_0 = 0.
+
+    The edges are centred at the spool position ``null_shift``; the spool's sensor reads the spool itself.
+    """
+    opening = spool_position - c.null_shift
+    width = math.sqrt(opening * opening + c.underlap_squared)
+    return 0.5 * (width + opening), 0.5 * (width - opening)
 
 
 class EdgeFlows(NamedTuple):
