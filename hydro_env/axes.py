@@ -24,6 +24,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_ve
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.faults import FAULTS, KIND_OF_FAULT
 from hydro_env.task.record import (
     CANNOT_BE_HELD,
     FIRST_COEFFICIENT,
@@ -40,6 +41,7 @@ from hydro_env.task.record import (
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.settings import draws_of, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
+from hydro_env.units import resistance_from_flow
 
 AXES_PER_THREAD = 256
 """Each thread gets at least this many axes; with fewer, waking it takes longer than its work."""
@@ -48,7 +50,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}
-"""Column of :attr:`Axes.numbers` with the (first) number of each field of a record."""
+"""Column of :attr:`Axes.numbers` with the (first) number of each field of a record, up to ``noise_key``."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +116,8 @@ class Axes:
         )
         self._chances.seeds["episode"] = -1
 
+        self._drawn_faults = [name for name in FAULTS if getattr(config.faults, KIND_OF_FAULT[name]).probability > 0.0]
+
         wanted = threads if threads is not None else (os.cpu_count() or 1)
         self._threads = max(1, min(wanted, count // AXES_PER_THREAD))
         self._pool: ThreadPoolExecutor | None = None
@@ -121,14 +125,16 @@ class Axes:
     def _name_parts(self) -> None:
         """Make views of the arrays.
 
-        ``numbers`` holds the records as rows of plain numbers (:data:`COLUMN`), which Python reads faster than fields.
+        ``numbers`` holds the records as rows of plain numbers (:data:`COLUMN`), which Python reads faster than fields;
+        it ends before the fields that no step of an environment reads.
         """
         self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
         self.state = plant[:, :FIRST_COEFFICIENT]
         self.coefficient = plant[:, FIRST_COEFFICIENT:FIRST_VOLTAGE]
         self.peaks = plant[:, FIRST_PEAK:]
-        self.numbers = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
+        rows = self.record.view(np.ndarray).view(np.float64).reshape(self.count, -1)
+        self.numbers = rows[:, : COLUMN["noise_key"]]
 
     # Randomness -----------------------------------------------------------------------------------------------------
 
@@ -272,14 +278,34 @@ class Axes:
         exceeded: Indices = (flow_lpm[:, None] > self._task["class_limits"]).sum(axis=1)
         return exceeded
 
+    def faults(self) -> dict[str, Floats]:
+        """Magnitude of each fault that some axis has now, by name; (N,) each, 0 for none."""
+        if not self.column("faulty").any():
+            return {}
+        magnitudes = self.column("fault")
+        return {FAULTS[index]: magnitudes[:, index].copy() for index in np.flatnonzero(magnitudes.any(axis=0))}
+
+    def drawn_faults(self) -> dict[str, Floats]:
+        """Magnitude now, (N,), of each fault that the task may draw, by name."""
+        magnitudes = self.column("fault")
+        return {name: magnitudes[:, FAULTS.index(name)].copy() for name in self._drawn_faults}
+
     def parameters(self, axis: int) -> PlantParameters:
-        """The physical parameters of an axis in its present episode, leakage included."""
+        """The physical parameters of an axis in its present episode, leakage and faults included."""
         vector = self.physical[axis].copy()
         names = Coefficients._fields
         conductance = self.coefficient[axis, names.index("leakage_conductance")]
         vector[PARAMETER_PATHS.index("leakage.internal_resistance")] = (
             1.0 / conductance if conductance > 0.0 else np.inf
         )
+        faults = dict(zip(FAULTS, self.column("fault")[axis], strict=True))
+        vector[PARAMETER_PATHS.index("valve.null_shift")] += faults["valve_null_shift"]
+        vector[PARAMETER_PATHS.index("valve.underlap")] += faults["valve_underlap"]
+        vector[PARAMETER_PATHS.index("valve.rated_flow")] *= 1.0 + faults["valve_flow"]
+        vector[PARAMETER_PATHS.index("supply.tank_pressure")] += faults["tank_pressure"]
+        if faults["external_leak"] > 0.0:
+            rod_seal = PARAMETER_PATHS.index("leakage.external_resistance")
+            vector[rod_seal] = 1.0 / (1.0 / vector[rod_seal] + 1.0 / resistance_from_flow(faults["external_leak"]))
         orifice = self.coefficient[axis, names.index("leakage_orifice_gain")]
         vector[PARAMETER_PATHS.index("leakage.orifice_gain")] = orifice
         return from_vector(vector)

@@ -32,7 +32,9 @@ Observation = NDArray[np.float32]
 _FLOW, _CLASS, _POSITION, _VELOCITY, _REFERENCE = (
     COLUMN[name] for name in ("leak_flow", "leak_class", "position", "velocity", "reference")
 )
-_FAMILY, _FAILURE, _REWARD, _STEP = (COLUMN[name] for name in ("reference_family", "failure", "reward", "step"))
+_FAMILY, _FAILURE, _REWARD, _STEP, _FAULTY = (
+    COLUMN[name] for name in ("reference_family", "failure", "reward", "step", "faulty")
+)
 _TERMS = tuple(enumerate(REWARD_TERMS, COLUMN["costs"]))
 _FIRST = np.zeros(1, dtype=np.int64)
 
@@ -102,12 +104,13 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
     (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
-    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it). With ``persist:
-    True`` they also apply to the automatic resets that follow.
+    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it), ``faults``
+    (``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS`). With ``persist: True`` they
+    also apply to the automatic resets that follow.
 
     ``info`` (for evaluation, not for the controller): ``leakage_resistance``, ``leakage_flow_lpm``, ``leakage_class``
     (0 healthy, 1 incipient, 2 moderate, 3 severe), ``position``, ``velocity``, ``reference``, ``tracking_error`` (SI),
-    ``reference_family``, ``failure``, ``reward_terms``.
+    ``reference_family``, ``failure``, ``reward_terms``, ``faults`` (magnitude now of each fault besides the leak).
 
     ``get_state()`` and ``set_state(state)`` save and restore everything, random numbers included: two continuations
     from the same state are equal bit for bit.
@@ -119,7 +122,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
       ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased sensor would
       hold the axis. Before, the true position was on the reference, and the mean of the first errors told the bias:
       subtracting it "improved" controllers by 7 to 20 %; ``start="actual"`` brings that back. Plants, leaks, references
-      and noise of a seed are the same as before.
+      and noise of a seed are the same as before. Since 0.4: ``faults`` of valve, sensors, return line and rod seal,
+      none by default.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
@@ -254,10 +258,12 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             "reference_family": REFERENCE_FAMILIES[int(row[_FAMILY])],
             "failure": FAILURES[int(row[_FAILURE])],
             "reward_terms": terms,
+            "faults": {name: float(size[0]) for name, size in self._axes.faults().items()} if row[_FAULTY] else {},
         }
         if self._info_kind == "flat":
             info |= {"reference_family": int(row[_FAMILY]), "failure": int(row[_FAILURE])}
-            del info["reward_terms"]
+            del info["reward_terms"], info["faults"]
+            info |= {f"fault_{name}": float(size[0]) for name, size in self._axes.drawn_faults().items()}
             info |= {f"reward_{name}": value for name, value in terms.items()}
             return {name: np.asarray(value)[()] for name, value in info.items()}  # NumPy's numbers have a dtype
         return info

@@ -12,6 +12,7 @@ from hydro_env.arguments import numbers, shown
 from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
+from hydro_env.task.faults import FAULTS, fault_limits
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.record import Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
@@ -24,6 +25,7 @@ OPTION_NAMES = (
     "reference",
     "parameters",
     "initial_position",
+    "faults",
     "persist",
     "reset_mask",
 )
@@ -71,6 +73,7 @@ class ResetOptions:
             initial_position=np.full(count, np.nan),
             family=np.full(count, -1, dtype=np.int64),
             user_reference=np.zeros((1, samples)),
+            faults=np.full((count, len(FAULTS)), np.nan),
         )
         self.persistent = np.zeros(count, dtype=np.bool_)
         self._check_parameters(np.full(len(PARAMETER_PATHS), np.nan), "task: randomisation")
@@ -86,6 +89,7 @@ class ResetOptions:
         self.fixed.leakage_flow_lpm[passing] = np.nan
         self.fixed.initial_position[passing] = np.nan
         self.fixed.family[passing] = -1
+        self.fixed.faults[passing] = np.nan
         if len(self.fixed.user_reference) == self.count:
             self.fixed.user_reference[passing] = self._own_reference
 
@@ -110,6 +114,7 @@ class ResetOptions:
         position = self._position_option(options, axes)
         parameters = self._parameter_option(options.get("parameters"), axes)
         families, user = self._reference_option(options.get("reference"), axes)
+        faults = self._fault_option(options.get("faults"), axes)
         persist = options.get("persist", False)
         if not isinstance(persist, bool | np.bool_):
             raise ConfigurationError(f"reset options: persist = {shown(persist)}: must be true or false")
@@ -117,6 +122,7 @@ class ResetOptions:
         self.fixed.initial_position[axes] = position
         self.fixed.parameters[axes] = parameters
         self.fixed.family[axes] = families
+        self.fixed.faults[axes] = faults
         self.persistent[axes] = bool(persist)
         if user is not None:
             self.set_user_reference(user, axes)
@@ -166,6 +172,25 @@ class ResetOptions:
                 f"reset options: initial_position = {position[wrong][0]:g} m: must be within the stroke, ±{half:g} m"
             )
         return position
+
+    def _fault_option(self, given: Any, axes: Indices) -> Floats:
+        magnitudes = np.full((len(axes), len(FAULTS)), np.nan)
+        if given is None:
+            return magnitudes
+        if not isinstance(given, Mapping):
+            raise ConfigurationError('reset options: faults must be a mapping, {"valve_null_shift": 0.01}')
+        for name, value in given.items():
+            if name not in FAULTS:
+                raise UnknownKeyError(f"reset options: unknown fault '{name}'; known: {', '.join(FAULTS)}")
+            column = self._per_axis(value, f"faults.{name}", axes)
+            low, high = fault_limits(name)
+            wrong = ~((column >= low) & (column <= high))
+            if wrong.any():
+                raise ConfigurationError(
+                    f"reset options: faults.{name} = {column[wrong][0]:g}: must be within {low:g} to {high:g}"
+                )
+            magnitudes[:, FAULTS.index(name)] = column
+        return magnitudes
 
     def _parameter_option(self, changes: Any, axes: Indices) -> Floats:
         override = np.full((len(axes), len(PARAMETER_PATHS)), np.nan)

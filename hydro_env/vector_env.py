@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hydro_env.arguments import info_kind, numbers, shown, whole_number
 from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
+from hydro_env.infos import Flags, names_of, present_values
 from hydro_env.reset_options import options_given
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
@@ -26,7 +27,6 @@ from hydro_env.task.rewards import REWARD_TERMS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 Observations = NDArray[np.float32]
-Flags = NDArray[np.bool_]
 
 MOST_AXES = 1_000_000
 MOST_THREADS = 1024
@@ -317,14 +317,18 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         }
         if self._info_kind == "flat":
             values |= {f"reward_{name}": -costs[:, index] for index, name in enumerate(REWARD_TERMS)}
+            values |= {
+                f"fault_{name}": np.where(present, size, 0.0) for name, size in self._axes.drawn_faults().items()
+            }
         else:
-            values["reference_family"] = _names(family, REFERENCE_FAMILIES, present)
-            values["failure"] = _names(failure, FAILURES, present)
+            values["reference_family"] = names_of(family, REFERENCE_FAMILIES, present)
+            values["failure"] = names_of(failure, FAILURES, present)
             terms: dict[str, Any] = {}
             for index, name in enumerate(REWARD_TERMS):
                 terms[name] = -costs[:, index]
                 terms[f"_{name}"] = present
             values["reward_terms"] = terms
+            values["faults"] = present_values(self._axes.faults(), present)
         masks = {f"_{name}": present for name in values}
         return values | masks
 
@@ -334,14 +338,3 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         axes = getattr(self, "_axes", None)  # absent if the constructor refused its arguments
         if axes is not None:
             axes.close()
-
-
-def _names(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> NDArray[np.object_]:
-    """The name of each code, None where an axis is not present.
-
-    Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
-    """
-    names = np.empty(len(codes), dtype=object)
-    for code in np.bincount(codes).nonzero()[0].tolist():
-        names[(codes == code) & present] = known[code]
-    return names

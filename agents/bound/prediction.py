@@ -26,14 +26,16 @@ from hydro_env.plant.kernel import (
     integrate,
 )
 from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.fault_effects import FAULT_COLUMNS
 from hydro_env.task.kernel import FULL_VOLTAGE
 from hydro_env.task.schedules import follow_schedules
 from hydro_env.task.settings import settings_of
 
 Array = NDArray[np.float64]
 
-SCHEDULED = tuple(
-    Coefficients._fields.index(name) for name in ("leakage_conductance", "leakage_orifice_gain", "external_force")
+SCHEDULED = (
+    *(Coefficients._fields.index(name) for name in ("leakage_conductance", "leakage_orifice_gain", "external_force")),
+    *FAULT_COLUMNS,
 )
 """Coefficients that change during an episode."""
 
@@ -53,7 +55,7 @@ class Prediction:
         coefficients: of each plant, (N, coefficients).
         latency: from the start of a period until its command acts, (N,), s.
         schedule: the coefficients :data:`SCHEDULED` in each control period of the episode and of the horizon beyond
-            its end, (periods, N, 3).
+            its end, (periods, N, S).
         threads: worker threads; ``None`` takes one per core.
     """
 
@@ -170,7 +172,7 @@ class Prediction:
 
 
 def true_schedule(config: TaskConfig, axes: Axes, periods: int) -> Array:
-    """The coefficients :data:`SCHEDULED` of the true plants in each control period, (periods, N, 3)."""
+    """The coefficients :data:`SCHEDULED` of the true plants in each control period, (periods, N, S)."""
     schedule = np.empty((periods, axes.count, len(SCHEDULED)))
     _follow(settings_of(config), axes.record.copy(), axes.coefficient.copy(), np.array(SCHEDULED), schedule)
     return schedule

@@ -87,8 +87,9 @@ class FlowModel:
     def opening(self, speed: Array, flow: Flow) -> Array:
         """Position of the spool that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
         root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
-        opening: Array = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
-        return opening + self._c.null_shift
+        opening = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
+        spool: Array = opening + self._c.null_shift
+        return spool
 
     def full_speeds(self, force: Array, supply: Array) -> tuple[Array, Array]:
         """Steady speeds (m/s) at full opening against a force of the load (N), extending and retracting, each (N,)."""

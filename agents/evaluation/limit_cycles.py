@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from agents.running.cases import Cases, Rollout
 from hydro_env import TaskConfig
 from hydro_env.files import validate
-from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.rig import merged
+from hydro_env.task.sensors import CHANNELS
 
 Array = NDArray[np.floating[Any]]
 

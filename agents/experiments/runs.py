@@ -15,7 +15,8 @@ from agents.running.seeds import TEST_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.task.configuration import CHANNELS, task_config
+from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import TYPICAL_SIZE
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 
 PLANTS = 256
 """Plants that are drawn to learn the mean and the spread of each parameter."""

@@ -12,7 +12,7 @@ import numpy as np
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
 from hydro_env.plant.workable import refuse_unworkable
-from hydro_env.task.configuration import Sensor, Sensors
+from hydro_env.task.sensors import Sensor, Sensors
 from hydro_env.units import orifice_gain_from_flow
 
 Law = Literal["laminar", "throttle"]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, hilbert, lfilter, sosfiltfilt
 
-from hydro_env.task.configuration import Sensor
+from hydro_env.task.sensors import Sensor
 
 Array = NDArray[np.float64]
 

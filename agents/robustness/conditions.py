@@ -20,9 +20,10 @@ from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
-from hydro_env.task.configuration import CHANNELS, LEAKAGE_LIMIT, task_config
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged
+from hydro_env.task.sensors import CHANNELS
 
 FIRST_SEED = TEST_SEEDS.start + 200_000
 """The first of 100 000 seeds that the protocol alone uses; the ordinary evaluation has others."""

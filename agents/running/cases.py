@@ -15,7 +15,7 @@ from hydro_env.axes import Axes
 from hydro_env.plant.arrays import derived_array
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 
 _SPOOL = State._fields.index("spool_position")
 _SUPPLY_PRESSURE = State._fields.index("supply_pressure")
@@ -44,6 +44,7 @@ class Cases:
     leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
     families: NDArray[np.str_] | None = None  # None: drawn
     parameters: Mapping[str, Mapping[str, float | str]] | None = None  # of every plant, as the option of reset
+    faults: Mapping[str, NDArray[np.float64]] | None = None  # magnitudes by name, each (N,)
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -52,7 +53,8 @@ class Cases:
         """The cases from ``first`` to before ``last``."""
         leak = self.leakage_flow_lpm[first:last] if self.leakage_flow_lpm is not None else None
         families = self.families[first:last] if self.families is not None else None
-        return Cases(self.seeds[first:last], leak, families, self.parameters)
+        faults = {name: sizes[first:last] for name, sizes in self.faults.items()} if self.faults is not None else None
+        return Cases(self.seeds[first:last], leak, families, self.parameters, faults)
 
     def describe(self, case: int) -> str:
         """Seed, reference and leak of one case, for messages."""
@@ -135,6 +137,8 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         options["reference"] = [str(name) for name in cases.families]
     if cases.parameters:
         options["parameters"] = cases.parameters
+    if cases.faults:
+        options["faults"] = cases.faults
     observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
     axes, memory = env.axes, None
     if isinstance(controller, Insider):

@@ -23,8 +23,10 @@ from hydro_env.plant.kernel import (
     integrate_part,
 )
 from hydro_env.plant.states import first_outside, valid_range
+from hydro_env.task.fault_effects import draw_faults, driven
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
+    FAULT,
     INITIAL_STATE,
     LATENCY,
     LEAKAGE,
@@ -61,7 +63,7 @@ from hydro_env.task.schedules import (
     follow_schedules,
     set_leak,
 )
-from hydro_env.task.signals import POSITION, draw_biases, lagged, sample, write_observation
+from hydro_env.task.signals import POSITION, draw_biases, held_position, lagged, sample, write_observation
 
 FULL_VOLTAGE = 10.0
 """V of a command of 1."""
@@ -169,6 +171,7 @@ def _build(sources):
                 draw_steady_force(row, coefficient[axis], force_key, settings)
                 draw_leak(row, source_key(drawn, episode, LEAKAGE), fixed.leakage_flow_lpm[axis], settings)
                 set_leak(row, coefficient[axis], 0.0, settings)
+                draw_faults(row, coefficient[axis], source_key(drawn, episode, FAULT), fixed.faults[axis], settings)
 
                 # A user's reference sets its own start.
                 c = read_coefficients(coefficient[axis])
@@ -193,12 +196,12 @@ def _build(sources):
                     )
 
                 # The axis holds the position that its sensor reads as the start.
-                held = start - settings.start_bias_share * row.bias[POSITION]
+                held = held_position(start, row, settings) if settings.start_bias_share > 0.0 else start
                 s, voltage, found = equilibrium_state(held, p, c)
                 write_state(states[axis], s)
                 if not found or abs(held) > c.end_stop_position:
                     row.failure = CANNOT_BE_HELD
-                row.command = (1.0 / FULL_VOLTAGE) * voltage
+                row.command = row.drive = (1.0 / FULL_VOLTAGE) * voltage
                 attempt += 1
 
             draw_changing_force(row, coefficient[axis], force_key, settings)
@@ -224,11 +227,12 @@ def _build(sources):
         for axis in range(first, last):
             row = record[axis]
             command = min(max(np.float64(actions[axis]), -1.0), 1.0)
-            voltage[axis, PREVIOUS] = FULL_VOLTAGE * row.command
-            voltage[axis, NEW] = FULL_VOLTAGE * command
             row.change = command - row.command
             row.command = command
             follow_schedules(row, coefficient[axis], settings)
+            voltage[axis, PREVIOUS] = FULL_VOLTAGE * row.drive
+            row.drive = driven(command, row.drive, row)
+            voltage[axis, NEW] = FULL_VOLTAGE * row.drive
 
         integrate_part(
             Plants(states, coefficient, voltage, durations, peaks),

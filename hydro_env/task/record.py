@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from hydro_env.compiling import numba
 from hydro_env.plant.kernel import N_COEFFICIENTS, N_PEAKS
 from hydro_env.plant.states import N_STATES, STATE_NAMES
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.faults import FAULT_KINDS, FAULTS
 from hydro_env.task.rewards import REWARD_TERMS
+from hydro_env.task.sensors import CHANNELS
 
 RECORD = np.dtype(
     [
@@ -46,7 +47,14 @@ RECORD = np.dtype(
         ("costs", "f8", (len(REWARD_TERMS),)),
         ("reward", "f8"),
         ("failure", "f8"),  # index into FAILURES
+        ("faulty", "f8"),  # 1 if the episode has a fault
         ("noise_key", "u8"),
+        ("drive", "f8"),  # −1…1, command that the valve's drive follows
+        ("fault", "f8", (len(FAULTS),)),  # magnitude of each fault now
+        ("fault_target", "f8", (len(FAULTS),)),
+        ("fault_schedule", "f8", (len(FAULT_KINDS),)),  # index of the schedule
+        ("fault_start", "f8", (len(FAULT_KINDS),)),  # s
+        ("sound", "f8", (5,)),  # coefficients of the plant without faults
     ]
 )
 """State of an axis during its episode, besides the state of its plant."""
@@ -95,6 +103,7 @@ class Fixed(NamedTuple):
     initial_position: NDArray[np.float64]  # (N,), m
     family: NDArray[np.int64]  # (N,)
     user_reference: NDArray[np.float64]  # (1 or N, samples), m
+    faults: NDArray[np.float64]  # (N, faults), magnitudes
 
 
 FAILURES = (

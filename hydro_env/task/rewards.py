@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_env.compiling import inline
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 
 _POSITION = CHANNELS.index("position")
 

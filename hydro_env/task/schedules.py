@@ -8,6 +8,7 @@ from hydro_env.compiling import inline
 from hydro_env.plant.arrays import read_coefficients
 from hydro_env.plant.equations import Coefficients
 from hydro_env.task.configuration import Disturbance, LeakageDraw
+from hydro_env.task.fault_effects import set_faults
 from hydro_env.task.random_numbers import between, log_between, uniform
 from hydro_env.task.reference_signals import supply_forces
 from hydro_env.task.settings import choice
@@ -131,8 +132,9 @@ def draw_latency(row, key, settings):
 
 @inline
 def follow_schedules(row, coefficient, settings):
-    """Set leak and external force for the control period that begins."""
+    """Set leak, faults and external force for the control period that begins."""
     time = row.step * settings.control_period
+    set_faults(row, coefficient, time, settings)
     if row.leak_schedule != _CONSTANT:
         set_leak(row, coefficient, time, settings)
     if settings.disturbance.kind != _NONE:

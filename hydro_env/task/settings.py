@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters
-from hydro_env.task.configuration import CHANNELS, Sensor, TaskConfig
+from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS, Faults, SensorFault
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.record import table
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.sensors import CHANNELS, Sensor
 
 ERROR_INTEGRAL_TIME = 0.5
 """s; time constant of the observed leaky integral of the error."""
@@ -26,7 +28,7 @@ ERROR_INTEGRAL_LIMIT = 0.010
 def _kind_of(annotation: Any) -> Any:
     """Type that stores a field of the configuration: a number, the index of a choice, a group; None if not stored."""
     if isinstance(annotation, type) and issubclass(annotation, Group):
-        return None if annotation is PlantParameters else _kind_of_group(annotation)
+        return None if annotation in (PlantParameters, Faults) else _kind_of_group(annotation)
     if annotation is float:
         return "f8"
     if annotation is bool or get_origin(annotation) is Literal:
@@ -55,6 +57,23 @@ def choice(group: type[Group], field: str, value: str) -> int:
     return get_args(group.model_fields[field].annotation).index(value)
 
 
+FAULT_TABLE = np.dtype(
+    [
+        ("probability", "f8"),
+        ("low", "f8"),
+        ("high", "f8"),
+        ("signed", "i8"),
+        ("schedule", "i8"),
+        ("start_low", "f8"),
+        ("start_high", "f8"),
+        ("first", "i8"),  # indices of FAULTS: from the first of this kind to before the last
+        ("last", "i8"),
+        ("sensors", "f8"),  # number of sensors that it may hit, 1 for faults of no sensor
+        ("allowed", "f8", (len(CHANNELS),)),
+    ]
+)
+"""One kind of fault."""
+
 _TASK, _SENSOR = _kind_of_group(TaskConfig), _kind_of_group(Sensor)
 _DERIVED = np.dtype(
     [
@@ -65,6 +84,7 @@ _DERIVED = np.dtype(
         ("reward_bias_share", "f8"),  # part of that bias that the reward does not count as error
         ("error_scales", "f8", (len(REFERENCE_FAMILIES),)),  # m, error that costs 1, of each family
         ("channels", _SENSOR, (len(CHANNELS),)),  # the sensors in the order of CHANNELS
+        ("fault_table", FAULT_TABLE, (len(FAULT_KINDS),)),
         ("pressure_decay", "f8"),  # exp(−T/τ) of the transducers
         ("pressure_lag", "f8"),  # τ/T
         ("velocity_blend", "f8"),  # T/(T + τ)
@@ -92,6 +112,7 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
             config.reward.error_scale * config.reward.family_scale.get(name, 1.0) for name in REFERENCE_FAMILIES
         ],
         "channels": [_values_of(getattr(sensors, channel), _SENSOR) for channel in CHANNELS],
+        "fault_table": [_fault_row(config.faults, kind) for kind in FAULT_KINDS],
         "pressure_decay": math.exp(-period / rise) if rise > 0.0 else 0.0,
         "pressure_lag": rise / period,
         "velocity_blend": period / (period + sensors.velocity_filter_time),
@@ -104,6 +125,23 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
     for name in _DERIVED.names or ():
         settings[name] = np.array(derived[name], _DERIVED[name].base)
     return settings
+
+
+def _fault_row(faults: Faults, kind: str) -> tuple[Any, ...]:
+    fault = getattr(faults, kind)
+    entries = [index for index, name in enumerate(FAULTS) if KIND_OF_FAULT[name] == kind]
+    hit = [name in fault.sensors if isinstance(fault, SensorFault) else name == CHANNELS[0] for name in CHANNELS]
+    return (
+        fault.probability,
+        *fault.range,
+        kind in SIGNED_KINDS,
+        choice(type(fault), "schedule", fault.schedule),
+        *fault.start_range,
+        entries[0],
+        entries[-1] + 1,
+        sum(hit),
+        hit,
+    )
 
 
 DRAW = np.dtype(

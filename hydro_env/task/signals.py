@@ -1,6 +1,6 @@
 """The measured signals, and the observation made of them.
 
-To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.configuration.Sensors`, its true value to
+To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.sensors.Sensors`, its true value to
 :func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`.
 """
 
@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, named_tuple
-from hydro_env.task.configuration import CHANNELS, TaskConfig
+from hydro_env.task.configuration import TaskConfig
+from hydro_env.task.fault_effects import lost_or_frozen, misread, read_truly
 from hydro_env.task.random_numbers import between, noise_pair
 from hydro_env.task.record import table
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT
 
 POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
@@ -108,15 +110,24 @@ def sample(row, s, settings):
         pressure_b=row.sensed_b,
         spool_position=s.spool_position,
     )
-    if not settings.sensors.enabled:
-        for channel in range(len(CHANNELS)):
-            row.measured[channel] = signals[channel]
-        return
     for first in range(0, len(CHANNELS), 2):
-        noise = noise_pair(row.noise_key, np.int64(row.step), first // 2)
+        noise = noise_pair(row.noise_key, np.int64(row.step), first // 2) if settings.sensors.enabled else (0.0, 0.0)
         for channel in range(first, min(first + 2, len(CHANNELS))):
             sensor = settings.channels[channel]
-            row.measured[channel] = _reading(signals[channel], row.bias[channel], noise[channel - first], sensor)
+            value = signals[channel]
+            if row.faulty > 0.0:
+                value = misread(value, channel, row, sensor)
+            if settings.sensors.enabled:
+                value = _reading(value, row.bias[channel], noise[channel - first], sensor)
+            if row.faulty > 0.0:
+                value = lost_or_frozen(value, channel, row, sensor)
+            row.measured[channel] = value
+
+
+@inline
+def held_position(reading, row, settings):
+    """Position in m of an axis whose sensor reads ``reading``, without noise."""
+    return read_truly(reading - row.bias[POSITION], POSITION, row, settings.channels[POSITION])
 
 
 @inline

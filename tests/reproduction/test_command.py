@@ -11,7 +11,7 @@ from agents.reproduction.figures import FIGURES, write_words
 from agents.reproduction.moves import displacement_table
 from agents.reproduction.rig import Rig
 from hydro_env import ConfigurationError
-from hydro_env.task.configuration import Sensors
+from hydro_env.task.sensors import Sensors
 
 
 def test_every_figure_has_picture_and_table(folder):

@@ -25,7 +25,7 @@ from hydro_env.plant.analysis import closed_port_natural_frequency
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parts.leakage import internal_leakage
 from hydro_env.plant.states import STATE_NAMES, State
-from hydro_env.task.configuration import Sensors
+from hydro_env.task.sensors import Sensors
 from hydro_env.units import LITRE_PER_MINUTE
 
 LEAKS = (0.01, 0.1, 1.0, 2.0)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv
-from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.sensors import CHANNELS
 
 COUNT, PERIOD = 400, 5e-3
 POSITION = CHANNELS.index("position")

@@ -6,7 +6,6 @@ from scipy import stats
 
 from hydro_env import ServoHydraulicVectorEnv
 from hydro_env.plant.parameters import PARAMETER_PATHS
-from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.random_numbers import (
     DISTURBANCE,
     INITIAL_STATE,
@@ -21,6 +20,7 @@ from hydro_env.task.random_numbers import (
     uniform,
 )
 from hydro_env.task.record import RECORD
+from hydro_env.task.sensors import CHANNELS
 
 COUNT = 20_000
 ROOT = np.uint64(0x0123456789ABCDEF)

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
-from hydro_env.task.configuration import CHANNELS, Sensors
+from hydro_env.task.sensors import CHANNELS, Sensors
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
 
 PERIOD = 5e-3

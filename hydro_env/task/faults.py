@@ -1,0 +1,145 @@
+"""Faults besides the leak past the piston: of valve, sensors, return line and rod seal.
+
+Each kind occurs with a probability, has a magnitude within a range and a schedule; all are drawn per episode. The
+observation does not show them; ``info["faults"]`` does. To add a fault, add a class with its range, a field of
+:class:`Faults`, and its effect in :mod:`hydro_env.task.fault_effects`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field, field_validator
+
+from hydro_env.files import Group
+from hydro_env.task.groups import Range, TaskGroup, interval
+from hydro_env.task.sensors import CHANNELS
+from hydro_env.units import Number
+
+
+class Fault(TaskGroup):
+    """One kind of fault: how often it occurs, and when; its subclasses say how large it is."""
+
+    probability: Number = Field(0.0, ge=0.0, le=1.0, description="share of episodes with this fault")
+    schedule: Literal["constant", "onset", "growth", "mixed"] = Field(
+        "constant",
+        description="constant; a sudden onset; growth (linear) from none to the end of the episode; mixed: one of the "
+        "three, drawn per episode",
+    )
+    start_range: Range = interval((0.25, 0.75), "1", "onset or start of growth, as a share of the episode", 0.0, 1.0)
+
+
+class SensorFault(Fault):
+    """A fault of one sensor, which is drawn."""
+
+    sensors: tuple[str, ...] = Field(CHANNELS, description="those that it may hit, with equal probability")
+
+    @field_validator("sensors")
+    @classmethod
+    def _known(cls, sensors: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in sensors if name not in CHANNELS]
+        if unknown or not sensors:
+            raise ValueError(f"unknown sensor '{unknown[0] if unknown else ''}'; known: {', '.join(CHANNELS)}")
+        return sensors
+
+
+class ValveNullShift(Fault):
+    """The edges are centred beside the spool's zero; the spool's sensor does not see it."""
+
+    range: Range = interval((0.005, 0.02), "1", "of full stroke; sign drawn", 0.0, 0.5)
+
+
+class ValveUnderlap(Fault):
+    """Worn edges: more oil passes the closed valve."""
+
+    range: Range = interval((0.02, 0.05), "1", "added to the underlap, of full stroke", 0.0, 0.4)
+
+
+class ValveFlow(Fault):
+    """Worn or clogged edges: more or less oil at the same opening."""
+
+    range: Range = interval((0.1, 0.3), "1", "relative change of the rated flow; sign drawn", 0.0, 0.9)
+
+
+class ValveHysteresis(Fault):
+    """The drive follows a command only after it has moved by this much (play): hysteresis and threshold."""
+
+    range: Range = interval((0.005, 0.04), "1", "width, in parts of full command", 0.0, 1.0)
+
+
+class TankPressure(Fault):
+    """A clogged return line."""
+
+    range: Range = interval((2e5, 8e5), "Pa", "added to the tank pressure", 0.0, 5e6)
+
+
+class ExternalLeak(Fault):
+    """A worn rod seal: oil from chamber b to the outside."""
+
+    range: Range = interval((0.3, 2.0), "l/min", "at 100 bar", 0.0, 20.0)
+
+
+class SensorOffset(SensorFault):
+    """The reading is beside the truth by a constant."""
+
+    range: Range = interval((0.005, 0.03), "1", "of the sensor's range; sign drawn", 0.0, 1.0)
+
+
+class SensorGain(SensorFault):
+    """The reading is a multiple of the truth."""
+
+    range: Range = interval((0.01, 0.05), "1", "relative change; sign drawn", 0.0, 0.9)
+
+
+class SensorFreeze(SensorFault):
+    """The reading stays as it is."""
+
+    range: Range = interval((1.0, 1.0), "1", "1: the sensor stands still", 0.0, 1.0)
+
+
+class SensorDropout(SensorFault):
+    """Some samples are lost: the sensor reads the lower end of its range, as a broken 4–20 mA loop does."""
+
+    range: Range = interval((0.02, 0.2), "1", "share of samples", 0.0, 1.0)
+
+
+class Faults(Group):
+    """The faults that an episode may have; none by default. Each is drawn by itself: several may meet."""
+
+    valve_null_shift: ValveNullShift = Field(default_factory=ValveNullShift)
+    valve_underlap: ValveUnderlap = Field(default_factory=ValveUnderlap)
+    valve_flow: ValveFlow = Field(default_factory=ValveFlow)
+    valve_hysteresis: ValveHysteresis = Field(default_factory=ValveHysteresis)
+    tank_pressure: TankPressure = Field(default_factory=TankPressure)
+    external_leak: ExternalLeak = Field(default_factory=ExternalLeak)
+    sensor_offset: SensorOffset = Field(default_factory=SensorOffset)
+    sensor_gain: SensorGain = Field(default_factory=SensorGain)
+    sensor_freeze: SensorFreeze = Field(default_factory=SensorFreeze)
+    sensor_dropout: SensorDropout = Field(default_factory=SensorDropout)
+
+
+FAULT_KINDS: tuple[str, ...] = tuple(Faults.model_fields)
+"""Names of the kinds."""
+
+SIGNED_KINDS = ("valve_null_shift", "valve_flow", "sensor_offset", "sensor_gain")
+"""Kinds whose magnitude may be negative."""
+
+
+def _faults_of(kind: str) -> list[str]:
+    if not kind.startswith("sensor_"):
+        return [kind]
+    return [f"{channel}_{kind.removeprefix('sensor_')}" for channel in CHANNELS]
+
+
+FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in _faults_of(kind))
+"""Every fault by itself; those of sensors by the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
+
+KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in _faults_of(kind)}
+"""Kind of each fault."""
+
+
+def fault_limits(name: str) -> tuple[float, float]:
+    """Smallest and largest magnitude of a fault that may be asked for."""
+    kind = KIND_OF_FAULT[name]
+    extra: Any = type(getattr(Faults(), kind)).model_fields["range"].json_schema_extra
+    return (-extra["high"] if kind in SIGNED_KINDS else 0.0), extra["high"]

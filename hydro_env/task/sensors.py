@@ -1,0 +1,61 @@
+"""The measured signals: noise, bias, range and acquisition of each sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from hydro_env.files import Group
+from hydro_env.units import Number, quantity
+
+
+class Sensor(Group):
+    """One measured signal: white noise, a bias drawn per episode, 16-bit steps, and its range."""
+
+    noise: Number = Field(ge=0.0, le=1e9, description="standard deviation, unit of the signal")
+    bias: Number = Field(ge=0.0, le=1e9, description="largest constant error of an episode, unit of the signal")
+    resolution: Number = Field(ge=0.0, le=1e9, description="step of the 16-bit acquisition, unit; 0 = none")
+    low: Number = Field(ge=-1e9, le=1e9, description="lower end of the range, unit of the signal")
+    high: Number = Field(ge=-1e9, le=1e9, description="upper end of the range, unit of the signal")
+
+    @model_validator(mode="after")
+    def _range_rises(self) -> Sensor:
+        if not self.low < self.high:
+            raise ValueError(f"low = {self.low:g} must be below high = {self.high:g}")
+        return self
+
+
+def _current_loop(span: float) -> float:
+    """Step of a 4–20 mA signal over 500 Ω on a 16-bit converter of ±10 V: 26214 steps for the span."""
+    return span / (65536 * 8.0 / 20.0)
+
+
+class Sensors(Group):
+    """The measured signals (Table 1 of the paper; noise and bias from data sheets of this class of transducers)."""
+
+    enabled: bool = Field(True, description="false: exact signals, for tests and teaching")
+    position: Sensor = Sensor(noise=30e-6, bias=80e-6, resolution=_current_loop(0.4), low=-0.2, high=0.2)
+    pressure_a: Sensor = Sensor(noise=0.05e5, bias=0.25e5, resolution=_current_loop(100e5), low=0.0, high=100e5)
+    pressure_b: Sensor = Sensor(noise=0.2e5, bias=1.0e5, resolution=_current_loop(400e5), low=0.0, high=400e5)
+    spool_position: Sensor = Sensor(noise=1e-3, bias=2e-3, resolution=2.0 / 65536, low=-1.0, high=1.0)
+    pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
+    velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, values: Any) -> Any:
+        """Fill the missing fields of a sensor with its defaults."""
+        if not isinstance(values, Mapping):
+            return values
+        return {
+            name: {**cls.model_fields[name].default.model_dump(), **value}
+            if isinstance(value, Mapping) and name in cls.model_fields and cls.model_fields[name].annotation is Sensor
+            else value
+            for name, value in values.items()
+        }
+
+
+CHANNELS = tuple(name for name, info in Sensors.model_fields.items() if info.annotation is Sensor)
+"""Names of the measured signals."""
