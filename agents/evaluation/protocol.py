@@ -78,6 +78,11 @@ class Evaluation:
     bounds: LeakBounds = field(default_factory=lambda: LeakBounds.of(TaskConfig()))
     errors: dict[str, str] = field(default_factory=dict)  # controller → reason why it has no results
 
+    @property
+    def controllers(self) -> list[str]:
+        """Names of the controllers that have results, in their order."""
+        return [str(name) for name in self.cases["controller"].unique()]
+
 
 def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
     """All cases of the tracking part, and a table with level, family and plant of each."""

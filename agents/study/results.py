@@ -25,6 +25,9 @@ from hydro_env import TaskConfig
 
 REPORT_FILE = "report.html"
 REPORT_FILES = (REPORT_FILE, "tables/*.csv")
+MOST_COLUMNS = 3
+"""Controllers that stand beside each other in a table on the console; more get a row each."""
+
 EXAMPLE_SEED = TEST_SEEDS.start + 900_000
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop"}
 
@@ -104,13 +107,36 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     """Print the main figures as tables on the console."""
-    names = list(evaluation.cases["controller"].unique())
-    ratios = evaluation.ratios
+    display.console.lines(
+        _errors_of_many(evaluation) if len(evaluation.controllers) > MOST_COLUMNS else _errors_by_leak(evaluation)
+    )
+    if not evaluation.detection_summary.empty:
+        display.console.lines(_detection(evaluation))
 
-    def ratio(name: str, group: str, value: str | None = None) -> str:
-        chosen = (ratios["controller"] == name) & (ratios["group"] == group)
-        row = ratios[chosen & (ratios["value"] == value)].iloc[0] if value is not None else ratios[chosen].iloc[0]
-        return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
+
+def _ratio_to_first(evaluation: Evaluation, name: str, group: str, value: str | None = None) -> str:
+    ratios = evaluation.ratios
+    chosen = (ratios["controller"] == name) & (ratios["group"] == group)
+    row = ratios[chosen & (ratios["value"] == value)].iloc[0] if value is not None else ratios[chosen].iloc[0]
+    return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
+
+
+def _errors_of_many(evaluation: Evaluation) -> Table:
+    """One row per controller, for more controllers than fit beside each other."""
+    first, *others = evaluation.controllers
+    table = Table(title="Mean absolute tracking error (test plants)")
+    for heading in ("controller", "mm", f"/ {first} [95 %]", "equal weights of references [95 %]"):
+        table.add_column(heading, justify="left" if heading == "controller" else "right")
+    means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
+    table.add_row(first, f"{means[first]:.4f}", "", "")
+    for name in others:
+        ratios = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
+        table.add_row(name, f"{means[name]:.4f}", *ratios)
+    return table
+
+
+def _errors_by_leak(evaluation: Evaluation) -> Table:
+    names = evaluation.controllers
 
     table = Table(title="Mean absolute tracking error, mm (test plants)")
     for heading in ("leakage, l/min at 100 bar", *names, *(f"{name} / {names[0]} [95 %]" for name in names[1:])):
@@ -118,15 +144,18 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
     for level in evaluation.cases["leakage_flow_lpm"].unique():
         means = [f"{errors[name, level]:.4f}" for name in names]
-        table.add_row(f"{level:g}", *means, *(ratio(name, "level", str(level)) for name in names[1:]))
+        table.add_row(
+            f"{level:g}", *means, *(_ratio_to_first(evaluation, name, "level", str(level)) for name in names[1:])
+        )
     means = [f"{evaluation.cases.loc[evaluation.cases['controller'] == n, 'mean_error_mm'].mean():.4f}" for n in names]
-    table.add_row("all", *means, *(ratio(name, "all") for name in names[1:]))
+    table.add_row("all", *means, *(_ratio_to_first(evaluation, name, "all") for name in names[1:]))
     if len(names) > 1:
-        equal = (ratio(name, "equal_weight") for name in names[1:])
+        equal = (_ratio_to_first(evaluation, name, "equal_weight") for name in names[1:])
         table.add_row("all, equal weights of references", *[""] * len(names), *equal)
-    display.console.lines(table)
-    if evaluation.detection_summary.empty:
-        return
+    return table
+
+
+def _detection(evaluation: Evaluation) -> Table:
     bounds = evaluation.bounds
     table = Table(title="Leakage head, one episode of observations (test plants)")
     auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
@@ -140,4 +169,4 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
             f"{100 * entry['detection_rate_moderate']:.2f} %",
             f"× {entry['median_size_error_factor']:.2f}",
         )
-    display.console.lines(table)
+    return table
