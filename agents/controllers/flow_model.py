@@ -8,7 +8,7 @@ with air, inverse valve characteristic, exact linearisation.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,8 +47,10 @@ class FlowModel:
         self._areas = np.array([[c.area_a], [c.area_b]])
         self._signs = np.array([[1.0], [-1.0]])
         self._volumes = np.array([[c.volume_a0], [c.volume_b0]])
+        self._walls = np.array([[c.wall_compliance_a], [c.wall_compliance_b]])
+        self._straight = c.overlap == 0.0 and c.slope_change == 0.0
         self._lowest = _LOWEST_DROP * (c.relief_pressure - c.tank_pressure)
-        self._full = c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3)
+        self._full = c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3 / c.edge_ratio**2)
 
     def supply(self, pressures: Array) -> Array:
         """Supply pressure (Pa), (N,), of axes at rest whose pressures are ``pressures``, (2, N).
@@ -63,15 +65,15 @@ class FlowModel:
         c = self._c
         absolute = np.maximum(pressures, 0.0) + ATMOSPHERIC_PRESSURE
         softness = 1.0 / c.bulk_modulus + c.free_air_pressure / (absolute * absolute)
-        columns = self._areas / (softness * (self._volumes + self._signs * self._areas * position))
+        columns = self._areas / (softness * (self._volumes + self._signs * self._areas * position) + self._walls)
         stiffness = (self._areas * columns).sum(axis=0)
         shares = columns / stiffness
         filling = shares * np.sqrt(np.maximum(supply - pressures, self._lowest))
         emptying = shares * np.sqrt(np.maximum(pressures - c.tank_pressure, self._lowest))
         forces = self._areas * pressures
         return Flow(
-            c.edge_gain * (filling[0] + emptying[1]),
-            c.edge_gain * (emptying[0] + filling[1]),
+            c.edge_gain * (filling[0] + c.edge_ratio * emptying[1]),
+            c.edge_gain * (emptying[0] + c.edge_ratio * filling[1]),
             (shares[0] + shares[1]) * (pressures[1] - pressures[0]),
             forces[0] - forces[1],
             stiffness,
@@ -80,6 +82,10 @@ class FlowModel:
     def speed(self, spool: Array, flow: Flow) -> Array:
         """Speed (m/s) at a position of the spool (−1 to 1) without leak and at constant force, (N,)."""
         opening = spool - self._c.null_shift
+        if not self._straight:
+            forward, backward = _edge_opening(opening, self._c), _edge_opening(-opening, self._c)
+            bent: Array = flow.extending * forward - flow.retracting * backward
+            return bent
         width = np.sqrt(opening * opening + self._c.underlap_squared)
         speed: Array = 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
         return speed
@@ -88,6 +94,8 @@ class FlowModel:
         """Position of the spool that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""
         root = np.sqrt(speed * speed + self._c.underlap_squared * flow.extending * flow.retracting)
         opening = 0.5 * ((speed + root) / flow.extending + (speed - root) / flow.retracting)
+        if not self._straight:
+            opening = _stroke_of(opening, self._c)
         spool: Array = opening + self._c.null_shift
         return spool
 
@@ -98,3 +106,25 @@ class FlowModel:
         back = c.area_b * supply - c.area_a * c.tank_pressure + force
         least = self._lowest * (c.area_a + c.area_b)
         return self._full * np.sqrt(np.maximum(out, least)), self._full * np.sqrt(np.maximum(back, least))
+
+
+def _edge_opening(stroke: Array, c: Any) -> Array:
+    """Opening of an edge whose land has moved by ``stroke`` from the null; as in ``plant/parts/valve.py``."""
+    beyond = (stroke - c.overlap) * c.stroke_factor
+    opening: Array = 0.5 * (np.sqrt(beyond * beyond + c.underlap_squared) + beyond)
+    bent: Array = c.slope * opening + c.slope_change * np.maximum(beyond - c.knee_position, 0.0)
+    return bent
+
+
+def _stroke_of(opening: Array, c: Any) -> Array:
+    """Stroke of the spool that opens a bent, overlapped edge as far as a straight one without overlap opens.
+
+    Within the underlap the dead band is crossed gradually, so that a command for no flow does not jump.
+    """
+    size = np.abs(opening)
+    at_knee = c.slope * c.knee_position
+    beyond = np.where(size > at_knee, c.knee_position + (size - at_knee) / (c.slope + c.slope_change), size / c.slope)
+    stroke: Array = np.sign(opening) * beyond / c.stroke_factor + c.overlap * opening / np.sqrt(
+        opening * opening + c.underlap_squared + 1e-12
+    )
+    return stroke

@@ -37,13 +37,14 @@ def chamber_volumes(parameters: PlantParameters, position: float = 0.0) -> Chamb
 def closed_port_stiffness(parameters: PlantParameters, position: float = 0.0) -> float:
     """Stiffness in N/m of both closed oil columns and the spring: β (A_a²/V_a + A_b²/V_b) + k (Merritt 1967).
 
-    β is that of oil without free air. Valid for short times only: seal and valve leak.
+    The walls of lines make the oil columns softer. β is that of oil without free air. Valid for short times only: seal
+    and valve leak.
     """
     c = plant_coefficients(parameters)
     volumes = chamber_volumes(parameters, position)
-    return float(
-        c.bulk_modulus * (c.area_a**2 / volumes.a + c.area_b**2 / volumes.b) + c.spring_stiffness,
-    )
+    softness_a = volumes.a / c.bulk_modulus + c.wall_compliance_a
+    softness_b = volumes.b / c.bulk_modulus + c.wall_compliance_b
+    return float(c.area_a**2 / softness_a + c.area_b**2 / softness_b + c.spring_stiffness)
 
 
 def softest_position(parameters: PlantParameters) -> float:
@@ -53,7 +54,10 @@ def softest_position(parameters: PlantParameters) -> float:
     """
     c = plant_coefficients(parameters)
     ratio = (c.area_a / c.area_b) ** 1.5
-    position = (ratio * c.volume_b0 - c.volume_a0) / (c.area_a + ratio * c.area_b)
+    # A wall that gives way counts as a volume of oil.
+    volume_a = c.volume_a0 + c.bulk_modulus * c.wall_compliance_a
+    volume_b = c.volume_b0 + c.bulk_modulus * c.wall_compliance_b
+    position = (ratio * volume_b - volume_a) / (c.area_a + ratio * c.area_b)
     return float(min(max(position, -c.end_stop_position), c.end_stop_position))
 
 
@@ -104,10 +108,11 @@ def speed_limits(parameters: PlantParameters, force: float = 0.0) -> SpeedLimits
     """Steady speed at ±10 V against a constant force (N, positive against extension).
 
     From the flow law on both edges and the balance of forces, without leakage:
-    v = K √((A_a P_s − A_b P_T − F)/(A_a³ + A_b³)) extending, and with A_b P_s − A_a P_T + F retracting.
+    v = K √((A_a P_s − A_b P_T − F)/(A_a³ + A_b³/r²)) extending, and with A_b P_s − A_a P_T + F retracting; r is the
+    ratio of the edges of chamber b to those of chamber a.
     """
     c = plant_coefficients(parameters)
-    cubes = c.area_a**3 + c.area_b**3
+    cubes = c.area_a**3 + c.area_b**3 / c.edge_ratio**2
     out, back = full_pressure_forces(parameters)
     return SpeedLimits(
         c.edge_gain * math.sqrt(max(out - force, 0.0) / cubes), c.edge_gain * math.sqrt(max(back + force, 0.0) / cubes)
@@ -140,8 +145,8 @@ def force_rate_terms(trajectory: Trajectory) -> ForceRateTerms:
     for sample in range(len(trajectory)):
         s = State(*trajectory.states[sample])
         volume_a, volume_b = chambers.chamber_volumes(s.position, c)
-        per_flow_a = c.area_a * pressure_rate(1.0, volume_a, s.pressure_a, c)
-        per_flow_b = c.area_b * pressure_rate(1.0, volume_b, s.pressure_b, c)
+        per_flow_a = c.area_a * pressure_rate(1.0, volume_a, c.wall_compliance_a, s.pressure_a, c)
+        per_flow_b = c.area_b * pressure_rate(1.0, volume_b, c.wall_compliance_b, s.pressure_b, c)
         rows.append(
             (
                 per_flow_a * trajectory.flow_a[sample] + per_flow_b * trajectory.flow_b[sample],

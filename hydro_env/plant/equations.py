@@ -29,9 +29,11 @@ from hydro_env.plant.parts.leakage import (
 from hydro_env.plant.parts.load import LoadCoefficients, acceleration, load_coefficients, piston_force
 from hydro_env.plant.parts.supply import SupplyCoefficients, supply_coefficients, supply_rates
 from hydro_env.plant.parts.valve import (
+    EdgeCoefficients,
     ValveCoefficients,
     after_command,
     current_rate,
+    edge_coefficients,
     edge_flows,
     spool_rates,
     spool_within_limits,
@@ -42,6 +44,7 @@ from hydro_env.plant.states import State, error_weights
 
 _PARTS: tuple[Any, ...] = (
     ChamberCoefficients,
+    EdgeCoefficients,
     ValveCoefficients,
     FrictionCoefficients,
     LoadCoefficients,
@@ -64,6 +67,7 @@ def coefficients(p):
     """:class:`Coefficients` of the physical parameters ``p`` (:data:`~hydro_env.plant.parameters.Physical`)."""
     parts = _join_parts(
         chamber_coefficients(p),
+        edge_coefficients(p),
         valve_coefficients(p),
         friction_coefficients(p),
         load_coefficients(p),
@@ -105,8 +109,8 @@ def derivatives(s, c, voltage):
     return State(
         position=s.velocity,
         velocity=acceleration(s, friction_force, c),  # (14), (17)
-        pressure_a=pressure_rate(net_a, volume_a, s.pressure_a, c),  # (12)
-        pressure_b=pressure_rate(net_b, volume_b, s.pressure_b, c),  # (13)
+        pressure_a=pressure_rate(net_a, volume_a, c.wall_compliance_a, s.pressure_a, c),  # (12)
+        pressure_b=pressure_rate(net_b, volume_b, c.wall_compliance_b, s.pressure_b, c),  # (13)
         spool_position=spool_rate,
         spool_velocity=spool_acceleration,
         coil_current=current_rate(s, c, voltage),  # (1), (18) row 7

@@ -19,7 +19,7 @@ from pydantic import ConfigDict, Field
 from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
-from hydro_env.plant.parts.chambers import Cylinder, Fluid
+from hydro_env.plant.parts.chambers import Cylinder, Fluid, Lines
 from hydro_env.plant.parts.friction import Friction
 from hydro_env.plant.parts.leakage import Leakage
 from hydro_env.plant.parts.load import Load
@@ -30,8 +30,8 @@ from hydro_env.plant.parts.valve import Valve
 class PlantParameters(Group):
     """All physical parameters of one axis; the default is the test rig of Kovari (2015), Table 1.
 
-    Groups: ``cylinder``, ``valve``, ``fluid``, ``load``, ``friction``, ``supply``, ``leakage``. Instances are
-    frozen; ``replace`` gives a changed and validated copy. A wrong value raises
+    Groups: ``cylinder``, ``valve``, ``lines``, ``fluid``, ``load``, ``friction``, ``supply``, ``leakage``. Instances
+    are frozen; ``replace`` gives a changed and validated copy. A wrong value raises
     :class:`hydro_env.ConfigurationError` with one line: field, value, what is allowed.
     """
 
@@ -39,6 +39,7 @@ class PlantParameters(Group):
 
     cylinder: Cylinder = Field(default_factory=Cylinder)
     valve: Valve = Field(default_factory=Valve)
+    lines: Lines = Field(default_factory=Lines)
     fluid: Fluid = Field(default_factory=Fluid)
     load: Load = Field(default_factory=Load)
     friction: Friction = Field(default_factory=Friction)

@@ -33,10 +33,10 @@ def rates(s, c):
     leak = c.leakage_conductance + c.leakage_orifice_gain * slope
     return Rates(
         chamber_a=c.bulk_modulus / volume_a * (c.edge_gain * slope + leak),
-        chamber_b=c.bulk_modulus / volume_b * (c.edge_gain * slope + leak + c.external_conductance),
+        chamber_b=c.bulk_modulus / volume_b * (c.edge_ratio * c.edge_gain * slope + leak + c.external_conductance),
         friction=friction_rate(s, c),
         oil_column=oil_column_rate(volume_a, volume_b, c),
         end_stop=end_stop_rate(c),
         valve=valve_rate(c),
-        supply_line=supply_line_rate(c.edge_gain * slope, c),
+        supply_line=supply_line_rate(max(1.0, c.edge_ratio) * c.edge_gain * slope, c),
     )

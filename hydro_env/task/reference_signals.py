@@ -52,7 +52,7 @@ def feasible(c, limits):
         max(high, 0.0),
         force_out,
         force_in,
-        c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3),
+        c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3 / c.edge_ratio**2),
         stiffness,
         c.external_force,
     )

@@ -29,6 +29,7 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
     if kinds[0] != "drive" or kinds[1] == "lugre" or kinds[2] == "pump":
         raise ConfigurationError(f"this plant has no model {' / '.join(kinds)}")
     cylinder, valve, fluid = parameters.cylinder, parameters.valve, parameters.fluid
+    lines = parameters.lines
     load, friction, supply, leakage = parameters.load, parameters.friction, parameters.supply, parameters.leakage
     area_a = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter_a**2)
     area_b = pi / 4 * (cylinder.bore_diameter**2 - cylinder.rod_diameter**2)
@@ -42,6 +43,13 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
 
     def root(drop: float) -> float:  # S(Δp)
         return drop / sqrt(sqrt(drop**2 + valve.transition_pressure**2))
+
+    def edge(stroke: float) -> float:  # opening, with overlap and knee
+        beyond = (stroke - valve.overlap) / (1 - valve.overlap)
+        opening = (sqrt(beyond**2 + valve.underlap**2) + beyond) / 2
+        before = valve.knee_opening / valve.knee_position
+        after = (1 - valve.knee_opening) / (1 - valve.knee_position)
+        return before * opening + max(beyond - valve.knee_position, 0.0) * (after - before)
 
     def modulus(pressure: float) -> float:  # β_eff
         absolute = max(pressure, VAPOUR) + ATMOSPHERE
@@ -62,17 +70,18 @@ def right_hand_side(parameters: PlantParameters) -> RightHandSide:
         if (spool_speed >= slew and spool_acceleration > 0) or (spool_speed <= -slew and spool_acceleration < 0):
             spool_acceleration = 0.0
         # four edges, leakage
-        opening = spool - valve.null_shift
-        width = sqrt(opening**2 + valve.underlap**2)
-        forward, backward = (width + opening) / 2, (width - opening) / 2
+        forward, backward = edge(spool - valve.null_shift), edge(valve.null_shift - spool)
         into_a, out_of_a = gain * forward * root(p_s - p_a), gain * backward * root(p_a - supply.tank_pressure)
-        out_of_b, into_b = gain * forward * root(p_b - supply.tank_pressure), gain * backward * root(p_s - p_b)
+        gain_b = valve.edge_ratio * gain
+        out_of_b, into_b = gain_b * forward * root(p_b - supply.tank_pressure), gain_b * backward * root(p_s - p_b)
         leak = (p_a - p_b) / leakage.internal_resistance + leakage.orifice_gain * root(p_a - p_b)
         # chambers
-        volume_a = cylinder.dead_volume + area_a * (half + x)
-        volume_b = cylinder.dead_volume + area_b * (half - x)
-        rate_a = modulus(p_a) / volume_a * (into_a - out_of_a - area_a * v - leak)
-        rate_b = modulus(p_b) / volume_b * (into_b - out_of_b + area_b * v + leak - external * p_b)
+        volume_a = cylinder.dead_volume + lines.volume_a + area_a * (half + x)
+        volume_b = cylinder.dead_volume + lines.volume_b + area_b * (half - x)
+        softness_a = volume_a / modulus(p_a) + lines.volume_a / lines.wall_bulk_modulus
+        softness_b = volume_b / modulus(p_b) + lines.volume_b / lines.wall_bulk_modulus
+        rate_a = (into_a - out_of_a - area_a * v - leak) / softness_a
+        rate_b = (into_b - out_of_b + area_b * v + leak - external * p_b) / softness_b
         if p_a <= VAPOUR:
             rate_a = max(rate_a, 0.0)
         if p_b <= VAPOUR:

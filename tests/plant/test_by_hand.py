@@ -24,6 +24,10 @@ RIGS = (
         load={"external_force": 500.0},
         valve={"null_shift": -0.02},
     ),
+    PlantParameters().replace(
+        valve={"overlap": 0.05, "knee_position": 0.4, "knee_opening": 0.1, "edge_ratio": 0.5},
+        lines={"volume_a": 50e-6, "volume_b": 80e-6, "wall_bulk_modulus": 0.3e9},
+    ),
 )
 
 

@@ -193,6 +193,52 @@ def test_a_null_shift_moves_the_spool_and_nothing_else():
     assert moved.spool_position[10] - usual.spool_position[10] == pytest.approx(0.05)
 
 
+def no_load_speed(voltage, **valve):
+    """Mean speed of a frictionless piston that carries nothing, from 0.5 to 0.75 s."""
+    parameters = PlantParameters().replace(
+        valve={"underlap": 0.0, **valve},
+        load={"mass": 1.0, "spring_stiffness": 0.0, "viscous_damping": 0.0},
+        friction=NO_FRICTION,
+        supply=CONSTANT_SUPPLY,
+        leakage=TIGHT,
+    )
+    run = simulate(parameters, np.full(150, voltage), 5e-3, {"position": 0.0})
+    return (run.position[-1] - run.position[-51]) / 0.25, parameters
+
+
+def test_overlap_is_a_dead_band_that_keeps_the_rated_flow():
+    full, _ = no_load_speed(10.0)
+    assert no_load_speed(0.9, overlap=0.1)[0] == pytest.approx(0.0, abs=1e-6)
+    assert no_load_speed(5.5, overlap=0.1)[0] == pytest.approx(0.5 * full, rel=1e-3)
+    assert no_load_speed(10.0, overlap=0.1)[0] == pytest.approx(full, rel=1e-6)
+
+
+def test_a_knee_bends_the_flow_curve():
+    full, _ = no_load_speed(10.0)
+    bent = {"knee_position": 0.4, "knee_opening": 0.1}
+    assert no_load_speed(4.0, **bent)[0] == pytest.approx(0.1 * full, rel=1e-3)
+    assert no_load_speed(7.0, **bent)[0] == pytest.approx(0.55 * full, rel=1e-3)
+    assert no_load_speed(-10.0, **bent)[0] == pytest.approx(no_load_speed(-10.0)[0], rel=1e-6)
+
+
+def test_unequal_edges_change_the_speed_by_the_formula():
+    for voltage, direction in ((10.0, "extending"), (-10.0, "retracting")):
+        speed, parameters = no_load_speed(voltage, edge_ratio=0.5)
+        assert abs(speed) == pytest.approx(getattr(speed_limits(parameters), direction), rel=1e-3)
+        assert abs(speed) < 0.9 * abs(no_load_speed(voltage)[0])
+
+
+def test_a_hose_lowers_the_natural_frequency_as_its_compliance_says():
+    stiff = double_rod_cylinder()
+    hose = {"volume_a": 40e-6, "volume_b": 40e-6, "wall_bulk_modulus": 0.2e9}
+    soft = stiff.replace(lines=hose)
+    volume, modulus = 106.3e-6, 0.981e9
+    ratio = (volume / modulus) / ((volume + 40e-6) / modulus + 40e-6 / 0.2e9)
+    assert closed_port_natural_frequency(soft) == pytest.approx(277.7 * math.sqrt(ratio), rel=1e-3)
+    mode = linearise(soft, voltage=0.0).hydraulic_mode
+    assert mode.natural_frequency == pytest.approx(277.7 * math.sqrt(ratio), rel=1e-3)
+
+
 def test_force_rate_terms_add_up():
     parameters = PlantParameters().replace(leakage={"internal_resistance": 6e11, "external_resistance": 5e12})
     run = simulate(parameters, np.repeat([3.0, -2.0], 100), 1e-3)

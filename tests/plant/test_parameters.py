@@ -87,7 +87,7 @@ WRONG = {
     "unknown key": ("load: {weight: 60}", "load.weight = 60: unknown key; known here: mass, spring_stiffness"),
     "unknown group": (
         "loads: {mass: 60}",
-        "loads: unknown key; did you mean load. known here: cylinder, valve, fluid, load",
+        "loads: unknown key; did you mean load. known here: cylinder, valve, lines, fluid, load",
     ),
     "bar instead of Pa": (
         "supply: {pressure: 70}",

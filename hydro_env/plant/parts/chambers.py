@@ -40,6 +40,16 @@ class Cylinder(Group):
         return self
 
 
+class Lines(Group):
+    """Pipes or hoses between valve and cylinder: oil that is compressed too, and walls that give way."""
+
+    volume_a: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber a", 0.0, 0.1)
+    volume_b: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber b", 0.0, 0.1)
+    wall_bulk_modulus: Number = quantity(
+        math.inf, "Pa", "assumed; V dp/dV of the wall: infinite for steel", 1e6, math.inf
+    )
+
+
 class Fluid(Group):
     """Hydraulic oil."""
 
@@ -55,6 +65,8 @@ class ChamberCoefficients(NamedTuple):
     area_b: float  # A_b, m²
     volume_a0: float  # V_a0, m³, chamber and dead volume at mid-stroke
     volume_b0: float  # V_b0, m³
+    wall_compliance_a: float  # dV/dp of the line's wall, m³/Pa
+    wall_compliance_b: float
     bulk_modulus: float  # β, Pa
     dissolved_ratio: float  # 1 − η
     free_air_pressure: float  # η p_atm, Pa
@@ -69,8 +81,10 @@ def chamber_coefficients(p):
     return ChamberCoefficients(
         area_a=area_a,
         area_b=area_b,
-        volume_a0=p.cylinder_dead_volume + area_a * 0.5 * p.cylinder_stroke,
-        volume_b0=p.cylinder_dead_volume + area_b * 0.5 * p.cylinder_stroke,
+        volume_a0=p.cylinder_dead_volume + p.lines_volume_a + area_a * 0.5 * p.cylinder_stroke,
+        volume_b0=p.cylinder_dead_volume + p.lines_volume_b + area_b * 0.5 * p.cylinder_stroke,
+        wall_compliance_a=p.lines_volume_a / p.lines_wall_bulk_modulus,
+        wall_compliance_b=p.lines_volume_b / p.lines_wall_bulk_modulus,
         bulk_modulus=p.fluid_bulk_modulus,
         dissolved_ratio=1.0 - p.fluid_air_fraction,
         free_air_pressure=p.fluid_air_fraction * ATMOSPHERIC_PRESSURE,
@@ -84,15 +98,16 @@ def chamber_volumes(position, c):
 
 
 @inline
-def pressure_rate(net_flow, volume, pressure, c):
-    """dP/dt = β_eff / V · net_flow of one chamber (8), (9), (12), (13), in Pa/s.
+def pressure_rate(net_flow, volume, wall_compliance, pressure, c):
+    """dP/dt = net_flow / (V/β_eff + wall compliance) of one chamber (8), (9), (12), (13), in Pa/s.
 
     1/β_eff = 1/β + η p_atm / {[(1−η) p_abs + η p_atm] p_abs}: oil with isothermally compressed free air.
     Below the vapour pressure the chamber cavitates: its pressure falls no further.
     """
     absolute = max(pressure, VAPOUR_PRESSURE) + ATMOSPHERIC_PRESSURE
     oil = (c.dissolved_ratio * absolute + c.free_air_pressure) * absolute
-    rate = net_flow * c.bulk_modulus * oil / (volume * (oil + c.bulk_modulus * c.free_air_pressure))
+    softness = volume * (oil + c.bulk_modulus * c.free_air_pressure) + wall_compliance * c.bulk_modulus * oil
+    rate = net_flow * c.bulk_modulus * oil / softness
     return rate if pressure > VAPOUR_PRESSURE else max(rate, 0.0)
 
 

@@ -40,6 +40,16 @@ class Valve(Group):
     null_shift: Number = quantity(
         0.0, "1", "none in a new valve; spool position at which the edges are centred, of full stroke", -0.5, 0.5
     )
+    overlap: Number = quantity(0.0, "1", "assumed; dead band to each side of the null, of full spool stroke", 0.0, 0.5)
+    knee_position: Number = quantity(
+        0.5, "1", "assumed; stroke beyond the dead band where the flow curve bends", 0.01, 0.99
+    )
+    knee_opening: Number = quantity(
+        0.5, "1", "assumed; opening there, of full; equal to knee_position: straight", 0.01, 0.99
+    )
+    edge_ratio: Number = quantity(
+        1.0, "1", "assumed; edges of chamber b over those of chamber a; 0.5 for 2 : 1", 0.05, 20.0
+    )
     coil_resistance: Number = quantity(2.5, "Ω", "assumed", 1e-3, 1e5)
     coil_inductance: Number = quantity(2.5e-3, "H", "assumed; with the drive's current loop", 1e-6, 100.0)
     amplifier_gain: Number = quantity(0.625, "V/V", "assumed", 1e-6, 1e6)
@@ -47,13 +57,24 @@ class Valve(Group):
     transition_pressure: Number = quantity(1e5, "Pa", "assumed; laminar to turbulent flow", 1.0, 1e7)
 
 
-class ValveCoefficients(NamedTuple):
-    """Constants of the valve in the right-hand side."""
+class EdgeCoefficients(NamedTuple):
+    """Constants of the metering edges in the right-hand side."""
 
-    edge_gain: float  # K, m³/(s √Pa)
+    edge_gain: float  # K, m³/(s √Pa), of chamber a
+    edge_ratio: float  # edges of chamber b over those of chamber a
     transition_squared: float  # dp_t², Pa²
     underlap_squared: float  # x_0²
-    null_shift: float
+    null_shift: float  # x_n
+    overlap: float  # x_d
+    stroke_factor: float  # 1/(1 − x_d)
+    knee_position: float
+    slope: float  # of the opening before the knee
+    slope_change: float  # at the knee
+
+
+class ValveCoefficients(NamedTuple):
+    """Constants of spool and drive in the right-hand side."""
+
     spool_stiffness: float  # ω_s², 1/s²
     spool_damping: float  # 2 ζ_s ω_s, 1/s
     slew_limit: float  # 1/s
@@ -68,13 +89,27 @@ _DRIVE, _IDEAL = (float(list(ValveModel).index(model)) for model in (ValveModel.
 
 
 @inline
-def valve_coefficients(p):
-    """:class:`ValveCoefficients` of the physical parameters ``p``."""
-    return ValveCoefficients(
+def edge_coefficients(p):
+    """:class:`EdgeCoefficients` of the physical parameters ``p``."""
+    slope = p.valve_knee_opening / p.valve_knee_position
+    return EdgeCoefficients(
         edge_gain=p.valve_rated_flow / math.sqrt(0.5 * p.valve_rated_pressure_drop),  # (3), K alone
+        edge_ratio=p.valve_edge_ratio,
         transition_squared=p.valve_transition_pressure**2,
         underlap_squared=p.valve_underlap**2,
         null_shift=p.valve_null_shift,
+        overlap=p.valve_overlap,
+        stroke_factor=1.0 / (1.0 - p.valve_overlap),
+        knee_position=p.valve_knee_position,
+        slope=slope,
+        slope_change=(1.0 - p.valve_knee_opening) / (1.0 - p.valve_knee_position) - slope,
+    )
+
+
+@inline
+def valve_coefficients(p):
+    """:class:`ValveCoefficients` of the physical parameters ``p``."""
+    return ValveCoefficients(
         spool_stiffness=p.valve_natural_frequency**2,
         spool_damping=2.0 * p.valve_damping_ratio * p.valve_natural_frequency,
         slew_limit=p.valve_slew_limit,
@@ -101,14 +136,21 @@ def _inverse_fourth_root(x):
 
 
 @inline
+def _edge_opening(stroke, c):
+    """Opening of an edge, 1 = full, whose land has moved by ``stroke`` from the null, beyond its overlap."""
+    beyond = (stroke - c.overlap) * c.stroke_factor
+    opening = 0.5 * (math.sqrt(beyond * beyond + c.underlap_squared) + beyond)
+    return c.slope * opening + c.slope_change * max(beyond - c.knee_position, 0.0)
+
+
+@inline
 def edge_openings(spool_position, c):
-    """Openings (P→A and B→T, A→T and P→B) of the four edges, 1 = full; zero-lapped for x_0 = 0.
+    """Openings (P→A and B→T, A→T and P→B) of the four edges, 1 = full; zero-lapped for x_0 = 0 and no overlap.
 
     The edges are centred at the spool position ``null_shift``; the spool's sensor reads the spool itself.
     """
     opening = spool_position - c.null_shift
-    width = math.sqrt(opening * opening + c.underlap_squared)
-    return 0.5 * (width + opening), 0.5 * (width - opening)
+    return _edge_opening(opening, c), _edge_opening(-opening, c)
 
 
 class EdgeFlows(NamedTuple):
@@ -127,8 +169,14 @@ def edge_flows(s, c):
     return EdgeFlows(
         supply_to_a=c.edge_gain * forward * smooth_root(s.supply_pressure - s.pressure_a, c.transition_squared),
         a_to_tank=c.edge_gain * backward * smooth_root(s.pressure_a - c.tank_pressure, c.transition_squared),
-        b_to_tank=c.edge_gain * forward * smooth_root(s.pressure_b - c.tank_pressure, c.transition_squared),
-        supply_to_b=c.edge_gain * backward * smooth_root(s.supply_pressure - s.pressure_b, c.transition_squared),
+        b_to_tank=c.edge_ratio
+        * c.edge_gain
+        * forward
+        * smooth_root(s.pressure_b - c.tank_pressure, c.transition_squared),
+        supply_to_b=c.edge_ratio
+        * c.edge_gain
+        * backward
+        * smooth_root(s.supply_pressure - s.pressure_b, c.transition_squared),
     )
 
 
