@@ -124,19 +124,19 @@ def lively_episode() -> np.ndarray:
 def try_plant() -> None:
     voltage = np.repeat([8.0, -8.0, 0.4, -10.0], 10)
     plain = PlantParameters()
-    dead = plain.replace(valve={"edges": "overlapped", "overlap": 0.1})
+    notched = plain.replace(valve={"edges": "notched"})
 
-    # The valve: equilibrium, both solvers, and what a dead band does.
+    # The valve: equilibrium, both solvers, and what notches do.
     for position in (-0.02, 0.03):
-        state, holding = equilibrium(dead, position)
-        held = simulate(dead, np.full(40, holding), 5e-3, initial_state=state)
+        state, holding = equilibrium(notched, position)
+        held = simulate(notched, np.full(40, holding), 5e-3, initial_state=state)
         assert np.ptp(held.position) < 1e-7
         assert np.ptp(held.pressure_a) < 1.0
-    small = {kind: simulate(p, np.full(40, 0.4), 5e-3).position for kind, p in (("plain", plain), ("dead", dead))}
-    assert abs(small["dead"][-1]) < 0.1 * abs(small["plain"][-1])
-    open_wide = [abs(simulate(p, np.full(20, 10.0), 5e-3).position[-1]) for p in (plain, dead)]
+    small = {kind: simulate(p, np.full(40, 0.4), 5e-3).position for kind, p in (("plain", plain), ("notched", notched))}
+    assert abs(small["notched"][-1]) < 0.2 * abs(small["plain"][-1])
+    open_wide = [abs(simulate(p, np.full(20, 10.0), 5e-3).position[-1]) for p in (plain, notched)]
     assert 0.8 * open_wide[0] < open_wide[1] < open_wide[0]
-    fast, exact = (simulate(dead, voltage, 5e-3, method=method) for method in ("fast", "radau"))
+    fast, exact = (simulate(notched, voltage, 5e-3, method=method) for method in ("fast", "radau"))
     ranges = np.maximum(np.ptp(exact.states, axis=0), 1e-9)
     assert (np.abs(fast.states - exact.states) / ranges).max() < 1e-3
 

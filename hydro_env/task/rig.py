@@ -135,7 +135,7 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
         ("pressure_a", scales.pressure),
         ("pressure_b", scales.pressure),
     ):
-        factors |= {f"sensors.{sensor}.{name}": factor for name in defaults["sensors"][sensor]}
+        factors |= {f"sensors.{sensor}.{name}": factor for name in defaults["sensors"][sensor] if name != "fitted"}
     values = {}
     for path, factor in factors.items():
         value: Any = defaults

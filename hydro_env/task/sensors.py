@@ -19,6 +19,7 @@ class Sensor(Group):
     resolution: Number = Field(ge=0.0, le=1e9, description="step of the 16-bit acquisition, unit; 0 = none")
     low: Number = Field(ge=-1e9, le=1e9, description="lower end of the range, unit of the signal")
     high: Number = Field(ge=-1e9, le=1e9, description="upper end of the range, unit of the signal")
+    fitted: bool = Field(True, description="false: the rig lacks this sensor, and the observation its signal")
 
     @model_validator(mode="after")
     def _range_rises(self) -> Sensor:
@@ -42,6 +43,12 @@ class Sensors(Group):
     spool_position: Sensor = Sensor(noise=1e-3, bias=2e-3, resolution=2.0 / 65536, low=-1.0, high=1.0)
     pressure_rise_time: Number = quantity(1.5e-3, "s", "10–90 % rise of the transducers", 0.0, 0.1)
     velocity_filter_time: Number = quantity(0.010, "s", "first-order filter of the differenced position", 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _position_is_measured(self) -> Sensors:
+        if not self.position.fitted:
+            raise ValueError("position.fitted = false: an axis without position sensor cannot follow a reference")
+        return self
 
     @model_validator(mode="before")
     @classmethod

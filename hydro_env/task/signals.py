@@ -49,8 +49,9 @@ def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
 Entries = named_tuple("Entries", [name for name, *_ in _entries(1.0)], __name__)
 """One value per entry of the observation besides the previews, which follow the first."""
 
-LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8")])
-"""One entry: SI units per 1, largest absolute value in the observation, and for a preview the periods ahead."""
+LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8"), ("entry", "i8")])
+"""One entry: SI units per 1, largest absolute value in the observation, for a preview the periods ahead (else 0), and
+for another one its index in :data:`Entries`."""
 
 
 def observation_layout(
@@ -60,16 +61,18 @@ def observation_layout(
     half = 0.5 * config.plant.cylinder.stroke
     reference, *others = _entries(half)
     previews = [(f"reference_preview_{1e3 * t:g}ms", "m", 0.01, 2.0 * half) for t in config.references.preview_times]
-    names, units, scale, largest = zip(reference, *previews, *others, strict=True)
+    fitted = [row for row in others if row[0] not in CHANNELS or getattr(config.sensors, row[0]).fitted]
+    names, units, scale, largest = zip(reference, *previews, *fitted, strict=True)
     return names, units, np.array(scale), np.array(largest) / np.array(scale)
 
 
 def layout_of(config: TaskConfig) -> NDArray[Any]:
     """The layout of the observation for compiled code, one row (:data:`LAYOUT`) per entry."""
-    _, _, scale, limit = observation_layout(config)
+    names, _, scale, limit = observation_layout(config)
     layout = table(len(scale), LAYOUT)
     layout["scale"], layout["limit"] = scale, limit
     layout["preview"][1 : 1 + len(config.preview_samples)] = config.preview_samples
+    layout["entry"] = [Entries._fields.index(name) if name in Entries._fields else 0 for name in names]
     return layout
 
 
@@ -146,11 +149,7 @@ def write_observation(observation, row, reference, layout):
         tracking_error=now - row.measured[POSITION],
         error_integral=row.error_integral,
     )
-    previews = observation.shape[0] - len(values)
-    for index, value in enumerate(values):
-        place = index + previews if index > 0 else index
-        observation[place] = value / layout[place].scale
-    for place in range(1, 1 + previews):
-        observation[place] = (reference[step + layout[place].preview] - now) / layout[place].scale
     for place in range(observation.shape[0]):
-        observation[place] = min(max(observation[place], -layout[place].limit), layout[place].limit)
+        ahead = layout[place].preview
+        value = reference[step + ahead] - now if ahead > 0 else values[layout[place].entry]
+        observation[place] = min(max(value / layout[place].scale, -layout[place].limit), layout[place].limit)

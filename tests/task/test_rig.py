@@ -81,7 +81,8 @@ def test_settings_follow_from_stroke_speed_and_pressure(small):
     assert position.noise / position.high == pytest.approx(default.sensors.position.noise / 0.2)
     for channel in ("pressure_a", "pressure_b"):
         for name, value in getattr(default.sensors, channel):
-            assert getattr(getattr(config.sensors, channel), name) == pytest.approx(2.0 * value)
+            if name != "fitted":
+                assert getattr(getattr(config.sensors, channel), name) == pytest.approx(2.0 * value)
     assert config.failure.pressure_rating == pytest.approx(500e5)
     # Twice the pressure gives √2 of the speed, but for the pressure of the tank.
     assert config.failure.end_stop_speed / default.failure.end_stop_speed == pytest.approx(math.sqrt(2.0), rel=0.01)

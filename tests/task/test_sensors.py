@@ -292,3 +292,16 @@ def test_impossible_sensors_are_refused_with_one_line(given, message):
     with pytest.raises(ConfigurationError, match=message) as caught:
         ServoHydraulicEnv(sensors=full)
     assert len(str(caught.value).splitlines()) == 1
+
+
+def test_a_sensor_that_is_not_fitted_leaves_the_observation():
+    whole = ServoHydraulicVectorEnv(3)
+    first, _ = whole.reset(seed=4)
+    without = ServoHydraulicVectorEnv(3, sensors={"spool_position": {"fitted": False}, "pressure_b": {"fitted": False}})
+    second, _ = without.reset(seed=4)
+    names = [name for name in whole.axes.observation_names if name not in ("spool_position", "pressure_b")]
+    assert list(without.axes.observation_names) == names
+    kept = [whole.axes.observation_names.index(name) for name in names]
+    np.testing.assert_array_equal(first[:, kept], second)
+    with pytest.raises(ConfigurationError, match=r"position.fitted = false"):
+        ServoHydraulicVectorEnv(1, sensors={"position": {"fitted": False}})
