@@ -168,7 +168,9 @@ def _announce() -> None:
 def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -> Any:
     """A function with this body, merged into its caller; ``names`` are its globals."""
     body = "\n".join(f"    {line}" for line in lines)
-    exec(compile(f"def {name}({parameters}):\n{body}", f"<{name}>", "exec"), names)
+    source = f"def {name}({parameters}):\n{body}"
+    exec(compile(source, f"<{name}>", "exec"), names)
+    names[name].source = source  # for those who translate it to another language
     return inline(names[name])
 
 

@@ -1,0 +1,1 @@
+"""C99 code of the plant, generated from the Python functions that the fast kernel compiles."""
