@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, StrictUndefined
@@ -61,6 +63,7 @@ def plant_code(parameters: PlantParameters | None = None) -> PlantCode:
         "states": list(zip(State._fields, STATE_UNITS, strict=True)),
         "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters or PlantParameters()).tolist(), strict=True)),
         "coefficients": len(Coefficients._fields),
+        "coefficient_names": Coefficients._fields,
         "first_weight": Coefficients._fields.index("position_weight"),
         "shared": [text for text in translator.structs if text not in private],
         "structs": private,
@@ -72,12 +75,15 @@ def plant_code(parameters: PlantParameters | None = None) -> PlantCode:
         },
         "most_steps": kernel.MOST_STEPS_PER_PERIOD,
     }
+    return PlantCode(*(render(name, values) for name in ("plant.h.j2", "plant.c.j2")))
+
+
+def render(template: str, values: Mapping[str, Any]) -> str:
+    """Text of a template of this package; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
     environment.filters["c"] = _number
-    texts = [
-        environment.from_string((TEMPLATES / name).read_text()).render(values) for name in ("plant.h.j2", "plant.c.j2")
-    ]
-    return PlantCode(*texts)
+    environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools read an infinite number
+    return environment.from_string((TEMPLATES / template).read_text(encoding="utf-8")).render(values)
 
 
 def _number(value: float) -> str:

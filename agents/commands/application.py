@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from agents.commands.bound import bound
 from agents.commands.check_rig import check_rig
 from agents.commands.evaluate import evaluate
+from agents.commands.export import export
 from agents.commands.ladder import ladder
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.simulate import simulate
@@ -115,6 +116,7 @@ app.command("evaluate")(evaluate)
 app.command("bound")(bound)
 app.command("study")(study)
 app.command("ladder")(ladder)
+app.command("export")(export)
 
 
 class _Stopped(KeyboardInterrupt):
