@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,15 +15,14 @@ from pydantic import Field
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.controllers.base import ClassicalController, Controller
-from agents.controllers.registry import kind_of
+from agents.controllers.base import Controller
 from agents.learning.checkpoint import CHECKPOINT_FILE
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress, training_logger
 from agents.learning.settings import TrainingSettings
-from agents.learning.training import make_env, make_features, training_record
+from agents.learning.training import PolicyTrainer, make_env, make_features, training_record
 from agents.learning.validation import validation_errors
-from agents.running.seeds import TRAINING_SEEDS
+from agents.running.seeds import first_training_seed
 from agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
@@ -46,7 +45,7 @@ class SACSettings(TrainingSettings):
     log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
 
 
-class OffPolicyTrainer:
+class OffPolicyTrainer(PolicyTrainer):
     """A trainer that learns from a buffer of past samples.
 
     A checkpoint holds the networks, the weight of the entropy and the number of steps. A resumed training fills a new
@@ -79,10 +78,7 @@ class OffPolicyTrainer:
         assert isinstance(settings, SACSettings)
         algorithm = self._algorithm()
         torch.set_num_threads(settings.torch_threads)
-        corrected = cast(ClassicalController, base) if settings.residual and base is not None else None
-        if corrected is not None:
-            kind_of(corrected)  # refuses one that weights could not name
-        features = make_features(config, settings, corrected)
+        features = make_features(config, settings, base)
         path = folder / CHECKPOINT_FILE
         made_with = {
             "algorithm": self._name,
@@ -93,8 +89,7 @@ class OffPolicyTrainer:
         stored = load_checkpoint(path, KIND) if resume else None
         if stored is not None and stored[1].get("made_with") != made_with:
             raise ConfigurationError(f"{path}: was made with other settings; cannot resume")
-        first = TRAINING_SEEDS.start + (seed * settings.axes) % (len(TRAINING_SEEDS) - settings.axes)
-        env = make_env(config, settings, features, first)
+        env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
         model = algorithm(
             "MlpPolicy",
             env,
@@ -134,10 +129,6 @@ class OffPolicyTrainer:
             env.close()
         record = training_record(self._name, env, seed, int(model.num_timesteps), callback.seconds, settings)
         return PolicyController.from_sb3(model, features, record)
-
-    def load(self, path: Path) -> PolicyController:
-        """Read weights that ``PolicyController.save`` wrote."""
-        return PolicyController.load(path)
 
     def _algorithm(self) -> Any:
         try:
