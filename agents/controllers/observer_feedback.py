@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from agents.controllers.flow_model import Flow, FlowModel
 from agents.controllers.preview import Preview
-from agents.controllers.sampled_loop import FULL_COMMAND, zero_order_hold
+from agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -123,7 +124,7 @@ class ObserverFeedback:
         velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
         stiffness = c.area_b * rig.a[pressure_b, velocity] - c.area_a * rig.a[pressure_a, velocity]
         self.frequency = float(np.sqrt(stiffness * c.inverse_mass))  # of mass and oil, rad/s
-        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_COMMAND * rig.b[valve]
+        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_VOLTAGE * rig.b[valve]
         self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
         self.lag = self.valve_lag + 1.0 / self.frequency
         self.delay = config.command_latency + 0.5 * period + self.valve_lag
