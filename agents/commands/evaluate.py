@@ -11,9 +11,9 @@ import typer
 from agents.commands.options import (
     Agents,
     Config,
-    OtherRig,
     Overwrite,
     Resume,
+    Rig,
     Task,
     command_line,
     named_agents,
@@ -33,7 +33,7 @@ def evaluate(
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")

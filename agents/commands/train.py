@@ -11,10 +11,10 @@ import typer
 from agents.commands.options import (
     Agents,
     Config,
-    OtherRig,
     Output,
     Overwrite,
     Resume,
+    Rig,
     Seed,
     Task,
     named_agents,
@@ -46,7 +46,7 @@ def train(
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
     objective: Annotated[
         Objective | None,

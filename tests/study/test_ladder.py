@@ -11,7 +11,7 @@ from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
 from agents.study.ladder_table import ratios, rung_scores
 from hydro_env import ConfigurationError
-from hydro_env.files import validate
+from hydro_env.files import validate, write_yaml
 
 SMALL = {"steps_per_rollout": 8, "minibatches": 1, "epochs": 1}
 LADDER = {
@@ -132,3 +132,12 @@ def test_the_shipped_ladder_can_be_trained():
     settings = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml")
     assert len(settings.rungs) >= 10
     assert settings.seeds >= 5
+
+
+def test_the_task_of_a_file_is_the_name_of_a_task_and_its_plant_that_of_a_rig(tmp_path):
+    file = tmp_path / "ladder.yaml"
+    for task, period, stroke in (("period_10ms", 0.010, 0.4), ({"plant": "symmetric_eha"}, 0.005, 0.12)):
+        write_yaml(file, {**LADDER, "task": task})
+        read = LadderSettings.from_yaml(file).task
+        assert read.control_period == period
+        assert read.plant.cylinder.stroke == stroke
