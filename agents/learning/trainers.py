@@ -14,6 +14,7 @@ from agents.learning.progress import Progress
 from agents.learning.settings import PPOSettings
 from agents.learning.training import PolicyTrainer, train_ppo
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
 from hydro_env.files import Group
 
 
@@ -110,8 +111,7 @@ def trainer(kind: str) -> Trainer:
     try:
         made: Any = given() if isinstance(given, type) else given
     except Exception as error:  # a user's class may raise anything
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason}") from None
+        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
     missing = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
     if missing:
         raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(missing)}")
