@@ -320,9 +320,12 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
             generation.append(Score(float(row["mean"]), float(row["equal"])))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
+    if not isinstance(written, dict):
+        raise ConfigurationError(f"{log}: is damaged (its first line holds no settings); --overwrite begins anew")
     other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]
     if other:
         raise ConfigurationError(f"{log}: was written with another {other[0]}; --overwrite begins anew")
-    if any(len(row) != settings["population"] for row in scores.values()):
+    complete = all(len(row) == settings["population"] for row in scores.values())
+    if not complete or sorted(scores) != list(range(len(scores))):
         raise ConfigurationError(f"{log}: is damaged (a generation is incomplete); --overwrite begins anew")
     return [scores[generation] for generation in sorted(scores)]
