@@ -45,7 +45,7 @@ def compare(
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    cases, table = _cases(settings)
+    cases, table = tracking_cases(settings, _first_seed(settings))
     frames = []
     for name, controller in controllers.items():
         rollout = run_cases(config, controller, cases)
@@ -88,7 +88,7 @@ def convergence(
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
-    cases, table = _cases(settings)
+    cases, table = tracking_cases(settings, _first_seed(settings))
     rows: list[dict[str, Any]] = []
     known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():
@@ -135,11 +135,8 @@ def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
     return "\n".join(lines)
 
 
-def _cases(settings: ComparisonSettings) -> tuple[Cases, pd.DataFrame]:
-    cases, table = tracking_cases(settings)
-    if settings.validation:
-        cases = Cases(cases.seeds - TEST_SEEDS.start + VALIDATION_SEEDS.start, cases.leakage_flow_lpm, cases.families)
-    return cases, table
+def _first_seed(settings: ComparisonSettings) -> int:
+    return (VALIDATION_SEEDS if settings.validation else TEST_SEEDS).start
 
 
 def _errors(rollout: Rollout, cases: Cases, config: TaskConfig) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -127,8 +126,7 @@ class LadderSettings(Group):
 
     def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
         """The cases and a table of level, family and plant of each: validation plants, or test plants."""
-        cases, table = tracking_cases(self.evaluation)
-        return (cases if test else replace(cases, seeds=cases.seeds - TEST_SEEDS.start + LADDER_SEEDS)), table
+        return tracking_cases(self.evaluation, TEST_SEEDS.start if test else LADDER_SEEDS)
 
 
 class Resolved(NamedTuple):
@@ -174,7 +172,7 @@ def run_ladder(
         if name not in ladder.rungs:
             raise ConfigurationError(f"rung '{name}': unknown; known: {', '.join(ladder.rungs)}")
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
-    writes = [*TABLES, *(f"rungs/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
+    writes = [*TABLES, *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
         scores: list[pd.DataFrame] = []

@@ -84,6 +84,22 @@ def test_results_of_other_settings_are_not_mixed_in(done):
         run_ladder(ladder(), folder)
 
 
+def test_overwrite_begins_anew_and_a_stopped_ladder_says_what_it_keeps(tmp_path, monkeypatch):
+    run_ladder(ladder(), tmp_path, rungs=["alone"], seeds=1)
+    other = ladder(settings={**LADDER["settings"], "total_steps": 128})
+    run_ladder(other, tmp_path, rungs=["alone"], seeds=1, overwrite=True)
+    job = json.loads((tmp_path / "rungs" / "alone" / "seed 0" / JOB_FILE).read_text())
+    assert job["settings"]["total_steps"] == 128
+
+    def stop(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.study.ladder.judged", stop)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        run_ladder(other, tmp_path, rungs=["alone"], seeds=1, resume=True)
+    assert "keeps what is done so far" in stopped.value.__notes__[0]
+
+
 def test_a_training_that_fails_loses_only_its_own_row(tmp_path):
     rungs = {"wrong": {"kind": "ppo", "corrects": "PID", "settings": {**SMALL, "practice": {"nonsense": 1}}}}
     with pytest.raises(ConfigurationError, match="rung wrong, seed 0: practice"):
