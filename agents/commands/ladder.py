@@ -29,9 +29,10 @@ def ladder(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train every rung of a ladder on several seeds and write one table: which change is worth how much.
+    """Train every rung of a ladder on several seeds, and write one table that shows what each change is worth.
 
-    The trainings are independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
+    A ladder is a list of trainings, its rungs, each of which changes a little in an earlier one. The trainings are
+    independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
     """
     from agents.study.ladder import LadderSettings, run_ladder
     from hydro_env.folders import config_file
