@@ -16,7 +16,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
 from agents.controllers.base import Controller
-from agents.learning.checkpoint import CHECKPOINT_FILE
+from agents.learning.checkpoint import CHECKPOINT_FILE, read_counters
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress, training_logger
 from agents.learning.settings import TrainingSettings
@@ -196,13 +196,11 @@ def _tensors(model: SAC) -> Tensors:
 def _restore(model: SAC, tensors: Tensors, stored: dict[str, Any], path: Path) -> float:
     """Set networks and number of steps; returns the seconds of the earlier sessions."""
     require(tensors, _tensors(model), path)
-    steps, seconds = stored.get("steps"), stored.get("seconds")
-    if not isinstance(steps, int) or not isinstance(seconds, float) or not (0 <= steps < 1e15 and 0 <= seconds < 1e15):
-        raise ConfigurationError(f"{path}: damaged: steps, seconds = {str([steps, seconds])[:60]}")
+    steps, seconds = read_counters(stored, ("steps", "seconds"), path)
     names = model.policy.state_dict()
     model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in names})
     assert model.log_ent_coef is not None
     with torch.no_grad():
         model.log_ent_coef.copy_(torch.from_numpy(tensors["log_entropy_weight"].copy()))
-    model.num_timesteps = steps
+    model.num_timesteps = int(steps)
     return seconds
