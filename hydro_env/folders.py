@@ -16,10 +16,10 @@ def config_folder() -> Path:
 
 
 def config_file(kind: str, given: str | Path, folder: Path | None = None) -> Path:
-    """The file of a rig, a task or a study.
+    """The file of a rig, a task, a study and so on.
 
     Args:
-        kind: ``"rigs"``, ``"tasks"`` or ``"studies"``.
+        kind: a folder of ``configs``, such as ``"rigs"`` or ``"tasks"``.
         given: the name of a file in ``configs/<kind>`` without ``.yaml``, or a path.
         folder: what a relative path is relative to; default: the current folder.
 

@@ -13,6 +13,9 @@ LITRE_PER_MINUTE = 1e-3 / 60
 LEAKAGE_TEST_PRESSURE = 100e5
 """Pressure difference (Pa) at which practice quotes a leak: 100 bar across the piston."""
 
+FULL_VOLTAGE = 10.0
+"""Largest input of the valve's amplifier (V); a command of 1."""
+
 
 def resistance_from_flow(flow_lpm: float) -> float:
     """Leakage resistance R_i in Pa s/m³ of a leak quoted in l/min at 100 bar; 0 gives infinity (10)."""

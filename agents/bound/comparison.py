@@ -12,6 +12,7 @@ from pydantic import Field
 
 from agents.bound.best_found import BoundSettings, best_found
 from agents.controllers.base import Controller
+from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import DRAWN_FAMILIES, ProtocolSettings, tracking_cases
 from agents.report.canvas import WIDE, looks_of, render
 from agents.running.cases import Cases, Rollout, run_cases
@@ -44,15 +45,15 @@ def compare(
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    cases, table = _cases(settings)
+    cases, table = tracking_cases(settings, _first_seed(settings))
     frames = []
     for name, controller in controllers.items():
         rollout = run_cases(config, controller, cases)
-        frames.append(table.assign(controller=name, **_errors(rollout, config)))
+        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
     for name, told in ((NOMINAL, "nominal"), (TRUTH, "truth")):
         report = None if progress is None else _reporter(progress, name, len(cases))
         rollout = best_found(config, cases, told, settings.search, report)  # type: ignore[arg-type]
-        frames.append(table.assign(controller=name, **_errors(rollout, config)))
+        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
     return pd.concat(frames, ignore_index=True)
 
 
@@ -87,7 +88,7 @@ def convergence(
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
-    cases, table = _cases(settings)
+    cases, table = tracking_cases(settings, _first_seed(settings))
     rows: list[dict[str, Any]] = []
     known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():
@@ -95,7 +96,7 @@ def convergence(
             search = settings.search.model_copy(update={setting: value})
             if search not in known:
                 report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
-                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), config))
+                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), cases, config))
                 known[search] = errors.groupby("family", sort=False)["error_mm"].mean()
             rows.append({"setting": setting, "value": value, **known[search], "mean": known[search].mean()})
     return pd.DataFrame(rows)
@@ -134,22 +135,15 @@ def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
     return "\n".join(lines)
 
 
-def _cases(settings: ComparisonSettings) -> tuple[Cases, pd.DataFrame]:
-    cases, table = tracking_cases(settings)
-    if settings.validation:
-        cases = Cases(cases.seeds - TEST_SEEDS.start + VALIDATION_SEEDS.start, cases.leakage_flow_lpm, cases.families)
-    return cases, table
+def _first_seed(settings: ComparisonSettings) -> int:
+    return (VALIDATION_SEEDS if settings.validation else TEST_SEEDS).start
 
 
-def _errors(rollout: Rollout, config: TaskConfig) -> dict[str, Any]:
-    error = 1e3 * (rollout.reference.astype(np.float64) - rollout.position)
-    travel = np.abs(np.diff(rollout.spool, axis=1)).sum(axis=1) / (config.control_period * rollout.spool.shape[1])
-    return {
-        "error_mm": np.abs(error - 1e3 * rollout.position_bias[:, None]).mean(axis=1),
-        "true_error_mm": np.abs(error).mean(axis=1),
-        "valve_travel_per_s": travel,
-        "failed": (rollout.failed_at >= 0).astype(float),
-    }
+def _errors(rollout: Rollout, cases: Cases, config: TaskConfig) -> dict[str, Any]:
+    assert cases.families is not None
+    found = rollout_metrics(rollout, cases.families, config.control_period)
+    renamed = {"error_mm": found["mean_error_sensor_mm"], "true_error_mm": found["mean_error_mm"]}
+    return renamed | {name: found[name] for name in ("valve_travel_per_s", "failed")}
 
 
 def _reporter(progress: Progress, phase: str, total: int) -> Callable[[int], None]:

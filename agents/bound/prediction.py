@@ -27,9 +27,9 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.fault_effects import FAULT_COLUMNS
-from hydro_env.task.kernel import FULL_VOLTAGE
 from hydro_env.task.schedules import follow_schedules
 from hydro_env.task.settings import settings_of
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 

@@ -29,10 +29,10 @@ def bound(
 ) -> None:
     """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
-    A predictive controller plans with the simulator itself. It is told the true state, and either the true plant with
-    its leak, or only the data sheet; the difference is what it is worth to know the plant. The command prints the mean
+    A search plans the commands with the simulator itself. It is told the true state, and either the true plant with its
+    leak or only the data sheet; the difference shows what it is worth to know the plant. The command prints the mean
     error for each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two
-    quiet cores; `--converge` takes as long.
+    quiet cores, and as long with `--converge`.
     """
     import pandas as pd
 

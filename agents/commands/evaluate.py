@@ -11,9 +11,9 @@ import typer
 from agents.commands.options import (
     Agents,
     Config,
-    OtherRig,
     Overwrite,
     Resume,
+    Rig,
     Task,
     command_line,
     named_agents,
@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 def evaluate(
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Folder for the results; default: results/evaluate, or of the protocol."),
+        typer.Option("--output", "-o", help="Folder for the results; default: results/evaluate, or results/PROTOCOL."),
     ] = None,
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
@@ -56,13 +56,13 @@ def evaluate(
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
     a controller fails, the results of the others are kept.
 
-    With `--rig` the task is moved to another rig, and a line says which controllers were tuned or trained for which
-    rig: the command itself tunes nothing.
+    With `--rig` the task is moved to another rig. The command tunes nothing: one line names the controllers that were
+    made for another rig.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
-    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…`, `NAME#1=…` are
-    training seeds of one controller; `--agent NAME@CONDITION=…` was tuned or trained for one condition. Ctrl-C keeps
-    the finished jobs, and `--resume` goes on. `--task` and `--rig` then replace those of the protocol.
+    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…` and `NAME#1=…` give
+    training seeds of one controller, `--agent NAME@CONDITION=…` one that was made for this condition. `--task` and
+    `--rig` replace those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
     """
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay

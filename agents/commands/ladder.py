@@ -12,7 +12,10 @@ from agents.commands.options import Output, Overwrite, Resume, say
 
 def ladder(
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="YAML file of a ladder; `configs/ladders` holds examples.")
+        Path | None,
+        typer.Option(
+            "--config", "-c", metavar="NAME|FILE", help="A ladder: a name in `configs/ladders` or a YAML file."
+        ),
     ] = None,
     output: Output = Path("results/ladder"),
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=1024, help="Trainings that run side by side.")] = 1,
@@ -26,13 +29,14 @@ def ladder(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train every rung of a ladder on several seeds and write one table: which change is worth how much.
+    """Train every rung of a ladder on several seeds, and write one table that shows what each change is worth.
 
-    The trainings are independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
+    A ladder is a list of trainings, its rungs, each of which changes a little in an earlier one. The trainings are
+    independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
     """
-    from agents.running.folders import config_folder
     from agents.study.ladder import LadderSettings, run_ladder
+    from hydro_env.folders import config_file
 
-    settings = LadderSettings.from_yaml(config or config_folder() / "ladders" / "default.yaml")
+    settings = LadderSettings.from_yaml(config_file("ladders", config or "default"))
     file = run_ladder(settings, output, jobs, rung, seeds, test, resume, overwrite)
     say(file.read_text(encoding="utf-8"), f"written: {file}")

@@ -44,16 +44,7 @@ Rig = Annotated[
         "--rig",
         metavar="NAME|FILE",
         callback=_rig_file,
-        help="A rig: a name in `configs/rigs` or a YAML file; without it the paper's.",
-    ),
-]
-OtherRig = Annotated[
-    Path | None,
-    typer.Option(
-        "--rig",
-        metavar="NAME|FILE",
-        callback=_rig_file,
-        help="Move the study to this rig: a name in `configs/rigs` or a YAML file.",
+        help="A rig: a name in `configs/rigs` or a YAML file. Default: the study's, or else the paper's.",
     ),
 ]
 Task = Annotated[
@@ -63,7 +54,8 @@ Task = Annotated[
     ),
 ]
 Config = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file of a study; `configs/studies` holds examples.")
+    Path | None,
+    typer.Option("--config", "-c", metavar="NAME|FILE", help="A study: a name in `configs/studies` or a YAML file."),
 ]
 
 

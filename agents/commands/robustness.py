@@ -32,6 +32,7 @@ from agents.running.machine import machine_description, package_versions
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
+from hydro_env.folders import config_file
 
 PROTOCOL_FILE = "protocol.yaml"
 
@@ -116,7 +117,7 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
     if study_file is None:
         controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **general}
     else:
-        study = StudySettings.from_yaml(study_file).model_copy(update={"task": protocol.task})
+        study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
         controllers = dict(study.with_weights(general))
     seeded = {split_name(name)[0] for name in general if SEED_MARK in name}
     controllers = {name: what for name, what in controllers.items() if name not in seeded or name in general}

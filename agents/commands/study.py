@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agents.commands.options import Config, OtherRig, Output, Overwrite, Resume, Seed, Task, command_line
+from agents.commands.options import Config, Output, Overwrite, Resume, Rig, Seed, Task, command_line
 
 
 def study(
     output: Output = Path("results/study"),
     config: Config = None,
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     seed: Seed = None,
     resume: Resume = False,
     overwrite: Overwrite = False,

@@ -11,10 +11,10 @@ import typer
 from agents.commands.options import (
     Agents,
     Config,
-    OtherRig,
     Output,
     Overwrite,
     Resume,
+    Rig,
     Seed,
     Task,
     named_agents,
@@ -46,7 +46,7 @@ def train(
     config: Config = None,
     agent: Agents = None,
     task: Task = None,
-    rig: OtherRig = None,
+    rig: Rig = None,
     steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
     objective: Annotated[
         Objective | None,
@@ -168,31 +168,23 @@ def _gains(
     overwrite: bool,
 ) -> Path:
     from agents.controllers.registry import CONTROLLERS
-    from agents.learning.tuning import EVALUATIONS, Tuned, tune
+    from agents.learning.tuning import EVALUATIONS
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from hydro_env.files import read_yaml, validate, write_yaml
+    from agents.study.settings import TuningSettings
+    from agents.study.training import TUNING_LOG, tune_gains
+    from hydro_env.files import read_yaml, validate
 
-    budget = EVALUATIONS if evaluations is None else evaluations
-    path, log = folder / f"{kind}.yaml", folder / "tuning.csv"
+    budget = TuningSettings(objective=objective.value, evaluations=evaluations or EVALUATIONS)
+    path, log = folder / f"{kind}.yaml", folder / TUNING_LOG
     first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
     if resume and not log.exists():
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no tuning.csv; leave --resume out")
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no {log.name}; leave --resume out")
     with (
         output_folder(folder, f"train {kind}", [path.name, log.name], resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,
     ):
-
-        def report(best: Tuned) -> None:
-            note = f"mean {1e3 * best.score.mean:.4f} mm, equal {1e3 * best.score.equal:.4f} mm"
-            display.update(f"tune {kind}", min(best.evaluations, budget), budget, note)
-            write_yaml(path, best.gains.model_dump())
-
-        display.update(f"tune {kind}", 0, budget)
-        best = tune(
-            kind, study.task, objective.value, budget, seed, start=first, log=log, resume=resume, progress=report
-        )
-        write_yaml(path, best.gains.model_dump())
+        best = tune_gains(kind, study.task, budget, first, path, log, seed, resume, display, f"tune {kind}")
         display.say(
             f"{kind}: training cases, price on changes of the command included: mean {1e3 * best.score.mean:.4f} mm, "
             f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"

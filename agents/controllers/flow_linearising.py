@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from agents.controllers.flow_model import Flow, FlowModel
+from agents.controllers.jumps import Jumps, braked
 from agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
 from agents.controllers.preview import Preview, path_weights
 from hydro_env import TaskConfig
@@ -127,9 +128,14 @@ class FlowLinearising:
         self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
         self._ahead = g.prediction * delay
         self._weights = self._reference_weights()
-        self._times = period * np.arange(1.0, self._preview.horizon + 1)
-        self._jump = max(speed_limits(plant)) * period
-        self._gain, self._linear = g.position_gain / self.pace, g.braking * full_speed * self.pace
+        self._jumps = Jumps(
+            self._model,
+            max(speed_limits(plant)) * period,
+            g.set_off_delay * delay,
+            g.set_off_share,
+            self._preview.times,
+        )
+        self._gain, self._near = g.position_gain / self.pace, g.braking * full_speed * self.pace
         self._blend = period / (period + g.damping_filter * self.pace)
         self._damping = g.damping * closed_port_natural_frequency(plant)
         self._friction = g.friction * plant.friction.largest_force / period
@@ -194,7 +200,7 @@ class FlowLinearising:
         soon = scale * self._model.speed(0.5 * (spool + command_before), flow) + other
         place = estimate[:, POSITION] + self._ahead * soon
         wanted, error = self._wanted(now, place, flow)
-        wanted += self._correction(error)
+        wanted += self._gain * braked(error, self._near)
         wanted -= self._damping / flow.stiffness * (flow.force - now.slow_force)
         command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
@@ -244,25 +250,12 @@ class FlowLinearising:
 
     def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
         """Reference speed with the flow that turns friction round (m/s), and error ahead (m), each (N,)."""
-        steps = np.diff(now.reference, axis=1)
-        jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
-        smooth = (steps - jumps) @ self._weights
+        steps, jumps = self._jumps.split(now.reference)
+        smooth = steps @ self._weights
         turned = np.tanh(smooth[:, ::2] / self._turned)
         wanted = smooth[:, 0] + self._friction / flow.stiffness * (turned[:, 0] - turned[:, 1])
-        target = now.reference[:, 1] + smooth[:, 1]
-        if jumps.any():
-            ahead = jumps[:, 1:]
-            out, back = self._model.full_speeds(flow.force, now.supply)
-            full = np.where(ahead > 0.0, out[:, None], back[:, None])
-            early = self.gains.set_off_share * 0.5 * np.abs(ahead) / full + self.gains.set_off_delay * self.delay
-            target += np.where(early >= self._times, ahead, 0.0).sum(axis=1)
+        target = now.reference[:, 1] + smooth[:, 1] + self._jumps.begun(jumps, flow.force, now.supply)
         return wanted, target - place
-
-    def _correction(self, error: Array) -> Array:
-        """φ(error), m/s: linear near zero, a root beyond."""
-        size = np.abs(error)
-        root = np.sqrt(self._linear * np.maximum(2.0 * size - self._linear, self._linear))
-        return self._gain * np.where(size > self._linear, np.copysign(root, error), error)
 
 
 def _delay(config: TaskConfig) -> float:

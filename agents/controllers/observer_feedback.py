@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from agents.controllers.flow_model import Flow, FlowModel
+from agents.controllers.jumps import Jumps, braked
 from agents.controllers.preview import Preview
-from agents.controllers.sampled_loop import FULL_COMMAND, zero_order_hold
+from agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -123,7 +125,7 @@ class ObserverFeedback:
         velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
         stiffness = c.area_b * rig.a[pressure_b, velocity] - c.area_a * rig.a[pressure_a, velocity]
         self.frequency = float(np.sqrt(stiffness * c.inverse_mass))  # of mass and oil, rad/s
-        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_COMMAND * rig.b[valve]
+        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_VOLTAGE * rig.b[valve]
         self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
         self.lag = self.valve_lag + 1.0 / self.frequency
         self.delay = config.command_latency + 0.5 * period + self.valve_lag
@@ -132,9 +134,14 @@ class ObserverFeedback:
         self._rest = np.array([gains.flow_gain_extending, gains.flow_gain_retracting, 0.0])
         rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
         self._rates = rates * period / self.full_speed**2
-        self._jump = JUMP * self.full_speed * period
         self._near = gains.braking * self.full_speed * self.delay
-        self._times = period * np.arange(1.0, self.preview.horizon + 1)
+        self._jumps = Jumps(
+            self.flow,
+            JUMP * self.full_speed * period,
+            gains.set_off_delay * self.delay,
+            gains.set_off_share,
+            self.preview.times,
+        )
 
     def at_rest(self, measured: Array, command: Array) -> Array:
         """Estimate (N, n) of an axis at rest from the measured signals (N, 3) and its speed command (N,)."""
@@ -191,10 +198,10 @@ class ObserverFeedback:
         unadapted, command = command, self._speeds(openings, flow, adapted, difference)[1]
         estimate[:, self.disturbance] -= command - unadapted
 
-        steps = np.diff(now.reference, axis=1)
-        jumps = np.where(np.abs(steps) > self._jump, steps, 0.0)
-        error = braked(estimate[:, 0] - now.reference[:, 1] - self._set_off(jumps[:, 1:], flow, now.supply), self._near)
-        wanted = self.speed(estimate, error, command, steps - jumps) - self._leak(adapted, difference)
+        steps, jumps = self._jumps.split(now.reference)
+        begun = self._jumps.begun(jumps, flow.force, now.supply)
+        error = braked(estimate[:, 0] - now.reference[:, 1] - begun, self._near)
+        wanted = self.speed(estimate, error, command, steps) - self._leak(adapted, difference)
         opening = np.clip(self.flow.opening(wanted, _scaled(flow, adapted)), -1.0, 1.0)
         action = opening.astype(np.float32)[:, None]
         new = ObserverState(estimate, command, now.supply, adapted, now.reference)
@@ -208,27 +215,7 @@ class ObserverFeedback:
         leak: Array = self.full_speed * adapted[:, 2] * difference
         return leak
 
-    def _set_off(self, jumps: Array, flow: Flow, supply: Array) -> Array:
-        """Sum of the future jumps (N, horizon) of the reference, m, for which the axis sets off already, (N,)."""
-        if not jumps.any():
-            return np.zeros(len(jumps))
-        out, back = self.flow.full_speeds(flow.force, supply)
-        seconds = np.abs(jumps) / np.where(jumps > 0.0, out[:, None], back[:, None])
-        early = self.gains.set_off_delay * self.delay + 0.5 * self.gains.set_off_share * seconds
-        result: Array = np.where(early >= self._times, jumps, 0.0).sum(axis=1)
-        return result
-
 
 def _scaled(flow: Flow, adapted: Array) -> Flow:
     """The flow model with the adapted flow gains."""
     return flow._replace(extending=adapted[:, 0] * flow.extending, retracting=adapted[:, 1] * flow.retracting)
-
-
-def braked(error: Array, near: float) -> Array:
-    """The error where it is small; beyond ``near`` its root, because an axis brakes to rest at constant deceleration.
-
-    The reduced error and its slope are continuous at ``near`` (m).
-    """
-    size = np.abs(error)
-    root = np.sqrt(near * np.maximum(2.0 * size - near, near))
-    return np.where(size > near, np.copysign(root, error), error)

@@ -29,6 +29,8 @@ class Preview:
         self.horizon = int(counts[-1]) if len(counts) else 0
         self.counts = tuple(int(count) for count in counts)
         """Periods ahead of the samples that an observation shows, rising."""
+        self.times = config.control_period * np.arange(1.0, self.horizon + 1)
+        """s from now to each future sample of the memory, (horizon,)."""
         known = np.array([0, *self.counts])
         ahead = np.arange(1, self.horizon + 1)
         self._right = np.searchsorted(known, ahead)

@@ -15,6 +15,7 @@ from agents.controllers.flow_linearising import FlowLinearising, FlowLinearising
 from agents.controllers.lqg import LQG, LQGGains
 from agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
 from hydro_env.files import Group, validate
 
 CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
@@ -52,7 +53,7 @@ def imported(name: str) -> Any:
     try:
         value: Any = importlib.import_module(module)
     except Exception as error:
-        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {_reason(error)}") from error
+        raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}") from error
     for part in attribute.split("."):
         if not hasattr(value, part):
             raise ConfigurationError(f"'{name}': module '{module}' has no '{attribute}'")
@@ -92,8 +93,4 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
     except ConfigurationError:
         raise
     except Exception as error:
-        raise ConfigurationError(f"'{kind}': cannot be made from task and settings: {_reason(error)}") from error
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
+        raise ConfigurationError(f"'{kind}': cannot be made from task and settings: {reason(error)}") from error

@@ -13,6 +13,7 @@ from hydro_env.plant.analysis import reachable_range
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, TYPICAL_SIZE
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -21,9 +22,6 @@ CONTROL_PERIOD = 5e-3
 
 COMMAND_LATENCY = 1e-3
 """s; from sampling to the new command."""
-
-FULL_COMMAND = 10.0
-"""V; command 1."""
 
 REACH_SHARE = 0.9
 """Share of the reachable range over which a position loop is examined."""
@@ -155,7 +153,7 @@ def sampled_loop(
     rows = [STATE_NAMES.index(name) for name in plant.active_states]  # any other state would add a pole at z = 1
     size = TYPICAL_SIZE[rows]
     a = plant.a[np.ix_(rows, rows)] * size / size[:, None]
-    b = FULL_COMMAND * plant.b[rows] / size
+    b = FULL_VOLTAGE * plant.b[rows] / size
     force = plant.force[rows] / size
     first, held_first = zero_order_hold(a, b, latency)
     rest, held_rest = zero_order_hold(a, b, control_period - latency)
@@ -177,7 +175,7 @@ def speed_per_command(parameters: PlantParameters, position: float = 0.0) -> flo
     plant = linearise(parameters.replace(friction={"model": "none"}), position=position)
     names = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
     rows = [STATE_NAMES.index(name) for name in names]
-    return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_COMMAND * plant.b[rows])[0])
+    return float(np.linalg.solve(plant.a[np.ix_(rows, rows)], -FULL_VOLTAGE * plant.b[rows])[0])
 
 
 def zero_order_hold(a: Array, b: Array, duration: float) -> tuple[Array, Array]:

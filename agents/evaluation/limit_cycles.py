@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.running.cases import Cases, Rollout
+from agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
-from hydro_env.files import validate
-from hydro_env.task.rig import merged
-from hydro_env.task.sensors import CHANNELS
 
 Array = NDArray[np.floating[Any]]
 
@@ -71,15 +69,8 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
     The step is as small as the task's steps can be.
     """
     count = [round(time / config.control_period) for time in (BEFORE, KICK, SETTLING + JUDGED)]
-    reference = np.repeat([0.0, config.references.step_range[0], 0.0], count).tolist()
-    changes = {
-        "episode_duration": sum(count) * config.control_period,
-        "disturbance": {"kind": "none"},
-        "leakage": {"schedule": "constant"},
-        "references": {"user": reference, "weights": {"user": 1.0}},
-        "sensors": {channel: {"noise": 0.0} for channel in CHANNELS},
-    }
-    return validate(TaskConfig, merged(config.model_dump(), changes), "standstill")
+    count[-1] += 1  # the sample at the end of the last period
+    return own_reference(noiseless(config), np.repeat([0.0, config.references.step_range[0], 0.0], count))
 
 
 def standstill_cases(cases: Cases) -> Cases:

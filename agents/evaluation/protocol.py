@@ -84,8 +84,13 @@ class Evaluation:
         return [str(name) for name in self.cases["controller"].unique()]
 
 
-def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
-    """All cases of the tracking part, and a table with level, family and plant of each."""
+def tracking_cases(settings: ProtocolSettings, first_seed: int = TEST_SEEDS.start) -> tuple[Cases, pd.DataFrame]:
+    """All cases of the tracking part, and a table with level, family and plant of each.
+
+    Args:
+        settings: levels, families and number of plants.
+        first_seed: seed of the first plant; the others follow it.
+    """
     rows = [
         (level, family, plant)
         for level in settings.leak_levels
@@ -95,7 +100,7 @@ def tracking_cases(settings: ProtocolSettings) -> tuple[Cases, pd.DataFrame]:
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
     # A family has the same plants at every level; families have different plants.
     family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
-    seeds = TEST_SEEDS.start + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
+    seeds = first_seed + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
     cases = Cases(seeds.astype(np.int64), table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
     return cases, table
 

@@ -15,11 +15,11 @@ from agents.experiments.runs import (
     Array,
     HiddenPreview,
     full_speed,
-    own_reference,
     run_sweep,
     sine_fit,
     working_place,
 )
+from agents.running.tasks import own_reference
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import reachable_range
 
@@ -71,7 +71,7 @@ def frequency_response(
     centre = working_place(config.plant) if place is None else place
     low, high = reachable_range(config.plant)
     previews = (True, False) if config.references.preview_times else (False,)
-    rows = []
+    tables = []
     for frequency in [f for f in frequencies if 3.0 * f * config.control_period <= 1.0]:
         largest = SPEED_SHARE * full_speed(config.plant, centre) / (2.0 * np.pi * frequency)
         size = min(AMPLITUDE_SHARE * (high - low), largest) if amplitude is None else amplitude
@@ -84,19 +84,16 @@ def frequency_response(
                 rollout = sweep.rollout
                 answer, rest = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
                 asked, _ = sine_fit(rollout.reference[:, first:], rollout.time[first:], frequency)
-                for case, (ratio, remaining) in enumerate(zip(answer / asked, rest, strict=True)):
-                    rows.append(
-                        {
-                            **sweep.labels(name, case),
-                            "preview": preview,
-                            "frequency_hz": frequency,
-                            "amplitude_mm": 1e3 * size,
-                            "gain": float(np.abs(ratio)),
-                            "phase_deg": float(np.angle(ratio, deg=True)),
-                            "rest": float(remaining / size),
-                        }
-                    )
-    table = pd.DataFrame(rows)
+                columns = {
+                    "preview": preview,
+                    "frequency_hz": frequency,
+                    "amplitude_mm": 1e3 * size,
+                    "gain": np.abs(answer / asked),
+                    "phase_deg": np.angle(answer / asked, deg=True),
+                    "rest": rest / size,
+                }
+                tables.append(sweep.table(name, **columns))
+    table = pd.concat(tables, ignore_index=True)
     parts = table.groupby(["controller", "preview", "leakage_flow_lpm", "seed"], sort=False)
     table["phase_deg"] = parts["phase_deg"].transform(lambda phase: np.unwrap(phase, period=360.0))
     return table

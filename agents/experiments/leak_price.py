@@ -18,13 +18,10 @@ from hydro_env.plant.analysis import full_pressure_forces
 from hydro_env.plant.arrays import coefficient_array, derived_array, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import STATE_NAMES
-from hydro_env.units import orifice_gain_from_flow, resistance_from_flow
+from hydro_env.units import FULL_VOLTAGE, orifice_gain_from_flow, resistance_from_flow
 
 PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)
 """l/min at 100 bar."""
-
-FULL_COMMAND = 10.0
-"""V of a command of 1."""
 
 
 def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: float | None = None) -> pd.DataFrame:
@@ -79,7 +76,7 @@ def _holding(plant: PlantParameters, position: float) -> tuple[float, float]:
         state, voltage = equilibrium(plant, position)
     except HydroError:  # the leak is too large
         return float("nan"), float("nan")
-    return _flows(plant, **state).supply_flow * state["supply_pressure"], voltage / FULL_COMMAND
+    return _flows(plant, **state).supply_flow * state["supply_pressure"], voltage / FULL_VOLTAGE
 
 
 def full_command_speed(plant: PlantParameters, direction: float, force: float) -> float:

@@ -1,4 +1,4 @@
-"""What all experiments share: tasks with an own reference, runs at several leaks and plants, fits of sines."""
+"""What all experiments share: runs at several leaks and plants, their tables, fits of sines."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller, Floats
@@ -15,8 +16,6 @@ from agents.running.seeds import TEST_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
@@ -42,10 +41,10 @@ class Sweep:
     seeds: NDArray[np.int64]  # (N,)
     rollout: Rollout
 
-    def labels(self, controller: str, case: int) -> dict[str, Any]:
-        """The first columns of a table's row."""
-        leak, seed = float(self.leakage_flow_lpm[case]), int(self.seeds[case])
-        return {"controller": controller, "leakage_flow_lpm": leak, "seed": seed}
+    def table(self, controller: str, **columns: Any) -> pd.DataFrame:
+        """One row per run: controller, leakage_flow_lpm, seed, and further columns, each (N,) or one value."""
+        runs = {"leakage_flow_lpm": self.leakage_flow_lpm, "seed": self.seeds}
+        return pd.DataFrame({"controller": controller, **runs, **columns})
 
 
 def run_sweep(
@@ -64,22 +63,6 @@ def run_sweep(
     flow = np.repeat(np.asarray(leaks, dtype=np.float64), plants)
     seeds = np.tile(np.arange(first_seed, first_seed + plants), len(leaks))
     return Sweep(flow, seeds, run_cases(config, controller, Cases(seeds, flow), signal_columns))
-
-
-def own_reference(config: TaskConfig, reference: Array) -> TaskConfig:
-    """The task with a reference (T + 1,), m, one value per period from the start; leak and force stay constant."""
-    return task_config(
-        config,
-        episode_duration=(len(reference) - 1) * config.control_period,
-        references={"user": [float(value) for value in reference], "weights": {"user": 1.0}},
-        disturbance={"kind": "none"},
-        leakage={"schedule": "constant"},
-    )
-
-
-def noiseless(config: TaskConfig) -> TaskConfig:
-    """The task without the noise of the sensors; their bias and 16-bit steps stay."""
-    return task_config(config, sensors={channel: {"noise": 0.0} for channel in CHANNELS})
 
 
 def working_place(plant: PlantParameters, share: float = PLACE) -> float:

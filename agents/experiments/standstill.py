@@ -14,7 +14,8 @@ import pandas as pd
 
 from agents.controllers.base import Controller
 from agents.evaluation.limit_cycles import find_limit_cycle
-from agents.experiments.runs import FIRST_SEED, noiseless, own_reference, run_sweep, working_place
+from agents.experiments.runs import FIRST_SEED, run_sweep, working_place
+from agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 
 STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
@@ -59,7 +60,7 @@ def standstill(
     """
     period, floor = config.control_period, config.sensors.position.resolution
     judged = round(JUDGED / period)
-    rows = []
+    tables = []
     for place in places:
         position = working_place(config.plant, place)
         reference = np.full(round((KICK + SETTLING + JUDGED) / period) + 1, position)
@@ -69,21 +70,19 @@ def standstill(
         for name, controller in controllers.items():
             sweep = run_sweep(still, controller, leaks, plants, first_seed)
             resting = run_sweep(noisy, controller, leaks, plants, first_seed).rollout
-            for case in range(len(sweep.seeds)):
-                cycle = find_limit_cycle(sweep.rollout.position[case, -judged:].astype(np.float64), period, floor)
-                held = resting.position[case, -judged:].astype(np.float64)
-                travel = np.abs(np.diff(resting.spool[case, -judged:].astype(np.float64))).sum()
-                rows.append(
-                    {
-                        **sweep.labels(name, case),
-                        "place_mm": 1e3 * position,
-                        "limit_cycle": cycle.sustained,
-                        "amplitude_um": 1e6 * cycle.amplitude,
-                        "frequency_hz": cycle.frequency if cycle.sustained else np.nan,
-                        "unrest_um": 1e6 * float(np.std(held)),
-                        "offset_um": 1e6 * abs(float(np.mean(held)) + float(resting.position_bias[case]) - position),
-                        "valve_travel_per_s": float(travel) / JUDGED,
-                        "failed": bool(max(sweep.rollout.failed_at[case], resting.failed_at[case]) >= 0),
-                    }
-                )
-    return pd.DataFrame(rows)
+            cycles = [find_limit_cycle(row, period, floor) for row in sweep.rollout.position[:, -judged:]]
+            sustained = np.array([cycle.sustained for cycle in cycles])
+            held = resting.position[:, -judged:].astype(np.float64)
+            spool = resting.spool[:, -judged:].astype(np.float64)
+            columns = {
+                "place_mm": 1e3 * position,
+                "limit_cycle": sustained,
+                "amplitude_um": [1e6 * cycle.amplitude for cycle in cycles],
+                "frequency_hz": np.where(sustained, [cycle.frequency for cycle in cycles], np.nan),
+                "unrest_um": 1e6 * held.std(axis=1),
+                "offset_um": 1e6 * np.abs(held.mean(axis=1) + resting.position_bias - position),
+                "valve_travel_per_s": np.abs(np.diff(spool, axis=1)).sum(axis=1) / JUDGED,
+                "failed": np.maximum(sweep.rollout.failed_at, resting.failed_at) >= 0,
+            }
+            tables.append(sweep.table(name, **columns))
+    return pd.concat(tables, ignore_index=True)

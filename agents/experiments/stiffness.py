@@ -13,12 +13,11 @@ from agents.experiments.runs import (
     LEAKS,
     Array,
     full_force,
-    noiseless,
-    own_reference,
     run_sweep,
     sine_fit,
     working_place,
 )
+from agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 
@@ -71,29 +70,26 @@ def force_step(
     task, period = _held(noiseless(config), place, BEFORE + AFTER), config.control_period
     task = _with_force(task, "step", newtons, BEFORE / (BEFORE + AFTER))
     first, judged = round(BEFORE / period), round(JUDGED / period)
-    rows = []
+    tables = []
     for name, controller in controllers.items():
         sweep = run_sweep(task, controller, leaks, plants, first_seed)
         position = sweep.rollout.position.astype(np.float64)
         deviation = position - position[:, first - judged : first].mean(axis=1, keepdims=True)
-        for case, row in enumerate(deviation):
-            peak, remaining = float(np.abs(row[first:]).max()), float(row[-judged:].mean())
-            band = max(RECOVERED * peak, config.sensors.position.resolution)
-            outside = np.flatnonzero(np.abs(row[first:] - remaining) > band)
-            lasting = len(outside) and outside[-1] >= len(row) - first - judged
-            recovery = np.nan if lasting else period * (outside[-1] + 1 if len(outside) else 0)
-            rows.append(
-                {
-                    **sweep.labels(name, case),
-                    "force_n": newtons,
-                    "peak_mm": 1e3 * peak,
-                    "recovery_s": float(recovery),
-                    "remaining_mm": 1e3 * abs(remaining),
-                    "static_mm_per_kn": 1e6 * abs(remaining) / newtons,
-                    "dynamic_mm_per_kn": 1e6 * peak / newtons,
-                }
-            )
-    return pd.DataFrame(rows)
+        peak, remaining = np.abs(deviation[:, first:]).max(axis=1), deviation[:, -judged:].mean(axis=1)
+        band = np.maximum(RECOVERED * peak, config.sensors.position.resolution)
+        outside = np.abs(deviation[:, first:] - remaining[:, None]) > band[:, None]
+        recovered = outside.shape[1] - np.argmax(outside[:, ::-1], axis=1)  # samples until the last one outside
+        lasting = outside[:, -judged:].any(axis=1)
+        columns = {
+            "force_n": newtons,
+            "peak_mm": 1e3 * peak,
+            "recovery_s": np.where(lasting, np.nan, period * np.where(outside.any(axis=1), recovered, 0)),
+            "remaining_mm": 1e3 * np.abs(remaining),
+            "static_mm_per_kn": 1e6 * np.abs(remaining) / newtons,
+            "dynamic_mm_per_kn": 1e6 * peak / newtons,
+        }
+        tables.append(sweep.table(name, **columns))
+    return pd.concat(tables, ignore_index=True)
 
 
 def force_sine(
@@ -114,7 +110,7 @@ def force_sine(
         Columns controller, leakage_flow_lpm, seed, frequency_hz, force_n, compliance_mm_per_kn.
     """
     newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
-    rows = []
+    tables = []
     for frequency in frequencies:
         settling = max(SINE_SETTLING, 2.0 / frequency)
         cycles = max(round(SINE_WATCHED * frequency), 2)
@@ -124,16 +120,10 @@ def force_sine(
             sweep = run_sweep(task, controller, leaks, plants, first_seed)
             time: Array = sweep.rollout.time[first:]
             answer, _ = sine_fit(sweep.rollout.position[:, first:], time, frequency)
-            for case, size in enumerate(np.abs(answer)):
-                rows.append(
-                    {
-                        **sweep.labels(name, case),
-                        "frequency_hz": frequency,
-                        "force_n": newtons,
-                        "compliance_mm_per_kn": 1e6 * float(size) / newtons,
-                    }
-                )
-    return pd.DataFrame(rows)
+            compliance = 1e6 * np.abs(answer) / newtons
+            table = sweep.table(name, frequency_hz=frequency, force_n=newtons, compliance_mm_per_kn=compliance)
+            tables.append(table)
+    return pd.concat(tables, ignore_index=True)
 
 
 def _held(config: TaskConfig, place: float | None, duration: float) -> TaskConfig:

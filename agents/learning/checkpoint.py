@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -83,11 +83,20 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
             if isinstance(old, dict) and isinstance(now, dict):
                 changed = next((f" ('{key}' differs)" for key in {**now, **old} if old.get(key) != now.get(key)), "")
             raise ConfigurationError(f"{path}: was made with another {what}{changed}; cannot resume")
-    counters: list[Any] = [stored.get(name) for name in ("steps", "updates", "seconds")]
-    if not all(type(value) in (int, float) and 0 <= value < 1e15 for value in counters):
-        raise ConfigurationError(f"{path}: damaged: steps, updates, seconds = {str(counters)[:60]}")
-    steps, updates, seconds = counters
+    steps, updates, seconds = read_counters(stored, ("steps", "updates", "seconds"), path)
     return Checkpoint(tensors, int(steps), int(updates), float(seconds))
+
+
+def read_counters(stored: Mapping[str, Any], names: Sequence[str], path: Path) -> list[float]:
+    """Numbers of a checkpoint, by name.
+
+    Raises:
+        ConfigurationError: one is missing, negative or no number.
+    """
+    counters: list[Any] = [stored.get(name) for name in names]
+    if not all(type(value) in (int, float) and 0 <= value < 1e15 for value in counters):
+        raise ConfigurationError(f"{path}: damaged: {', '.join(names)} = {str(counters)[:60]}")
+    return counters
 
 
 def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, where: str | Path) -> None:

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,15 +15,14 @@ from pydantic import Field
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 
-from agents.controllers.base import ClassicalController, Controller
-from agents.controllers.registry import kind_of
-from agents.learning.checkpoint import CHECKPOINT_FILE
+from agents.controllers.base import Controller
+from agents.learning.checkpoint import CHECKPOINT_FILE, read_counters
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress, training_logger
 from agents.learning.settings import TrainingSettings
-from agents.learning.training import make_env, make_features, training_record
+from agents.learning.training import PolicyTrainer, make_env, make_features, training_record
 from agents.learning.validation import validation_errors
-from agents.running.seeds import TRAINING_SEEDS
+from agents.running.seeds import first_training_seed
 from agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
@@ -46,7 +45,7 @@ class SACSettings(TrainingSettings):
     log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
 
 
-class OffPolicyTrainer:
+class OffPolicyTrainer(PolicyTrainer):
     """A trainer that learns from a buffer of past samples.
 
     A checkpoint holds the networks, the weight of the entropy and the number of steps. A resumed training fills a new
@@ -79,10 +78,7 @@ class OffPolicyTrainer:
         assert isinstance(settings, SACSettings)
         algorithm = self._algorithm()
         torch.set_num_threads(settings.torch_threads)
-        corrected = cast(ClassicalController, base) if settings.residual and base is not None else None
-        if corrected is not None:
-            kind_of(corrected)  # refuses one that weights could not name
-        features = make_features(config, settings, corrected)
+        features = make_features(config, settings, base)
         path = folder / CHECKPOINT_FILE
         made_with = {
             "algorithm": self._name,
@@ -93,8 +89,7 @@ class OffPolicyTrainer:
         stored = load_checkpoint(path, KIND) if resume else None
         if stored is not None and stored[1].get("made_with") != made_with:
             raise ConfigurationError(f"{path}: was made with other settings; cannot resume")
-        first = TRAINING_SEEDS.start + (seed * settings.axes) % (len(TRAINING_SEEDS) - settings.axes)
-        env = make_env(config, settings, features, first)
+        env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
         model = algorithm(
             "MlpPolicy",
             env,
@@ -134,10 +129,6 @@ class OffPolicyTrainer:
             env.close()
         record = training_record(self._name, env, seed, int(model.num_timesteps), callback.seconds, settings)
         return PolicyController.from_sb3(model, features, record)
-
-    def load(self, path: Path) -> PolicyController:
-        """Read weights that ``PolicyController.save`` wrote."""
-        return PolicyController.load(path)
 
     def _algorithm(self) -> Any:
         try:
@@ -205,13 +196,11 @@ def _tensors(model: SAC) -> Tensors:
 def _restore(model: SAC, tensors: Tensors, stored: dict[str, Any], path: Path) -> float:
     """Set networks and number of steps; returns the seconds of the earlier sessions."""
     require(tensors, _tensors(model), path)
-    steps, seconds = stored.get("steps"), stored.get("seconds")
-    if not isinstance(steps, int) or not isinstance(seconds, float) or not (0 <= steps < 1e15 and 0 <= seconds < 1e15):
-        raise ConfigurationError(f"{path}: damaged: steps, seconds = {str([steps, seconds])[:60]}")
+    steps, seconds = read_counters(stored, ("steps", "seconds"), path)
     names = model.policy.state_dict()
     model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in names})
     assert model.log_ent_coef is not None
     with torch.no_grad():
         model.log_ent_coef.copy_(torch.from_numpy(tensors["log_entropy_weight"].copy()))
-    model.num_timesteps = steps
+    model.num_timesteps = int(steps)
     return seconds

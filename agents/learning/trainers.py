@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
-from agents.controllers.base import ClassicalController, Controller
-from agents.controllers.registry import imported, kind_of
+from agents.controllers.base import Controller
+from agents.controllers.registry import imported
 from agents.learning.off_policy import OffPolicyTrainer
 from agents.learning.policy import PolicyController
 from agents.learning.progress import Progress
 from agents.learning.settings import PPOSettings
-from agents.learning.training import train_ppo
+from agents.learning.training import PolicyTrainer, train_ppo
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
 from hydro_env.files import Group
 
 
@@ -67,7 +68,7 @@ class Trainer(Protocol):
         ...
 
 
-class PPOTrainer:
+class PPOTrainer(PolicyTrainer):
     """PPO of stable-baselines3 on the native vector environment; see :func:`~agents.learning.training.train_ppo`."""
 
     settings: type[Group] = PPOSettings
@@ -85,15 +86,7 @@ class PPOTrainer:
     ) -> PolicyController:
         """Train a policy; the residual form corrects ``base``, a classical controller."""
         assert isinstance(settings, PPOSettings)
-        corrected: ClassicalController | None = None
-        if settings.residual and base is not None:
-            corrected = cast(ClassicalController, base)
-            kind_of(corrected)  # refuses one that weights could not name
-        return train_ppo(config, settings, corrected, seed, folder, resume=resume, progress=progress)
-
-    def load(self, path: Path) -> PolicyController:
-        """Read weights that ``PolicyController.save`` wrote."""
-        return PolicyController.load(path)
+        return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
 
 
 TRAINERS: dict[str, Trainer] = {
@@ -118,8 +111,7 @@ def trainer(kind: str) -> Trainer:
     try:
         made: Any = given() if isinstance(given, type) else given
     except Exception as error:  # a user's class may raise anything
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason}") from None
+        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
     missing = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
     if missing:
         raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(missing)}")

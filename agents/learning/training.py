@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from stable_baselines3 import PPO
 
-from agents.controllers.base import ClassicalController, ObservationLayout
+from agents.controllers.base import ClassicalController, Controller, ObservationLayout
+from agents.controllers.registry import kind_of
 from agents.learning.asymmetric import AsymmetricPolicy
 from agents.learning.callback import TrainingCallback
 from agents.learning.checkpoint import CHECKPOINT_FILE, load, restore, save
@@ -20,20 +21,31 @@ from agents.learning.progress import Progress, training_logger
 from agents.learning.settings import PPOSettings, TrainingSettings
 from agents.learning.validation import family_errors, validation_errors
 from agents.learning.vec_env import AxisVecEnv
-from agents.running.seeds import TRAINING_SEEDS
+from agents.running.seeds import first_training_seed
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 
 
-def make_features(config: TaskConfig, settings: TrainingSettings, base: ClassicalController | None) -> PolicyFeatures:
+class PolicyTrainer:
+    """Base of the trainers whose result is a :class:`PolicyController`."""
+
+    def load(self, path: Path) -> PolicyController:
+        """Read weights that ``PolicyController.save`` wrote."""
+        return PolicyController.load(path)
+
+
+def make_features(config: TaskConfig, settings: TrainingSettings, base: Controller | None) -> PolicyFeatures:
     """The features that a training uses.
 
     Raises:
-        ConfigurationError: the residual form without a controller to correct.
+        ConfigurationError: the residual form without a controller to correct, or with one that is not classical.
     """
-    if settings.residual and base is None:
-        raise ConfigurationError("the residual form needs a controller that the policy corrects")
-    corrected = base if settings.residual else None
+    corrected: ClassicalController | None = None
+    if settings.residual:
+        if base is None:
+            raise ConfigurationError("the residual form needs a controller that the policy corrects")
+        corrected = cast(ClassicalController, base)
+        kind_of(corrected)  # refuses one that weights could not name
     options = (settings.residual_scale, settings.see_correction, settings.full_preview, settings.see_estimates)
     features = PolicyFeatures(config, corrected, *options)
     return features.normalised() if settings.normalise else features
@@ -119,7 +131,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
 def train_ppo(
     config: TaskConfig,
     settings: PPOSettings,
-    base: ClassicalController | None,
+    base: Controller | None,
     seed: int = 0,
     folder: str | Path | None = None,
     resume: bool = False,
@@ -167,8 +179,7 @@ def train_ppo(
         (place / CHECKPOINT_FILE).unlink(missing_ok=True)
     done = checkpoint.steps if checkpoint is not None else 0
 
-    first = TRAINING_SEEDS.start + (seed * settings.axes) % (len(TRAINING_SEEDS) - settings.axes)
-    env = make_env(config, settings, features, first)
+    env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(place, done))
 

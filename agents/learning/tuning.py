@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller, search_space
 from agents.controllers.registry import CONTROLLERS
-from agents.running.seeds import TRAINING_SEEDS
+from agents.running.seeds import first_training_seed
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.plant.analysis import speed_limits
@@ -59,7 +59,7 @@ class TuningCases:
     def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
         """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
         known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-        first = TRAINING_SEEDS.start + (seed * count) % (len(TRAINING_SEEDS) - count)
+        first = first_training_seed(seed, count)
         return cls(
             tuple(range(first, first + count)),
             tuple(LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(count)),
@@ -320,9 +320,12 @@ def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
             generation.append(Score(float(row["mean"]), float(row["equal"])))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
+    if not isinstance(written, dict):
+        raise ConfigurationError(f"{log}: is damaged (its first line holds no settings); --overwrite begins anew")
     other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]
     if other:
         raise ConfigurationError(f"{log}: was written with another {other[0]}; --overwrite begins anew")
-    if any(len(row) != settings["population"] for row in scores.values()):
+    complete = all(len(row) == settings["population"] for row in scores.values())
+    if not complete or sorted(scores) != list(range(len(scores))):
         raise ConfigurationError(f"{log}: is damaged (a generation is incomplete); --overwrite begins anew")
     return [scores[generation] for generation in sorted(scores)]

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from agents.controllers.sampled_loop import (
     COMMAND_LATENCY,
     CONTROL_PERIOD,
-    FULL_COMMAND,
     SampledLoop,
     places_in_reach,
     sampled_loop,
@@ -24,6 +23,7 @@ from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -120,13 +120,13 @@ def closed_loop_run(
     """
     targets = np.asarray(reference, dtype=np.float64)
     state, holding = equilibrium(parameters, start)
-    state, before = state | {"position": start + deviation}, holding / FULL_COMMAND
+    state, before = state | {"position": start + deviation}, holding / FULL_VOLTAGE
     per_period, late = round(CONTROL_PERIOD / sample_time), round(latency / sample_time)
     positions, commands = [np.array([state["position"]])], []
     for target in targets:
         command = control(float(target), state["position"])
         acting = np.repeat([before, command], [late, per_period - late])
-        run = simulate(parameters, FULL_COMMAND * acting, sample_time, state)
+        run = simulate(parameters, FULL_VOLTAGE * acting, sample_time, state)
         positions.append(run.position[1:])
         commands.append(acting)
         state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from agents.controllers.sampled_loop import CONTROL_PERIOD, FULL_COMMAND
+from agents.controllers.sampled_loop import CONTROL_PERIOD
 from agents.report.leaks import LEVELS, SEVERE
 from agents.reproduction.closed_loop import closed_loop_run
 from agents.reproduction.rig import LAWS, Rig, with_leak
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
+from hydro_env.units import FULL_VOLTAGE
 
 DURATION = 6.0  # s
 JUDGED = 0.5  # s at the end
@@ -32,7 +33,7 @@ class Gains:
 
 def controllers(rig: Rig) -> dict[str, Gains]:
     """Gains of P, PI and PID; on the paper's rig the proportional one is that of the project's PID (20 per metre)."""
-    gain = FULL_COMMAND * rig.holding_gain
+    gain = FULL_VOLTAGE * rig.holding_gain
     return {"P": Gains(gain), "PI": Gains(gain, 2.0 * gain), "PID": Gains(gain, 2.0 * gain, CONTROL_PERIOD * gain)}
 
 
@@ -48,15 +49,15 @@ def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[flo
         nonlocal integral, before
         error = reference - position
         wanted = gains.proportional * error + integral - gains.derivative * (position - before) / CONTROL_PERIOD
-        if abs(wanted) <= FULL_COMMAND:
+        if abs(wanted) <= FULL_VOLTAGE:
             integral += gains.integral * CONTROL_PERIOD * error
         before = position
-        return float(np.clip(wanted / FULL_COMMAND, -1.0, 1.0))
+        return float(np.clip(wanted / FULL_VOLTAGE, -1.0, 1.0))
 
     reference = np.full(round(DURATION / CONTROL_PERIOD), target)
     run = closed_loop_run(plant, reference, control, target, latency=0.0, sample_time=CONTROL_PERIOD)
     end = run.iloc[:-1].tail(round(JUDGED / CONTROL_PERIOD))
-    return float((end["reference_m"] - end["position_m"]).mean()), FULL_COMMAND * float(end["command"].mean())
+    return float((end["reference_m"] - end["position_m"]).mean()), FULL_VOLTAGE * float(end["command"].mean())
 
 
 def holding_table(rig: Rig, leaks: tuple[float, ...] = LEVELS) -> pd.DataFrame:
@@ -66,7 +67,7 @@ def holding_table(rig: Rig, leaks: tuple[float, ...] = LEVELS) -> pd.DataFrame:
         HydroError: the axis holds without a pressure difference, and nothing leaks.
     """
     _, voltage = equilibrium(with_leak(rig.parameters, SEVERE, "throttle"), rig.hold)
-    if 1e3 * abs(voltage) < SMALLEST_ERROR * FULL_COMMAND * rig.holding_gain:
+    if 1e3 * abs(voltage) < SMALLEST_ERROR * FULL_VOLTAGE * rig.holding_gain:
         raise HydroError("no force asks for a pressure difference while it holds, so that no oil leaks")
     rows = []
     for leak in leaks:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from agents.controllers.sampled_loop import FULL_COMMAND, SampledLoop, sampled_loop
+from agents.controllers.sampled_loop import SampledLoop, sampled_loop
 from agents.report.leaks import MODERATE, TIGHT
 from agents.reproduction.closed_loop import bandwidth, sensible_gain
 from agents.reproduction.force_rate import force_rate_table, shares
@@ -19,6 +19,7 @@ from agents.reproduction.rig import Law, Rig, quick_stop, simplified, with_frict
 from agents.reproduction.settling import healthy_frequency, settling_of
 from hydro_env import PlantParameters, equilibrium, simulate
 from hydro_env.plant.linearisation import Mode, linearise
+from hydro_env.units import FULL_VOLTAGE
 
 LEAK = 0.3
 """l/min at 100 bar; leak of all results that name no other."""
@@ -92,7 +93,7 @@ def _loop(plant: PlantParameters, at: Setting, factor: float) -> SampledLoop:
 def _held_error(plant: PlantParameters, at: Setting, factor: float) -> float:
     """Error at which the command of a proportional controller holds the position, without friction."""
     leaking, hold = _leaking(plant, factor * MODERATE, "throttle"), at.rig.hold
-    gain = FULL_COMMAND * at.rig.holding_gain
+    gain = FULL_VOLTAGE * at.rig.holding_gain
 
     def excess(error: float) -> float:
         return gain * error - equilibrium(leaking, hold - error)[1]

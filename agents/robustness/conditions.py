@@ -16,6 +16,7 @@ from pydantic import Field, StringConstraints, model_validator
 from agents.running.cases import Cases
 from agents.running.folders import pretrained_folder
 from agents.running.seeds import TEST_SEEDS
+from agents.running.settings_files import read_settings, read_task
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
@@ -161,8 +162,8 @@ class Protocol(Group):
         """
         values = read_yaml(path)
         folder = Path(path).parent
-        if isinstance(values.get("task"), str):
-            values["task"] = task_config(values["task"], folder=folder)
+        if "task" in values:
+            values["task"] = read_task(values["task"], Path(path))
         conditions = values.get("conditions")
         if "sweep" in values and isinstance(conditions, dict):
             swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
@@ -176,9 +177,8 @@ class Protocol(Group):
             if isinstance(condition.get("rig"), str):
                 condition["rig"] = str(config_file("rigs", condition["rig"], folder))
             chosen = condition.get("controllers")
+            read_settings(chosen, Path(path))
             for choice in chosen.values() if isinstance(chosen, dict) else ():
-                if isinstance(choice, dict) and isinstance(choice.get("settings"), str):
-                    choice["settings"] = read_yaml(folder / choice["settings"])
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
                     shipped = pretrained_folder() / choice["weights"]
                     own = folder / choice["weights"]

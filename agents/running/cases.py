@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agents.controllers.base import Controller
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
+from hydro_env.errors import reason
 from hydro_env.plant.arrays import derived_array
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
@@ -224,7 +225,7 @@ def _act(
     try:
         answer = controller.predict(observation, memory, started, True)
     except Exception as error:
-        raise ControllerError(f"{when}: predict raised {type(error).__name__}: {error}") from error
+        raise ControllerError(f"{when}: predict raised {reason(error)}") from error
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")
     needed = (len(cases), 1)

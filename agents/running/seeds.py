@@ -9,3 +9,11 @@ TRAINING_SEEDS = range(0, 1_000_000)
 VALIDATION_SEEDS = range(1_000_000, 2_000_000)
 TEST_SEEDS = range(2_000_000, 3_000_000)
 """Only the evaluation uses these; no choice is made by results on them."""
+
+
+def first_training_seed(number: int, count: int) -> int:
+    """First of the ``count`` training seeds that training ``number`` uses; different numbers get different ones.
+
+    After the last training seed the first ones come again.
+    """
+    return TRAINING_SEEDS.start + (number * count) % (len(TRAINING_SEEDS) - count)

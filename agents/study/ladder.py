@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +20,7 @@ from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from agents.running.settings_files import read_settings, read_task
 from agents.study.ladder_table import ladder_table, rung_scores
 from agents.study.settings import ControllerEntry, Name
 from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS
@@ -79,18 +79,17 @@ class LadderSettings(Group):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> LadderSettings:
-        """Read a ladder; the task, and the settings of a controller, may be paths relative to its file.
+        """Read a ladder; the settings of a controller may be the path of a YAML file, relative to that of the ladder.
+
+        So may the task, or the name of one in ``configs/tasks``.
 
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
-        values, folder = read_yaml(path), Path(path).parent
-        if isinstance(values.get("task"), str):
-            values["task"] = read_yaml(folder / values["task"])
-        controllers = values.get("controllers")
-        for entry in controllers.values() if isinstance(controllers, dict) else ():
-            if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
-                entry["settings"] = read_yaml(folder / entry["settings"])
+        values = read_yaml(path)
+        if "task" in values:
+            values["task"] = read_task(values["task"], Path(path))
+        read_settings(values.get("controllers"), Path(path))
         ladder = validate(cls, values, str(path))
         for name in ladder.controllers:
             ladder.make(name)
@@ -127,8 +126,7 @@ class LadderSettings(Group):
 
     def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
         """The cases and a table of level, family and plant of each: validation plants, or test plants."""
-        cases, table = tracking_cases(self.evaluation)
-        return (cases if test else replace(cases, seeds=cases.seeds - TEST_SEEDS.start + LADDER_SEEDS)), table
+        return tracking_cases(self.evaluation, TEST_SEEDS.start if test else LADDER_SEEDS)
 
 
 class Resolved(NamedTuple):
@@ -174,7 +172,7 @@ def run_ladder(
         if name not in ladder.rungs:
             raise ConfigurationError(f"rung '{name}': unknown; known: {', '.join(ladder.rungs)}")
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
-    writes = [*TABLES, *(f"rungs/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
+    writes = [*TABLES, *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
         scores: list[pd.DataFrame] = []

@@ -15,11 +15,11 @@ from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
+from agents.running.settings_files import read_settings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
-from hydro_env.task.rig import task_from
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
 
@@ -97,11 +97,8 @@ class StudySettings(Group):
         """
         values = read_yaml(path)
         folder = Path(path).parent
-        task = values.get("task")
-        if isinstance(task, str):
-            values["task"] = task_config(task, folder=folder)
-        elif isinstance(task, dict) and isinstance(task.get("plant"), str):
-            values["task"] = task_from(TaskConfig, task, f"{path}: task", folder)
+        if "task" in values:
+            values["task"] = read_task(values["task"], Path(path))
         groups: dict[str, type[Group]] = {
             "leakage_head": HeadTrainingSettings,
             "evaluation": ProtocolSettings,
@@ -110,12 +107,7 @@ class StudySettings(Group):
             if isinstance(values.get(key), str):
                 file = folder / values[key]
                 values[key] = validate(group, read_yaml(file), str(file))
-        controllers, sources = values.get("controllers"), {}
-        if isinstance(controllers, dict):
-            for name, entry in controllers.items():
-                if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
-                    sources[name] = str(folder / entry["settings"])
-                    controllers[name] = {**entry, "settings": read_yaml(sources[name])}
+        sources = read_settings(values.get("controllers"), Path(path))
         study = validate(cls, values, str(path))
         study.check(str(path), sources)
         return study
@@ -237,14 +229,14 @@ def default_study(
     Gains belong to a rig. On another rig every classical controller is therefore tuned first.
 
     Args:
-        path: YAML file of the study; default: ``configs/studies/default.yaml``.
+        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
         task: name or file of the task, instead of the study's.
         rig: name or file of the rig to which the task is moved.
 
     Raises:
         ConfigurationError: a file that is wrong, or settings that do not fit each other.
     """
-    study = StudySettings.from_yaml(path if path is not None else config_file("studies", "default"))
+    study = StudySettings.from_yaml(config_file("studies", path or "default"))
     if task is None and rig is None:
         return study
     changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}

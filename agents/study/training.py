@@ -15,7 +15,8 @@ from agents.leakage.training import train_head
 from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from agents.learning.tuning import Tuned, tune
 from agents.running.console import ProgressDisplay
-from agents.study.settings import StudySettings
+from agents.study.settings import StudySettings, TuningSettings
+from hydro_env import TaskConfig
 from hydro_env.files import Group, validate, write_yaml
 
 WEIGHTS = "policy"
@@ -93,30 +94,69 @@ def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, di
         ConfigurationError: a log of other settings, or no candidate can control the axis.
         KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
     """
-    entry = study.controllers[name]
-    budget = entry.tune
-    assert budget is not None
+    entry, log = study.controllers[name], folder / TUNING_LOG
+    assert entry.tune is not None
+    start = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
+    tuned = tune_gains(
+        entry.kind, study.task, entry.tune, start, folder / GAINS, log, seed, log.exists(), display, f"tune {name}"
+    )
+    return make_controller(entry.kind, study.task, tuned.gains.model_dump())
+
+
+def tune_gains(
+    kind: str,
+    task: TaskConfig,
+    budget: TuningSettings,
+    start: Group | None,
+    file: Path,
+    log: Path,
+    seed: int,
+    resume: bool,
+    display: ProgressDisplay,
+    phase: str,
+) -> Tuned:
+    """Tune gains with progress on the console; the best so far are written after every generation.
+
+    Args:
+        kind: of the controller.
+        task: the task.
+        budget: objective, number of candidates and of training cases.
+        start: gains from which the search starts; default: those of their class.
+        file: for the gains.
+        log: for the costs of every candidate.
+        seed: seed of the search.
+        resume: continue from the log.
+        display: shows the progress.
+        phase: its name there.
+
+    Raises:
+        ConfigurationError: a log of other settings, or no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
+    """
+
+    def write(best: Tuned) -> None:
+        write_yaml(file, best.gains.model_dump(mode="json"))
 
     def report(best: Tuned) -> None:
         note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
-        display.update(f"tune {name}", min(best.evaluations, budget.evaluations), budget.evaluations, note)
+        display.update(phase, min(best.evaluations, budget.evaluations), budget.evaluations, note)
+        write(best)
 
-    display.update(f"tune {name}", 0, budget.evaluations)
-    log = folder / TUNING_LOG
+    display.update(phase, 0, budget.evaluations)
     tuned = tune(
-        entry.kind,
-        study.task,
+        kind,
+        task,
         budget.objective,
         budget.evaluations,
         seed,
         budget.cases,
-        start=validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}"),
+        start=start,
         log=log,
-        resume=log.exists(),
+        resume=resume,
         progress=report,
     )
-    write_yaml(folder / GAINS, tuned.gains.model_dump(mode="json"))
-    return make_controller(entry.kind, study.task, tuned.gains.model_dump())
+    write(tuned)
+    return tuned
 
 
 def read_curve(folder: Path) -> pd.DataFrame:

@@ -12,6 +12,7 @@ from hydro_env.plant.arrays import coefficient_array, equilibrium, plant_coeffic
 from hydro_env.plant.kernel import N_PEAKS, STEPS, TOLERANCE, Accuracy, Plants, integrate
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import EMPHASIS, STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -76,7 +77,7 @@ def _run(parameters: PlantParameters, position: float, tolerance: float) -> tupl
     )
     steps, states = [], []
     for number, periods in enumerate(HELD):
-        plants.voltage[:] = 10.0 if number % 2 == 0 else -10.0
+        plants.voltage[:] = FULL_VOLTAGE if number % 2 == 0 else -FULL_VOLTAGE
         for _ in range(periods):
             integrate(plants, Accuracy(tolerance=tolerance), 0, 1)
             steps.append(plants.peaks[0, STEPS])

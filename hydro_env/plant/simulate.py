@@ -25,6 +25,7 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, valid_range
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
@@ -171,10 +172,12 @@ def _checked_input(voltage: ArrayLike) -> Array:
         raise HydroError("voltage: must be numbers, in V") from None
     if inputs.ndim != 1 or len(inputs) == 0:
         raise HydroError(f"voltage: must be one row of at least one value, not of shape {inputs.shape}")
-    wrong = ~(np.abs(inputs) <= 10.0)
+    wrong = ~(np.abs(inputs) <= FULL_VOLTAGE)
     if wrong.any():
         first = int(np.argmax(wrong))
-        raise HydroError(f"voltage[{first}] = {inputs[first]:g} V: must be within -10 to 10 V")
+        raise HydroError(
+            f"voltage[{first}] = {inputs[first]:g} V: must be within -{FULL_VOLTAGE:g} to {FULL_VOLTAGE:g} V"
+        )
     return inputs
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env.compiling import inline, tuple_first
+from hydro_env.units import FULL_VOLTAGE
 
 ATMOSPHERIC_PRESSURE = 101_325.0
 """Pa; the zero of gauge pressures."""
@@ -82,7 +83,7 @@ def error_weights(p, c):
         pressure_b=pressure,
         spool_position=1.0,
         spool_velocity=0.1 / p.valve_slew_limit,
-        coil_current=0.1 * p.valve_coil_resistance / (10.0 * p.valve_amplifier_gain),
+        coil_current=0.1 * p.valve_coil_resistance / (FULL_VOLTAGE * p.valve_amplifier_gain),
         supply_pressure=pressure,
         gas_volume=1.0 / p.supply_accumulator_volume,
         bristle_deflection=p.friction_bristle_stiffness / max(p.friction_breakaway_force, 1e-3),

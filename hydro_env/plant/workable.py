@@ -16,7 +16,7 @@ from hydro_env.plant.parts.friction import FrictionModel
 from hydro_env.plant.rates import Rates, rates
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
 from hydro_env.plant.states import STATE_NAMES, State
-from hydro_env.units import LITRE_PER_MINUTE
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAST_TRAVEL = 1e-3
 """m; a rig must be able to move this far from the free length of its spring."""
@@ -143,12 +143,12 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
 def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
     """Refuse a valve that 10 V hardly open, too large a coil current, and too flat a relief valve."""
     valve, supply = parameters.valve, parameters.supply
-    current = 10.0 * valve.amplifier_gain / valve.coil_resistance
+    current = FULL_VOLTAGE * valve.amplifier_gain / valve.coil_resistance
     limits = dict(zip(STATE_NAMES, zip(*valid_ranges(parameters), strict=True), strict=True))
     if current > limits["coil_current"][1]:
         raise ConfigurationError(
             f"{source}: valve.amplifier_gain = {valve.amplifier_gain:g} V/V: 10 V drive {current:.3g} A through the "
-            f"coil; the limit is {limits['coil_current'][1] * valve.coil_resistance / 10.0:.4g} V/V"
+            f"coil; the limit is {limits['coil_current'][1] * valve.coil_resistance / FULL_VOLTAGE:.4g} V/V"
         )
     if current * valve.spool_gain < LEAST_OPENING:
         raise ConfigurationError(

@@ -64,9 +64,7 @@ from hydro_env.task.schedules import (
     set_leak,
 )
 from hydro_env.task.signals import POSITION, draw_biases, held_position, lagged, sample, write_observation
-
-FULL_VOLTAGE = 10.0
-"""V of a command of 1."""
+from hydro_env.units import FULL_VOLTAGE
 
 MOST_DRAWS = 200
 """Largest number of draws of a plant, its leak and its initial position until an episode can begin."""

@@ -8,8 +8,9 @@ from scipy.linalg import solve_discrete_are
 
 from agents.controllers.adrc import ADRC, ADRCGains, placed
 from agents.controllers.base import ObservationLayout
+from agents.controllers.jumps import braked
 from agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
-from agents.controllers.observer_feedback import SampledModel, braked
+from agents.controllers.observer_feedback import SampledModel
 from agents.controllers.registry import make_controller
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 

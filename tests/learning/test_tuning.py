@@ -65,7 +65,14 @@ def test_a_log_of_other_settings_or_a_damaged_one_is_refused(tmp_path):
     with pytest.raises(ConfigurationError, match="was written with another task"):
         tune("pid", TaskConfig(episode_duration=0.4), evaluations=6, log=log, resume=True, **OPTIONS)
     text = log.read_text()
-    for damaged in (text[:-40], text.replace("0,3,", "0,x,", 1), "no log"):
+    table = text.partition("\n")[2]
+    for damaged in (
+        text[:-40],
+        text.replace("0,3,", "0,x,", 1),
+        "no log",
+        "[]\n" + table,
+        text.replace("\n0,", "\n1,"),
+    ):
         log.write_text(damaged)
         with pytest.raises(ConfigurationError, match=r"tuning\.csv: is damaged"):
             tune("pid", SHORT, evaluations=6, log=log, resume=True, **OPTIONS)

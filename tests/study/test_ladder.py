@@ -11,7 +11,7 @@ from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
 from agents.study.ladder_table import ratios, rung_scores
 from hydro_env import ConfigurationError
-from hydro_env.files import validate
+from hydro_env.files import validate, write_yaml
 
 SMALL = {"steps_per_rollout": 8, "minibatches": 1, "epochs": 1}
 LADDER = {
@@ -84,6 +84,22 @@ def test_results_of_other_settings_are_not_mixed_in(done):
         run_ladder(ladder(), folder)
 
 
+def test_overwrite_begins_anew_and_a_stopped_ladder_says_what_it_keeps(tmp_path, monkeypatch):
+    run_ladder(ladder(), tmp_path, rungs=["alone"], seeds=1)
+    other = ladder(settings={**LADDER["settings"], "total_steps": 128})
+    run_ladder(other, tmp_path, rungs=["alone"], seeds=1, overwrite=True)
+    job = json.loads((tmp_path / "rungs" / "alone" / "seed 0" / JOB_FILE).read_text())
+    assert job["settings"]["total_steps"] == 128
+
+    def stop(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agents.study.ladder.judged", stop)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        run_ladder(other, tmp_path, rungs=["alone"], seeds=1, resume=True)
+    assert "keeps what is done so far" in stopped.value.__notes__[0]
+
+
 def test_a_training_that_fails_loses_only_its_own_row(tmp_path):
     rungs = {"wrong": {"kind": "ppo", "corrects": "PID", "settings": {**SMALL, "practice": {"nonsense": 1}}}}
     with pytest.raises(ConfigurationError, match="rung wrong, seed 0: practice"):
@@ -132,3 +148,12 @@ def test_the_shipped_ladder_can_be_trained():
     settings = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml")
     assert len(settings.rungs) >= 10
     assert settings.seeds >= 5
+
+
+def test_the_task_of_a_file_is_the_name_of_a_task_and_its_plant_that_of_a_rig(tmp_path):
+    file = tmp_path / "ladder.yaml"
+    for task, period, stroke in (("period_10ms", 0.010, 0.4), ({"plant": "symmetric_eha"}, 0.005, 0.12)):
+        write_yaml(file, {**LADDER, "task": task})
+        read = LadderSettings.from_yaml(file).task
+        assert read.control_period == period
+        assert read.plant.cylinder.stroke == stroke
