@@ -12,7 +12,7 @@ import numpy as np
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
 from hydro_env.plant.workable import refuse_unworkable
-from hydro_env.task.sensors import Sensor, Sensors
+from hydro_env.task.sensors import Sensor, Sensors, scaled
 from hydro_env.units import orifice_gain_from_flow
 
 Law = Literal["laminar", "throttle"]
@@ -109,7 +109,7 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
         stretch=stretch,
         sample_time=fitting,
         holding_gain=float(f"{2.0 * HOLDING_SPEED / (speeds.extending + speeds.retracting):.2g}"),
-        transducer=Sensor(**{name: larger * value for name, value in transducer.model_dump().items()}),
+        transducer=scaled(transducer, larger),
     )
 
 

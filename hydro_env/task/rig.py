@@ -12,6 +12,7 @@ from hydro_env.files import Group, ModelType, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation, own_value
+from hydro_env.task.sensors import SCALED_FIELDS
 
 SHARE_OF_ACCELERATION = 0.25
 """Smooth references need at most this share of the acceleration that the supply can give."""
@@ -135,7 +136,7 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
         ("pressure_a", scales.pressure),
         ("pressure_b", scales.pressure),
     ):
-        factors |= {f"sensors.{sensor}.{name}": factor for name in defaults["sensors"][sensor] if name != "fitted"}
+        factors |= {f"sensors.{sensor}.{name}": factor for name in SCALED_FIELDS}
     values = {}
     for path, factor in factors.items():
         value: Any = defaults

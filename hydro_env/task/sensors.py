@@ -28,6 +28,15 @@ class Sensor(Group):
         return self
 
 
+SCALED_FIELDS = tuple(name for name in Sensor.model_fields if name != "fitted")
+"""Fields of a sensor with the unit of its signal."""
+
+
+def scaled(sensor: Sensor, factor: float) -> Sensor:
+    """The same sensor for a signal that is larger by a factor."""
+    return sensor.model_copy(update={name: factor * getattr(sensor, name) for name in SCALED_FIELDS})
+
+
 def _current_loop(span: float) -> float:
     """Step of a 4–20 mA signal over 500 Ω on a 16-bit converter of ±10 V: 26214 steps for the span."""
     return span / (65536 * 8.0 / 20.0)
