@@ -8,7 +8,7 @@ is designed for, both Gaussian:
 x: score of the look. b: the axis's own baseline, the median of its first looks, but never above the baselines that
 healthy axes have (``highest_baseline``); an axis that leaks from the first look on is therefore judged against healthy
 axes, any other against itself. δ, σ: rise of the score by the design leak, and its spread, for what the axis does
-(standing, slow, moving); a detector that knows its standard deviation replaces σ.
+(standing, slow, moving); where a detector gives a larger standard deviation of a look, that counts instead.
 
 The evidence is summed up in one or more ways side by side, one quick and one patient (Lucas, *Combined
 Shewhart-CUSUM quality control schemes*, J. Quality Technology 14, 1982): ``cusum`` sums S ← max(0, S + z) (Page,
@@ -145,7 +145,7 @@ class LeakAlarm:
         everyone = np.arange(len(state.alarm))
         counts = np.isfinite(look.score) & (look.cause == Cause.SEAL_OR_NOTHING)
         score = np.where(counts, look.score, 0.0)
-        sigma = np.where(np.isfinite(look.sigma), look.sigma, self._spread[activity])
+        sigma = np.fmax(look.sigma, self._spread[activity])
         shift = self._shift[activity]
         ratio = shift * (score - state.baseline[everyone, activity] - 0.5 * shift) / (sigma * sigma)
         step = np.clip(ratio, -self.settings.clip, self.settings.clip)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
@@ -32,7 +33,7 @@ class Evidence(NamedTuple):
     """What a detector says of one window of each of N axes."""
 
     score: Floats  # (N,), rises with the leak; NaN: the detector cannot tell
-    sigma: Floats  # (N,), standard deviation of the score; NaN: unknown, the calibration's is taken
+    sigma: Floats  # (N,), standard deviation of the score; NaN: unknown
     flow_lpm: Floats  # (N,), estimated leak, l/min at 100 bar
     cause: NDArray[np.int8]  # (N,), :class:`Cause`
 
@@ -67,6 +68,42 @@ def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8
     travel = np.where(known, means, -np.inf).max(axis=1) - np.where(known, means, np.inf).min(axis=1)
     speed = np.where(known.any(axis=1), travel, 0.0) / (position.shape[1] * control_period)
     return np.asarray((speed >= STANDING_BELOW).astype(np.int8) + (speed >= MOVING_FROM), dtype=np.int8)
+
+
+class Estimated(Protocol):
+    """What an estimator with the simulator as model finds, :class:`agents.estimation.estimate.Estimate`."""
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Whether the model explains each window, (N,)."""
+        ...
+
+    def value(self, name: str) -> Floats:
+        """Values of an unknown, (N,)."""
+        ...
+
+    def deviation(self, name: str) -> Floats:
+        """Standard deviations of an unknown, (N,)."""
+        ...
+
+
+class EstimatorDetector:
+    """An estimator as a detector: its score is the leak itself, in l/min at 100 bar.
+
+    A window that the model does not explain has the cause "unknown" and counts for nothing.
+    """
+
+    def __init__(
+        self, estimate: Callable[[NDArray[Any]], Estimated], window: int, name: str = "leakage_flow_lpm"
+    ) -> None:
+        self.estimate, self.window, self.name = estimate, window, name
+
+    def __call__(self, signals: NDArray[Any]) -> Evidence:
+        """Evidence of windows (N, 5, window)."""
+        found = self.estimate(signals)
+        flow = found.value("leakage_flow_lpm")
+        cause = np.where(found.holds, Cause.SEAL_OR_NOTHING, Cause.UNKNOWN).astype(np.int8)
+        return Evidence(flow, found.deviation("leakage_flow_lpm"), flow, cause)
 
 
 class HeadDetector:

@@ -36,7 +36,6 @@ FAULTS = (
 LIMIT_LPM = 1.0
 """The size to which growing leaks are extrapolated."""
 
-_PAST, _AFTER = 300.0, 62.0
 _FIRST_VALIDATION = VALIDATION_SEEDS.start + 500_000
 _FIRST_TEST = TEST_SEEDS.start + 700_000
 
@@ -47,6 +46,8 @@ class AlarmJob(Group):
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
     hours: float = Field(40.0, gt=0.0, le=1e5, description="of healthy axes, for calibration and for the proof each")
     shift: float = Field(600.0, ge=60.0, le=3600.0, description="s; work of one axis")
+    past: float = Field(300.0, ge=10.0, le=3600.0, description="s; work before each onset")
+    after: float = Field(62.0, ge=1.0, le=3600.0, description="s; work after each onset; growing leaks: the past again")
     axes: int = Field(128, ge=4, le=10_000, description="with the onset of a leak, for each size and activity")
     interval: float = Field(0.5, gt=0.0, le=60.0, description="s; from look to look")
     learning: int = Field(120, ge=1, le=10_000, description="looks in each activity until a baseline is known")
@@ -73,10 +74,11 @@ class _Simulated:
         count = max(int(np.ceil(self.job.hours * 3600.0 / self.job.shift)), 20)
         return Operation(self.first_seed, count, self.job.shift, self.job.interval)
 
-    def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float = _AFTER) -> list[Found]:
-        work = Operation(self.first_seed + offset, self.job.axes, _PAST, self.job.interval, after=after)
+    def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float) -> list[Found]:
+        past = self.job.past
+        work = Operation(self.first_seed + offset, self.job.axes, past, self.job.interval, after=after)
         before, *each = self.bench.looks(f"{self.name}_{part}", work, onsets, self.progress)
-        return [Found(onset, _PAST, before, looks) for onset, looks in zip(onsets, each, strict=True)]
+        return [Found(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
 
 
 def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:
@@ -94,7 +96,7 @@ def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Re
     leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
     validation = _Simulated(bench, job, "validation", _FIRST_VALIDATION, progress)
     healthy = bench.looks("validation_healthy", validation.healthy(), progress=progress)[0]
-    found = validation.found("onsets", 100_000, leaks)
+    found = validation.found("onsets", 100_000, leaks, job.after)
     design = [each for each in found if each.onset.leak_lpm == LEVELS[0]]
     moving = [each for each in found if each.onset.then == Activity.MOVING]
     tried = calibrate(healthy, design, moving, job.rate, job.learning, bench.detector_name)
@@ -102,12 +104,12 @@ def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Re
 
     test = _Simulated(bench, job, "test", _FIRST_TEST, progress)
     others = tuple(Onset(fault=fault) for fault in FAULTS)
-    after = test.found("onsets", 100_000, (*leaks, *others))
+    after = test.found("onsets", 100_000, (*leaks, *others), job.after)
     starts = []
     for number, level in enumerate(LEVELS):
-        work = Operation(_FIRST_TEST + 200_000 + 10_000 * number, job.axes, _PAST, job.interval, leak_lpm=level)
+        work = Operation(_FIRST_TEST + 200_000 + 10_000 * number, job.axes, job.past, job.interval, leak_lpm=level)
         starts.append((f"{level:g} l/min from the start", bench.looks(f"test_start_{level:g}", work, (), progress)[0]))
-    growing = test.found("growth", 250_000, (Onset(3.0, grows=True),), after=300.0)
+    growing = test.found("growth", 250_000, (Onset(3.0, grows=True),), after=job.past)
     tables = {
         "candidates": _candidates(tried),
         "false_alarms": false_alarms(settings, bench.looks("test_healthy", test.healthy(), progress=progress)[0]),

@@ -62,6 +62,8 @@ def looks_at(signals: NDArray[Any], control_period: float, detector: Detector, i
     every = max(round(interval / control_period), 1)
     ends = np.arange(detector.window, signals.shape[2] + 1, every)
     windows = [signals[:, :, end - detector.window : end] for end in ends]
-    columns: Any = [np.stack(values, axis=1) for values in zip(*map(detector, windows), strict=True)]
-    activity = np.stack([activity_of(window, control_period) for window in windows], axis=1)
-    return Looks((ends - 1) * control_period, *columns, activity, np.full(activity.shape, np.nan))
+    activity = [activity_of(window, control_period) for window in windows]
+    unknown = [np.full(len(signals), np.nan) for _ in windows]
+    rows = [(*detector(window), *rest) for window, *rest in zip(windows, activity, unknown, strict=True)]
+    columns: Any = (np.stack(values, axis=1) for values in zip(*rows, strict=True))
+    return Looks((ends - 1) * control_period, *columns)

@@ -34,7 +34,8 @@ def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
         row["axes"] = sum(bool((found > factor).any()) for found in per_axis)
         row |= counted.columns("per_100_h")
         if factor >= tail.start:
-            row |= rate_with_interval(per_axis, healthy.hours, factor).columns("by_tail")
+            by_tail = rate_with_interval(per_axis, healthy.hours, factor)
+            row |= {"by_tail": by_tail.value, "tail_low": by_tail.low, "tail_high": by_tail.high}
         rows.append(row)
     return pd.DataFrame(rows)
 

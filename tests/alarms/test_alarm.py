@@ -138,7 +138,7 @@ def test_looks_without_a_score_add_nothing():
 def test_the_detectors_own_uncertainty_weighs_a_look():
     watch = alarm(threshold=1.0)
     result, _ = watch.follow(looks([[2.0], [2.0]], sigma=np.array([[0.5], [2.0]])), learnt(watch, 2))
-    np.testing.assert_allclose(result.total[:, 0], [6.0, 0.375])
+    np.testing.assert_allclose(result.total[:, 0], [1.5, 0.375])
 
 
 def test_several_sums_watch_side_by_side():
