@@ -56,7 +56,7 @@ class AlarmSettings(Group):
 
     detector: str = Field("", description="the detector that they were found for")
     interval: float = Field(0.5, gt=0.0, le=3600.0, description="s; from look to look")
-    learning: int = Field(120, ge=1, le=10_000, description="looks in each activity until an axis's baseline is known")
+    learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until an axis's baseline is known")
     clip: float = Field(5.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier alarms nobody")
     scales: dict[str, Scale] = Field(description="by activity: standing, slow, moving")
     sums: tuple[Sum, ...] = Field(min_length=1, max_length=8)

@@ -31,11 +31,11 @@ PATIENCE = 60.0
 
 CANDIDATES: tuple[tuple[Sum, ...], ...] = (
     (Sum(method="mean"),),
-    (Sum(method="mean", memory=2.0),),
     (Sum(method="mean", memory=10.0),),
     (Sum(method="cusum"),),
     (Sum(method="mean", memory=2.0), Sum(method="cusum")),
     (Sum(method="mean", memory=1.0), Sum(method="mean", memory=5.0), Sum(method="cusum")),
+    (Sum(method="mean"), Sum(method="mean", memory=4.0), Sum(method="mean", memory=16.0)),
 )
 
 

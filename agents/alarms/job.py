@@ -50,7 +50,7 @@ class AlarmJob(Group):
     after: float = Field(62.0, ge=1.0, le=3600.0, description="s; work after each onset; growing leaks: the past again")
     axes: int = Field(128, ge=4, le=10_000, description="with the onset of a leak, for each size and activity")
     interval: float = Field(0.5, gt=0.0, le=60.0, description="s; from look to look")
-    learning: int = Field(120, ge=1, le=10_000, description="looks in each activity until a baseline is known")
+    learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
 
 
 class Result(NamedTuple):

@@ -21,7 +21,7 @@ def alarms(
     ] = 40.0,
     axes: Annotated[int, typer.Option(help="Axes with the onset of a leak, for each size and activity.")] = 128,
     interval: Annotated[float, typer.Option(help="Seconds from look to look.")] = 0.5,
-    learning: Annotated[int, typer.Option(help="Looks in each activity until an axis's own baseline is known.")] = 120,
+    learning: Annotated[int, typer.Option(help="Looks in each activity until an axis's own baseline is known.")] = 60,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -43,6 +43,7 @@ def alarms(
     from agents.leakage.head import LeakageHead
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder, pretrained_folder
+    from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_text
     from hydro_env.task.configuration import task_config
 
@@ -51,7 +52,10 @@ def alarms(
     job = validate(AlarmJob, given, "alarms")
     path = head or pretrained_folder() / "leakage_head"
     watching = LeakageHead.load(path)
-    check_layout(watching.settings.layout, config)
+    try:
+        check_layout(watching.settings.layout, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
     torch.set_num_threads(1)  # the simulation takes the other cores
     controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
     names = ["alarm.yaml", "alarms.md", "*.csv", PATTERN]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from command_line import assert_one_clear_line, hydro
 
 from agents.alarms.alarm import AlarmSettings, LeakAlarm
 from agents.alarms.calibration import scale_of
@@ -95,3 +96,17 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
     alarm = LeakAlarm(AlarmSettings(scales=scales, sums=({"method": "cusum", "threshold": 4.0},)))
     result, _ = alarm.update(evidence, np.array([Activity.MOVING] * 2, dtype=np.int8), alarm.begin(2))
     assert result.alarm.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--hours", "-3"), ("hours = -3", "above 0")),
+        (("--rate", "0"), ("rate = 0", "above 0")),
+        (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
+        (("--task", "period_10ms"), ("leakage_head", "other observations")),
+    ],
+)
+def test_bad_options_of_the_command_get_one_line_and_leave_nothing(tmp_path, options, parts):
+    assert_one_clear_line(hydro("alarms", "--output", tmp_path / "new", *options), *parts)
+    assert not (tmp_path / "new").exists()
