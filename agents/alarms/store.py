@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -49,10 +50,12 @@ class Bench:
             ConfigurationError: a file is damaged or belongs to another task, detector or operation.
         """
         parts = []
-        for number, first in enumerate(range(0, operation.axes, AXES_TOGETHER)):
+        fair = math.ceil(operation.axes / len(self.controllers))
+        size = AXES_TOGETHER if operation.axes > AXES_TOGETHER else fair  # each controller gets a part
+        for number, first in enumerate(range(0, operation.axes, size)):
             if progress is not None:
                 progress(name, first, operation.axes)
-            count = min(AXES_TOGETHER, operation.axes - first)
+            count = min(size, operation.axes - first)
             part = replace(operation, first_seed=operation.first_seed + first, axes=count)
             parts.append(self._part(f"looks_{name}_{number:04d}", number, part, onsets))
         if progress is not None:
