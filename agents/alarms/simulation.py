@@ -98,7 +98,8 @@ class _Work:
         # One period more than is simulated: no axis restarts.
         self.config = task_config(config, episode_duration=(self.end + 1) * self.period, leakage=leakage)
         layout = ObservationLayout.of(self.config)
-        self.columns = [layout.index(name) for name in SIGNALS]
+        self.rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # the rig may lack a sensor
+        self.columns = [layout.index(SIGNALS[row]) for row in self.rows]
         self.scale = np.array([layout.scale[column] for column in self.columns])
         self.seeds = np.arange(operation.first_seed, operation.first_seed + operation.axes)
         self.env = ServoHydraulicVectorEnv(operation.axes, self.config, info=False)
@@ -108,7 +109,7 @@ class _Work:
             **({"parameters": operation.parameters} if operation.parameters else {}),
         }
         self.observation, _ = self.env.reset(seed=[int(seed) for seed in self.seeds], options=options)
-        self.window = np.empty((operation.axes, len(SIGNALS), detector.window))
+        self.window = np.full((operation.axes, len(SIGNALS), detector.window), np.nan)
         self.alive = np.ones(operation.axes, dtype=np.bool_)
         self.controller_memory: Any = None
         self.step = 0
@@ -153,7 +154,7 @@ class _Work:
         """Work until a step, and look."""
         length, rows = self.detector.window, []
         while self.step < end:
-            self.window[:, :, self.step % length] = self.observation[:, self.columns] * self.scale
+            self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale
             if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
                 signals = np.roll(self.window, -(self.step + 1), axis=2)
                 evidence = self.detector(signals)

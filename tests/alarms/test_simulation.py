@@ -82,6 +82,13 @@ def test_looks_depend_on_the_seed_alone(looks):
     np.testing.assert_array_equal(other.score[0], looks[0].score[1])
 
 
+def test_a_rig_without_a_sensor_shows_nothing_in_its_place():
+    config = TaskConfig(sensors={"pressure_a": {"fitted": False}})
+    controller = PID(PIDGains(proportional=60.0), config)
+    found = simulate(config, controller, MeanPressure(), Operation(1_900_000, 1, 1.5, 0.5))[0]
+    assert np.isnan(found.score).all()
+
+
 def test_recorded_looks_equal_those_of_the_running_axes():
     config = TaskConfig(episode_duration=10.0)
     env = ServoHydraulicVectorEnv(2, config, info=False)
