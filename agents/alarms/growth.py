@@ -27,7 +27,12 @@ class Growth(NamedTuple):
 
 
 def growth(
-    time: NDArray[Any], flow_lpm: NDArray[Any], limit_lpm: float, block: float = 20.0, confidence: float = CONFIDENCE
+    time: NDArray[Any],
+    flow_lpm: NDArray[Any],
+    limit_lpm: float,
+    least_lpm: float = 0.0,
+    block: float = 10.0,
+    confidence: float = CONFIDENCE,
 ) -> Growth:
     """Growth of the leak of one axis.
 
@@ -35,6 +40,7 @@ def growth(
         time: (L,), s, of the looks.
         flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
         limit_lpm: the size whose time is asked for.
+        least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
         block: s, over which looks are averaged.
         confidence: of the intervals.
     """
@@ -47,6 +53,8 @@ def growth(
     which = np.unique(((hours - hours[0]) * 3600.0 / block).astype(np.int64), return_inverse=True)[1]
     counts = np.bincount(which)
     x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
+    below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
+    x, y = (values[below[-1] + 1 :] if len(below) else values for values in (x, y))
     if len(x) < LEAST_BLOCKS:
         return Growth(unknown, unknown)
     centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())

@@ -13,7 +13,7 @@ from pydantic import Field
 from agents.alarms.alarm import AlarmSettings
 from agents.alarms.calibration import Found, Tried, calibrate
 from agents.alarms.detector import Activity
-from agents.alarms.proof import delay_table, false_alarms, fault_table, growth_table, share_table
+from agents.alarms.proof import delay_table, false_alarms, fault_table, growth_summary, growth_table, share_table
 from agents.alarms.simulation import Onset, Operation
 from agents.alarms.store import Bench
 from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
@@ -116,7 +116,7 @@ def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Re
         "delays": delay_table(settings, after[: len(leaks)]),
         "from_the_start": share_table(settings, starts),
         "other_faults": fault_table(settings, after[len(leaks) :]),
-        "growth": growth_table(settings, growing[0], LIMIT_LPM),
+        "growth": growth_summary(growth_table(growing[0], LIMIT_LPM, LEVELS[0])),
     }
     return Result(settings, tables)
 

@@ -84,21 +84,29 @@ def fault_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFram
     return pd.DataFrame(rows)
 
 
-def growth_table(settings: AlarmSettings, found: Found, limit_lpm: float) -> pd.DataFrame:
-    """Growing leaks: when the alarm rises, at which size, and whether the time to a limit holds the truth then."""
-    delay, early = delays(LeakAlarm(settings), found)
+def growth_table(found: Found, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
+    """Growing leaks, looked at when each has reached half of a limit: is the true time to the limit in the interval?
+
+    Args:
+        found: looks at axes whose leaks grow beyond the limit.
+        limit_lpm: the limit, l/min at 100 bar.
+        least_lpm: smallest size that the detector can read.
+    """
     rows = []
-    for axis in np.flatnonzero(np.isfinite(delay) & ~early):
-        seen = found.after.time <= found.time + delay[axis]
-        size = float(found.after.true_flow_lpm[axis, seen][-1])
-        trend = growth(found.after.time[seen], found.after.flow_lpm[axis, seen], limit_lpm)
-        reached = found.after.true_flow_lpm[axis] >= limit_lpm
-        left = (
-            (float(found.after.time[reached.argmax()]) - found.time - delay[axis]) / 3600.0 if reached.any() else np.nan
-        )
+    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
+        half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
+        trend = growth(found.after.time[: half + 1], flow[: half + 1], limit_lpm, least_lpm)
+        left = float(found.after.time[full] - found.after.time[half]) / 3600.0
         expected = trend.hours_to_limit
-        rows.append(
-            {"delay_s": delay[axis], "size_lpm": size, "hours_left": left, **expected.columns("hours_to_limit")}
-            | {"holds": bool(expected.low <= left <= expected.high) if np.isfinite(expected.value) else np.nan}
-        )
+        row = {"hours_left": left, **expected.columns("expected_hours")}
+        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
     return pd.DataFrame(rows)
+
+
+def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row: axes with a trend, medians, and the share of intervals that hold the truth."""
+    known = table.dropna()  # NaN: too few looks at a size that can be read
+    holds = share_interval(int(known["holds"].sum()), len(known))
+    row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
+    row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
+    return pd.DataFrame([row | {"holds": holds.value, "holds_low": holds.low, "holds_high": holds.high}])

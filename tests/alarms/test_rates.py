@@ -83,10 +83,19 @@ def test_no_growth_reaches_no_limit():
     assert (above.hours_to_limit.low, above.hours_to_limit.high) == (0.0, 0.0)
 
 
+def test_growth_leaves_out_what_the_detector_cannot_read():
+    time = np.arange(0.0, 300.0, 0.5)
+    truth = -2.0 + time / 100.0  # one decade in 100 s
+    seen = 10.0 ** (np.maximum(truth, -1.2) + 0.02 * np.random.default_rng(9).normal(size=len(time)))
+    whole, readable = growth(time, seen, 100.0), growth(time, seen, 100.0, least_lpm=0.1)
+    assert not whole.decades_per_hour.low <= 36.0 <= whole.decades_per_hour.high
+    assert readable.decades_per_hour.value == pytest.approx(36.0, rel=0.02)
+
+
 def test_growth_of_too_few_looks_is_unknown():
     for time, flow in (
         (np.zeros(0), np.zeros(0)),
-        (np.arange(60.0), np.ones(60)),
+        (np.arange(40.0), np.ones(40)),
         (np.arange(200.0), np.full(200, np.nan)),
     ):
         assert np.isnan(growth(time, flow, 1.0).decades_per_hour.value)
