@@ -102,7 +102,9 @@ def scale_of(healthy: Looks, design: Sequence[Found], activity: Activity, learni
         own = np.where(np.isnan(own), np.median(medians[enough]), own)
         later, seen = _medians(_scores(found.after, activity), size // 4)
         rises.extend((later - own)[seen])
-    shift = max(float(np.median(rises)), 0.0) if rises else 0.0
+    shift = float(np.median(rises)) if rises else 0.0
+    error = 1.25 * float(np.std(rises)) / np.sqrt(len(rises)) if rises else 0.0  # of a median
+    shift = shift if shift > 2.0 * error else 0.0  # otherwise noise
     return Scale(highest_baseline=float(np.quantile(medians[enough], HIGHEST_SHARE)), spread=spread, shift=shift)
 
 
@@ -173,10 +175,21 @@ def calibrate(
         scales={each.name.lower(): scale_of(healthy, design, each, learning) for each in Activity},
         sums=candidates[0],
     )
-    tried = []
+    if not base.table("shift").any():
+        raise ConfigurationError(
+            f"alarms: the score of '{detector}' does not rise with the leak, whatever the axis does"
+        )
+    tried: list[Tried] = []
+    refused: ConfigurationError | None = None
     for sums in candidates:
-        settings = thresholds(base.model_copy(update={"sums": sums}), healthy, rate)
+        try:
+            settings = thresholds(base.model_copy(update={"sums": sums}), healthy, rate)
+        except ConfigurationError as error:  # too few peaks for its tail
+            refused = error
+            continue
         alarm = LeakAlarm(settings)
         reached = {each.onset.name: delay_figures(alarm, each) for each in onsets}
         tried.append(Tried(settings, reached))
+    if not tried and refused is not None:
+        raise refused
     return sorted(tried, key=lambda each: each.cost)

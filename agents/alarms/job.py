@@ -45,10 +45,10 @@ class AlarmJob(Group):
 
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
     hours: float = Field(40.0, gt=0.0, le=1e5, description="of healthy axes, for calibration and for the proof each")
-    shift: float = Field(600.0, ge=60.0, le=3600.0, description="s; work of one axis")
+    shift: float = Field(600.0, ge=10.0, le=3600.0, description="s; work of one axis")
     past: float = Field(300.0, ge=10.0, le=3600.0, description="s; work before each onset")
     after: float = Field(62.0, ge=1.0, le=3600.0, description="s; work after each onset; growing leaks: the past again")
-    axes: int = Field(128, ge=4, le=10_000, description="with the onset of a leak, for each size and activity")
+    axes: int = Field(128, ge=2, le=10_000, description="with the onset of a leak, for each size and activity")
     interval: float = Field(0.5, gt=0.0, le=60.0, description="s; from look to look")
     learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
 

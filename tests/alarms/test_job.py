@@ -1,4 +1,4 @@
-"""The whole job, small: its tables, and that it goes on from its files; the detectors."""
+"""The whole job on made-up looks: settings and tables; the detectors; bad options of the command."""
 
 import numpy as np
 import pytest
@@ -6,45 +6,76 @@ from command_line import assert_one_clear_line, hydro
 
 from agents.alarms.alarm import AlarmSettings, LeakAlarm
 from agents.alarms.calibration import scale_of
-from agents.alarms.detector import Activity, Cause, EstimatorDetector, Evidence, HeadDetector
+from agents.alarms.detector import Activity, Cause, EstimatorDetector, HeadDetector
 from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job
 from agents.alarms.looks import Looks
-from agents.alarms.store import Bench
-from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.controllers import ObservationLayout
 from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()
-JOB = AlarmJob(hours=0.6, shift=60.0, past=15.0, after=5.0, axes=4, interval=1.0, learning=4)
+JOB = AlarmJob(hours=5.0, shift=300.0, past=300.0, after=60.0, axes=20, interval=1.0, learning=20)
 
 
-class Noise:
-    """A detector that knows nothing: its score is the noise of the position's last digits."""
+class MadeUp:
+    """A bench with made-up looks: the score is white noise and rises by 4 per 0.1 l/min while the axis moves."""
 
-    window = 200
+    detector_name = "made up"
 
-    def __call__(self, signals):
-        score = 1e4 * np.diff(signals[:, SIGNALS.index("position")], n=2, axis=1)[:, ::20].mean(axis=1)
-        unknown = np.full(len(score), np.nan)
-        return Evidence(score, unknown, np.ones(len(score)), np.zeros(len(score), dtype=np.int8))
+    def __init__(self, rise=4.0):
+        self.rise = rise
+
+    def looks(self, name, operation, onsets=(), progress=None):
+        if progress is not None:
+            progress(name, operation.axes, operation.axes)
+        generator = np.random.default_rng(len(name))
+        parts = [self._part(generator, operation, 0.0, operation.duration, operation.leak_lpm, None)]
+        ends = operation.duration + operation.after
+        return parts + [self._part(generator, operation, operation.duration, ends, None, onset) for onset in onsets]
+
+    def _part(self, generator, operation, begin, end, leak, onset):
+        time = np.arange(begin, end, operation.interval) + 0.5
+        shape = (operation.axes, len(time))
+        flow = np.full(shape, leak or 0.01)
+        activity = np.tile(np.arange(len(time)) // 10 % 3, (operation.axes, 1)).astype(np.int8)
+        if onset is not None:
+            flow[:] = onset.leak_lpm or 0.01
+            if onset.then is not None:
+                activity[:] = onset.then
+            if onset.grows:
+                flow[:] = 0.01 * (onset.leak_lpm / 0.01) ** np.linspace(0.0, 1.0, len(time))
+        score = generator.normal(0.0, 1.0, shape) + self.rise * flow / 0.1 * (activity == Activity.MOVING)
+        seen = flow * 10.0 ** generator.normal(0.0, 0.02, shape)
+        return Looks(time, score, np.full(shape, np.nan), seen, np.zeros(shape, dtype=np.int8), activity, flow)
 
 
-@pytest.mark.filterwarnings("error")
-def test_the_job_writes_its_tables_and_goes_on_from_its_files(tmp_path):
-    bench = Bench(CONFIG, {"PID": PID(PIDGains(proportional=60.0), CONFIG)}, Noise(), "noise", tmp_path)
-    seen = []
-    settings, tables = run_job(bench, JOB, lambda *step: seen.append(step))
-    assert all(each.threshold > 0.0 for each in settings.sums)
+def test_the_job_finds_settings_and_proves_them():
+    phases = []
+    settings, tables = run_job(MadeUp(), JOB, lambda phase, done, total: phases.append(phase))
     assert settings.false_alarms_per_100_h == 1.0
     assert settings.interval == 1.0
-    assert len(tables["delays"]) == len(LEVELS) * len(Activity)
+    assert settings.table("shift") == pytest.approx([0.0, 0.0, 4.0], abs=0.7)
+    delays = tables["delays"].set_index(["then", "leak_lpm"])
+    assert len(delays) == len(LEVELS) * len(Activity)
+    moving = delays.loc["moving"]
+    assert moving.loc[0.1, "median_s"] <= 5.0
+    assert (moving["missed"] == 0.0).all()
+    assert moving.loc[1.0, "median_s"] <= moving.loc[0.1, "median_s"]
+    assert (delays.loc["standing", "missed"] > 0.8).all(), "nothing is seen there"
+    rates = tables["false_alarms"].set_index("threshold")
+    assert rates["alarms"].is_monotonic_decreasing
+    assert rates.loc[1.0, "low"] <= 1.0, "the rate that was asked for"
     assert len(tables["other_faults"]) == len(FAULTS)
-    assert tables["false_alarms"]["alarms"].is_monotonic_decreasing
-    assert {phase for phase, _, _ in seen} >= {"validation_healthy", "test_healthy"}
-    written = {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    again, _ = run_job(bench, JOB)
-    assert again == settings
-    assert written == {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    assert (tables["other_faults"]["alarmed"] < 0.2).all()
+    assert tables["from_the_start"]["alarmed"].tolist() == [1.0, 1.0, 1.0]
+    assert tables["growth"].loc[0, "with_trend"] == JOB.axes
+    assert tables["growth"].loc[0, "holds_high"] > 0.9
+    assert phases[0] == "validation_healthy"
+
+
+def test_a_detector_that_sees_nothing_is_refused():
+    with pytest.raises(ConfigurationError, match="score of 'made up' does not rise"):
+        run_job(MadeUp(rise=-4.0), JOB)
 
 
 def test_scale_counts_looks_that_stray_together_for_little():
