@@ -17,7 +17,18 @@ from agents.rigs.simulation import paint_trajectory
 from agents.running.folders import output_folder
 from hydro_env import PlantParameters, simulate
 
-COMMANDS = ("simulate", "check-rig", "reproduce", "benchmark", "train", "evaluate", "bound", "study", "ladder")
+COMMANDS = (
+    "simulate",
+    "check-rig",
+    "reproduce",
+    "benchmark",
+    "train",
+    "evaluate",
+    "bound",
+    "alarms",
+    "study",
+    "ladder",
+)
 
 
 @pytest.fixture(autouse=True)

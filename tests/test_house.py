@@ -18,6 +18,7 @@ FLOORS = (
     ("agents/running/", 5),
     ("agents/learning/", 6),
     ("agents/leakage/", 7),
+    ("agents/alarms/", 8),
     ("agents/experiments/", 8),
     ("agents/evaluation/", 8),
     ("agents/report/", 9),

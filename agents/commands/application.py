@@ -12,6 +12,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from agents.commands.alarms import alarms
 from agents.commands.bound import bound
 from agents.commands.check_rig import check_rig
 from agents.commands.evaluate import evaluate
@@ -114,6 +115,7 @@ app.command("check-rig")(check_rig)
 app.command("train")(train)
 app.command("evaluate")(evaluate)
 app.command("bound")(bound)
+app.command("alarms")(alarms)
 app.command("study")(study)
 app.command("ladder")(ladder)
 app.command("export")(export)

@@ -1,0 +1,126 @@
+"""What an alarm watches: a detector that turns each window of measured signals into one number, its evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.leakage.head import SIGNALS, LeakageHead
+
+Floats = NDArray[np.float64]
+STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
+"""Travel per second of window in m/s: below the first the axis stands, from the second on it moves."""
+
+_SPAN = 0.1
+"""Time in s over which the position is averaged before its travel is taken: the noise then counts for nothing."""
+
+
+class Cause(IntEnum):
+    """What a detector holds for the cause of what it sees."""
+
+    SEAL_OR_NOTHING = 0
+    EXTERNAL_LEAK = 1
+    VALVE_FAULT = 2
+    SENSOR_FAULT = 3
+    UNKNOWN = 4
+
+
+class Evidence(NamedTuple):
+    """What a detector says of one window of each of N axes."""
+
+    score: Floats  # (N,), rises with the leak; NaN: the detector cannot tell
+    sigma: Floats  # (N,), standard deviation of the score; NaN: unknown
+    flow_lpm: Floats  # (N,), estimated leak, l/min at 100 bar
+    cause: NDArray[np.int8]  # (N,), :class:`Cause`
+
+
+class Detector(Protocol):
+    """Anything that judges windows of measured signals."""
+
+    window: int
+    """Control periods of a window."""
+
+    def __call__(self, signals: NDArray[Any]) -> Evidence:
+        """Evidence of ``signals`` (N, 5, window): :data:`~agents.leakage.head.SIGNALS` in SI units, NaN = lost."""
+        ...
+
+
+class Activity(IntEnum):
+    """What an axis does during a window; the same leak shows more or less in each."""
+
+    STANDING = 0
+    SLOW = 1
+    MOVING = 2
+
+
+def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8]:
+    """:class:`Activity` (N,) during windows of signals (N, 5, T) in SI units; lost samples are left out."""
+    position = np.asarray(signals[:, SIGNALS.index("position")], dtype=np.float64)
+    count = max(round(_SPAN / control_period), 1)
+    blocks = position[:, : position.shape[1] // count * count].reshape(len(position), -1, count)
+    present = np.isfinite(blocks)
+    means = np.where(present, blocks, 0.0).sum(axis=2) / np.maximum(present.sum(axis=2), 1)
+    known = np.asarray(present.any(axis=2))
+    travel = np.where(known, means, -np.inf).max(axis=1) - np.where(known, means, np.inf).min(axis=1)
+    speed = np.where(known.any(axis=1), travel, 0.0) / (position.shape[1] * control_period)
+    return np.asarray((speed >= STANDING_BELOW).astype(np.int8) + (speed >= MOVING_FROM), dtype=np.int8)
+
+
+class Estimated(Protocol):
+    """What an estimator with the simulator as model finds, :class:`agents.estimation.estimate.Estimate`."""
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Whether the model explains each window, (N,)."""
+        ...
+
+    def value(self, name: str) -> Floats:
+        """Values of an unknown, (N,)."""
+        ...
+
+    def deviation(self, name: str) -> Floats:
+        """Standard deviations of an unknown, (N,)."""
+        ...
+
+
+class EstimatorDetector:
+    """An estimator as a detector: its score is the leak itself, in l/min at 100 bar.
+
+    A window that the model does not explain has the cause "unknown" and counts for nothing.
+    """
+
+    def __init__(
+        self, estimate: Callable[[NDArray[Any]], Estimated], window: int, name: str = "leakage_flow_lpm"
+    ) -> None:
+        self.estimate, self.window, self.name = estimate, window, name
+
+    def __call__(self, signals: NDArray[Any]) -> Evidence:
+        """Evidence of windows (N, 5, window)."""
+        found = self.estimate(signals)
+        flow = found.value("leakage_flow_lpm")
+        cause = np.where(found.holds, Cause.SEAL_OR_NOTHING, Cause.UNKNOWN).astype(np.int8)
+        return Evidence(flow, found.deviation("leakage_flow_lpm"), flow, cause)
+
+
+class HeadDetector:
+    """The leakage head as a detector: its score is the logit of the probability of a leak."""
+
+    def __init__(self, head: LeakageHead) -> None:
+        self.head = head
+        self.window = head.settings.window
+        layout = head.settings.layout
+        self._scale = np.array([layout.scale[layout.index(name)] for name in SIGNALS])[:, None]
+
+    def __call__(self, signals: NDArray[Any]) -> Evidence:
+        """Evidence of windows (N, 5, window); NaN where a sample is lost, which the head cannot read."""
+        whole = np.isfinite(signals).all(axis=(1, 2))
+        score, flow = np.full(len(signals), np.nan), np.full(len(signals), np.nan)
+        if whole.any():
+            estimate = self.head.estimate_signals(signals[whole] / self._scale)
+            inside = np.clip(estimate.probability, 1e-12, 1.0 - 1e-12)
+            score[whole], flow[whole] = np.log(inside / (1.0 - inside)), estimate.flow_lpm
+        return Evidence(score, np.full(len(signals), np.nan), flow, np.zeros(len(signals), dtype=np.int8))

@@ -1,0 +1,180 @@
+"""Evidence over time: known run lengths, own and absolute baselines, latch and reset, other causes."""
+
+import numpy as np
+import pytest
+
+from agents.alarms.alarm import AlarmSettings, LeakAlarm
+from agents.alarms.detector import Activity, Cause
+from agents.alarms.looks import Looks
+from hydro_env import ConfigurationError
+
+SCALE = {"highest_baseline": 0.0, "spread": 1.0, "shift": 1.0}
+
+
+def alarm(**changes):
+    one = {name: changes.pop(name) for name in ("method", "memory", "threshold") if name in changes}
+    settings = {"learning": 5, "clip": 1e6, "scales": {a.name.lower(): SCALE for a in Activity}}
+    sums = ({"method": "cusum", "threshold": 3.0, **one},)
+    return LeakAlarm(AlarmSettings(**{**settings, "sums": sums, **changes}))
+
+
+def looks(score, cause=Cause.SEAL_OR_NOTHING, activity=Activity.MOVING, sigma=np.nan):
+    """Looks of N axes, (N, L), at 1 s distance."""
+    score = np.atleast_2d(np.asarray(score, dtype=float))
+    full = np.full(score.shape, np.nan)
+    kinds = [np.broadcast_to(np.asarray(kind, dtype=np.int8), score.shape) for kind in (cause, activity)]
+    return Looks(np.arange(score.shape[1], dtype=float), score, np.zeros(score.shape) + sigma, full, *kinds, full)
+
+
+def learnt(watch, count):
+    """A memory whose baselines are known, at zero."""
+    state = watch.begin(count)
+    return state._replace(seen=np.full_like(state.seen, watch.settings.learning))
+
+
+def first_alarm(raised):
+    return np.where(raised.any(axis=1), raised.argmax(axis=1) + 1, raised.shape[1])
+
+
+@pytest.mark.parametrize(("mean", "drift"), [(0.0, -0.5), (1.0, 0.5)], ids=["false alarm", "delay"])
+def test_run_length_of_the_cusum_is_that_of_siegmund(mean, drift):
+    watch = alarm()
+    score = np.random.default_rng(1).normal(mean, 1.0, (2000, 1200 if mean == 0.0 else 100))
+    result, _ = watch.follow(looks(score), learnt(watch, len(score)))
+    boundary = 3.0 + 1.166  # Siegmund, Sequential Analysis (1985), (2.57)
+    expected = (np.exp(-2.0 * drift * boundary) + 2.0 * drift * boundary - 1.0) / (2.0 * drift**2)
+    assert first_alarm(result.alarm).mean() == pytest.approx(expected, rel=0.06)
+
+
+def test_mean_has_the_spread_of_an_exponential_average():
+    watch = alarm(method="mean", interval=1.0, memory=10.0, threshold=1.0)
+    score = np.random.default_rng(2).normal(0.0, 1.0, (4000, 100))
+    result, _ = watch.follow(looks(score), learnt(watch, len(score)))
+    assert result.total[:, -1].mean() == pytest.approx(-0.5, abs=0.02)
+    assert result.total[:, -1].std() == pytest.approx(np.sqrt(0.1 / 1.9), rel=0.05)
+
+
+def test_single_looks_remember_nothing():
+    watch = alarm(method="mean", threshold=1.0)
+    score = np.array([[0.0, 2.0, -1.0]])
+    result, _ = watch.follow(looks(score), learnt(watch, 1))
+    np.testing.assert_allclose(result.total[0], score[0] - 0.5)
+
+
+def test_an_axis_is_judged_against_its_own_baseline():
+    watch = alarm(threshold=5.0)
+    quiet, noise = np.full(30, -4.0), np.zeros(30)
+    result, _ = watch.follow(looks([np.append(quiet, quiet + 2.0), np.append(noise, noise)]))
+    assert not result.alarm[:, :30].any()
+    assert result.alarm[:, -1].tolist() == [True, False], "a rise of two design leaks, and none"
+    assert result.total[0, -1] == pytest.approx(30 * 1.5 / 5.0)
+
+
+def test_the_baseline_is_robust():
+    watch = alarm(clip=2.0, threshold=5.0)
+    score = np.full(40, -4.0)
+    score[2] = 50.0
+    result, state = watch.follow(looks(score))
+    assert state.baseline[0, Activity.MOVING] == -4.0
+    assert not result.alarm.any(), "one outlier counts no more than the clip"
+
+
+def test_a_leak_that_is_there_from_the_start_is_found():
+    result, _ = alarm().follow(looks([np.full(40, 1.0), np.full(40, -0.1)]))
+    assert result.alarm[:, -1].tolist() == [True, False]
+    assert first_alarm(result.alarm)[0] == 7, "half the design leak a look, against healthy axes"
+
+
+def test_slow_drift_is_not_learnt_away():
+    drift = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -1.0, 400)])
+    small = np.concatenate([np.full(20, -3.0), np.linspace(-3.0, -2.6, 400)])
+    result, _ = alarm().follow(looks([drift, small]))
+    assert result.alarm[0, -1], "a drift of two design leaks"
+    assert not result.alarm[1].any(), "a drift of less than half a design leak"
+
+
+def test_activities_have_baselines_of_their_own():
+    watch = alarm(learning=3)
+    activity = np.tile([Activity.STANDING, Activity.MOVING], 20)
+    score = np.where(activity == Activity.MOVING, -6.0, -1.0)
+    result, state = watch.follow(looks(score, activity=activity[None]))
+    np.testing.assert_array_equal(state.baseline[0], [-1.0, 0.0, -6.0])
+    assert not result.alarm.any()
+    assert result.learnt[0].tolist() == [False] * 4 + [True] * 36
+
+
+def test_alarm_latches_until_reset():
+    watch = alarm()
+    score = np.concatenate([np.full(10, -1.0), np.full(10, 3.0), np.full(30, -9.0)])
+    _, state = watch.follow(looks([score, np.full(50, -1.0)]))
+    assert state.sums[0, 0] == 0.0
+    assert state.alarm.tolist() == [True, False]
+    again = watch.reset(state, np.array([True, True]))
+    assert not again.alarm.any()
+    assert again.baseline[0, Activity.MOVING] == -1.0
+    assert state.alarm[0], "the memory that was given stays as it was"
+    anew = watch.reset(state, np.array([True, False]), relearn=True)
+    assert anew.baseline[:, Activity.MOVING].tolist() == [0.0, -1.0]
+    assert anew.seen[:, Activity.MOVING].tolist() == [0, 5]
+
+
+def test_another_cause_is_passed_on_and_raises_no_alarm():
+    score = np.append(np.full(20, -3.0), np.full(80, 9.0))
+    cause = np.append(np.zeros(20), np.full(80, Cause.VALVE_FAULT))
+    result, _ = alarm(interval=1.0).follow(looks(score, cause=cause[None]))
+    assert not result.alarm.any()
+    assert result.cause[0, 19] == Cause.SEAL_OR_NOTHING
+    assert result.cause[0, -1] == Cause.VALVE_FAULT
+
+
+def test_looks_without_a_score_add_nothing():
+    watch = alarm(threshold=1.0)
+    score = np.array([1.0, np.nan, 2.0, np.nan])
+    result, state = watch.follow(looks(score))
+    np.testing.assert_allclose(result.total[0], [0.5, 0.5, 2.0, 2.0])
+    assert state.seen[0, Activity.MOVING] == 2
+
+
+def test_the_detectors_own_uncertainty_weighs_a_look():
+    watch = alarm(threshold=1.0)
+    result, _ = watch.follow(looks([[2.0], [2.0]], sigma=np.array([[0.5], [2.0]])), learnt(watch, 2))
+    np.testing.assert_allclose(result.total[:, 0], [1.5, 0.375])
+
+
+def test_several_sums_watch_side_by_side():
+    sums = ({"method": "mean", "threshold": 4.0}, {"method": "cusum", "threshold": 10.0})
+    watch = alarm(sums=sums)
+    sudden, lasting = np.append(np.zeros(9), 6.0), np.full(25, 1.0)
+    first, _ = watch.follow(looks(sudden), learnt(watch, 1))
+    second, _ = watch.follow(looks(lasting), learnt(watch, 1))
+    assert first_alarm(first.alarm) == 10, "the mean of one look"
+    assert first_alarm(second.alarm) == 21, "the CUSUM after 20 looks of one half"
+
+
+def test_streaming_and_offline_agree_bit_for_bit():
+    watch, generator = alarm(threshold=2.0), np.random.default_rng(3)
+    shape = (7, 60)
+    history = looks(
+        generator.normal(-0.3, 1.0, shape),
+        cause=generator.choice([0, 0, 0, 2], shape),
+        activity=generator.integers(0, 3, shape),
+    )
+    offline, end = watch.follow(history)
+    state = watch.begin(7)
+    for number in range(60):
+        now, state = watch.update(history.evidence(number), history.activity[:, number], state)
+        for streamed, followed in zip(now, offline, strict=True):
+            np.testing.assert_array_equal(streamed, followed[:, number])
+    for streamed, followed in zip(state, end, strict=True):
+        np.testing.assert_array_equal(streamed, followed)
+    assert 0 < end.alarm.sum() < 7
+
+
+def test_settings_round_trip_and_bad_ones_are_refused(tmp_path):
+    settings = alarm().settings
+    settings.save(tmp_path / "alarm.yaml")
+    assert AlarmSettings.load(tmp_path / "alarm.yaml") == settings
+    with pytest.raises(ConfigurationError, match="hold no 'moving'"):
+        alarm(scales={"standing": SCALE, "slow": SCALE})
+    with pytest.raises(ConfigurationError, match="threshold = -1"):
+        alarm(threshold=-1.0)

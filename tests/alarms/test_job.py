@@ -1,0 +1,143 @@
+"""The whole job on made-up looks: settings and tables; the detectors; bad options of the command."""
+
+import numpy as np
+import pytest
+from command_line import assert_one_clear_line, hydro
+
+from agents.alarms.alarm import AlarmSettings, LeakAlarm
+from agents.alarms.calibration import scale_of
+from agents.alarms.detector import Activity, Cause, EstimatorDetector, HeadDetector
+from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job
+from agents.alarms.looks import Looks
+from agents.controllers import ObservationLayout
+from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig()
+JOB = AlarmJob(hours=5.0, shift=300.0, past=300.0, after=60.0, axes=20, interval=1.0, learning=20)
+
+
+class MadeUp:
+    """A bench with made-up looks: the score is white noise and rises by 4 per 0.1 l/min while the axis moves."""
+
+    detector_name = "made up"
+
+    def __init__(self, rise=4.0):
+        self.rise = rise
+
+    def looks(self, name, operation, onsets=(), progress=None):
+        if progress is not None:
+            progress(name, operation.axes, operation.axes)
+        generator = np.random.default_rng(len(name))
+        parts = [self._part(generator, operation, 0.0, operation.duration, operation.leak_lpm, None)]
+        ends = operation.duration + operation.after
+        return parts + [self._part(generator, operation, operation.duration, ends, None, onset) for onset in onsets]
+
+    def _part(self, generator, operation, begin, end, leak, onset):
+        time = np.arange(begin, end, operation.interval) + 0.5
+        shape = (operation.axes, len(time))
+        flow = np.full(shape, leak or 0.01)
+        activity = np.tile(np.arange(len(time)) // 10 % 3, (operation.axes, 1)).astype(np.int8)
+        if onset is not None:
+            flow[:] = onset.leak_lpm or 0.01
+            if onset.then is not None:
+                activity[:] = onset.then
+            if onset.grows:
+                flow[:] = 0.01 * (onset.leak_lpm / 0.01) ** np.linspace(0.0, 1.0, len(time))
+        score = generator.normal(0.0, 1.0, shape) + self.rise * flow / 0.1 * (activity == Activity.MOVING)
+        seen = flow * 10.0 ** generator.normal(0.0, 0.02, shape)
+        return Looks(time, score, np.full(shape, np.nan), seen, np.zeros(shape, dtype=np.int8), activity, flow)
+
+
+def test_the_job_finds_settings_and_proves_them():
+    phases = []
+    settings, tables = run_job(MadeUp(), JOB, lambda phase, done, total: phases.append(phase))
+    assert settings.false_alarms_per_100_h == 1.0
+    assert settings.interval == 1.0
+    assert settings.table("shift") == pytest.approx([0.0, 0.0, 4.0], abs=0.7)
+    delays = tables["delays"].set_index(["then", "leak_lpm"])
+    assert len(delays) == len(LEVELS) * len(Activity)
+    moving = delays.loc["moving"]
+    assert moving.loc[0.1, "median_s"] <= 5.0
+    assert (moving["missed"] == 0.0).all()
+    assert moving.loc[1.0, "median_s"] <= moving.loc[0.1, "median_s"]
+    assert (delays.loc["standing", "missed"] > 0.8).all(), "nothing is seen there"
+    rates = tables["false_alarms"].set_index("threshold")
+    assert rates["alarms"].is_monotonic_decreasing
+    assert rates.loc[1.0, "low"] <= 1.0, "the rate that was asked for"
+    assert len(tables["other_faults"]) == len(FAULTS)
+    assert (tables["other_faults"]["alarmed"] < 0.2).all()
+    assert tables["from_the_start"]["alarmed"].tolist() == [1.0, 1.0, 1.0]
+    assert tables["growth"].loc[0, "with_trend"] == JOB.axes
+    assert tables["growth"].loc[0, "holds_high"] > 0.9
+    assert phases[0] == "validation_healthy"
+
+
+def test_a_detector_that_sees_nothing_is_refused():
+    with pytest.raises(ConfigurationError, match="score of 'made up' does not rise"):
+        run_job(MadeUp(rise=-4.0), JOB)
+
+
+def test_scale_counts_looks_that_stray_together_for_little():
+    generator, count = np.random.default_rng(0), 200
+    white = generator.normal(0.0, 1.0, (50, count))
+    together = np.repeat(generator.normal(0.0, 1.0, (50, count // 10)), 10, axis=1)
+
+    def looks(score):
+        full = np.full(score.shape, np.nan)
+        kinds = [np.full(score.shape, kind, dtype=np.int8) for kind in (0, Activity.MOVING)]
+        return Looks(np.arange(count, dtype=float), score, full, full, *kinds, full)
+
+    assert scale_of(looks(white), [], Activity.MOVING, 50).spread == pytest.approx(1.0, rel=0.1)
+    assert scale_of(looks(together), [], Activity.MOVING, 50).spread == pytest.approx(np.sqrt(10.0), rel=0.15)
+    with pytest.raises(ConfigurationError, match="0 healthy axes were slow"):
+        scale_of(looks(white), [], Activity.SLOW, 50)
+
+
+def test_the_head_is_a_detector_that_needs_all_samples():
+    layout = ObservationLayout.of(CONFIG)
+    head = LeakageHead(LeakageNetwork(width=8), HeadSettings(layout, 100, 0.5, {}))
+    detector = HeadDetector(head)
+    scale = np.array([layout.scale[layout.index(name)] for name in SIGNALS])[:, None]
+    observed = np.random.default_rng(1).normal(0.0, 0.3, (3, len(SIGNALS), 100)).astype(np.float32)
+    signals = observed * scale
+    signals[2, 1, 50] = np.nan
+    found = detector(signals)
+    expected = head.estimate_signals(observed[:2])
+    np.testing.assert_allclose(1.0 / (1.0 + np.exp(-found.score[:2])), expected.probability, rtol=1e-4)
+    np.testing.assert_allclose(found.flow_lpm[:2], expected.flow_lpm, rtol=1e-4)
+    assert np.isnan(found.score[2])
+    assert detector(signals[2:]).cause.tolist() == [Cause.SEAL_OR_NOTHING]
+
+
+def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
+    class Found:
+        holds = np.array([True, False])
+
+        def value(self, name):
+            return {"leakage_flow_lpm": np.array([0.12, 3.0])}[name]
+
+        def deviation(self, name):
+            return {"leakage_flow_lpm": np.array([0.002, 0.002])}[name]
+
+    detector = EstimatorDetector(lambda signals: Found(), 100)
+    evidence = detector(np.zeros((2, 5, 100)))
+    assert evidence.cause.tolist() == [Cause.SEAL_OR_NOTHING, Cause.UNKNOWN]
+    scales = {a.name.lower(): {"highest_baseline": 0.03, "spread": 0.001, "shift": 0.1} for a in Activity}
+    alarm = LeakAlarm(AlarmSettings(scales=scales, sums=({"method": "cusum", "threshold": 4.0},)))
+    result, _ = alarm.update(evidence, np.array([Activity.MOVING] * 2, dtype=np.int8), alarm.begin(2))
+    assert result.alarm.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("options", "parts"),
+    [
+        (("--hours", "-3"), ("hours = -3", "above 0")),
+        (("--rate", "0"), ("rate = 0", "above 0")),
+        (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
+        (("--task", "period_10ms"), ("leakage_head", "other observations")),
+    ],
+)
+def test_bad_options_of_the_command_get_one_line_and_leave_nothing(tmp_path, options, parts):
+    assert_one_clear_line(hydro("alarms", "--output", tmp_path / "new", *options), *parts)
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,101 @@
+"""Poisson intervals, the tail of the peaks, and growth: known answers."""
+
+import numpy as np
+import pytest
+
+from agents.alarms.growth import growth
+from agents.alarms.rates import fit_tail, peaks, poisson_interval, rate_with_interval
+from hydro_env import ConfigurationError
+
+
+@pytest.mark.parametrize(("count", "low", "high"), [(0, 0.0, 3.689), (1, 0.0253, 5.572), (10, 4.795, 18.39)])
+def test_poisson_interval_is_that_of_the_tables(count, low, high):
+    interval = poisson_interval(count, 2.0)
+    assert interval.value == count / 2.0
+    assert (interval.low, interval.high) == pytest.approx((low / 2.0, high / 2.0), rel=1e-3)
+
+
+def test_poisson_interval_holds_the_truth():
+    counts = np.random.default_rng(0).poisson(4.0, 2000)
+    holds = [interval.low <= 4.0 <= interval.high for interval in (poisson_interval(int(n), 1.0) for n in counts)]
+    assert 0.95 <= np.mean(holds) <= 0.99, "exact, therefore a little wide"
+
+
+def test_a_rate_needs_hours():
+    with pytest.raises(ConfigurationError, match="exposure must be positive"):
+        poisson_interval(3, 0.0)
+
+
+def test_an_excursion_has_one_peak():
+    found = peaks(np.array([[0.0, 1.0, 3.0, 2.0, 0.0, 0.0, 5.0], [0.0] * 7]))
+    assert [list(values) for values in found] == [[3.0, 5.0], []]
+
+
+@pytest.mark.parametrize("shape", [0.0, 0.4])
+def test_tail_finds_thresholds_beyond_the_hours(shape):
+    generator = np.random.default_rng(5)
+    uniform = 1.0 - generator.random(20_000)
+    values = -np.log(uniform) if shape == 0.0 else (uniform**-shape - 1.0) / shape
+    hours = 100.0
+    tail = fit_tail(values, hours, highest=1000)
+    wanted = 0.2  # per hour: one in a thousand
+    exact = np.log(1000.0) if shape == 0.0 else (1000.0**shape - 1.0) / shape
+    assert tail.shape == pytest.approx(shape, abs=0.1)
+    assert tail.threshold_at(wanted) == pytest.approx(exact, rel=0.2)
+    assert tail.rate_above(tail.threshold_at(wanted)) == pytest.approx(wanted)
+
+
+def test_interval_of_the_rate_widens_where_alarms_cluster():
+    generator = np.random.default_rng(6)
+    even = [generator.exponential(1.0, 20) for _ in range(100)]
+    clustered = [generator.exponential(1.0 if axis % 20 else 3.0, 20) for axis in range(100)]
+    narrow, wide = (rate_with_interval(axes, 100.0, 6.0) for axes in (even, clustered))
+    assert narrow.low <= 100.0 * 20.0 * np.exp(-6.0) <= narrow.high
+    assert wide.high - wide.low > narrow.high - narrow.low
+    with pytest.raises(ConfigurationError, match="too few for a tail"):
+        fit_tail(np.ones(3), 1.0)
+
+
+def test_growth_knows_its_slope_and_the_time_to_a_limit():
+    generator, time = np.random.default_rng(7), np.arange(0.0, 1800.0, 0.5)
+    slope, limit = 0.8, 1.0  # decades per hour, l/min
+    truth = np.log10(0.1) + slope * time / 3600.0
+    left = (np.log10(limit) - truth[-1]) / slope
+    holds, slopes = [], []
+    for _ in range(100):
+        block_noise = np.repeat(generator.normal(0.0, 0.1, len(time) // 4), 4)
+        found = growth(time, 10.0 ** (truth + block_noise), limit)
+        holds.append(found.hours_to_limit.low <= left <= found.hours_to_limit.high)
+        slopes.append(found.decades_per_hour.low <= slope <= found.decades_per_hour.high)
+    assert 0.87 <= np.mean(holds) <= 1.0
+    assert 0.87 <= np.mean(slopes) <= 1.0
+
+
+def test_no_growth_reaches_no_limit():
+    time = np.arange(0.0, 600.0, 0.5)
+    noise = np.random.default_rng(8).normal(0.0, 0.05, len(time))
+    found = growth(time, 0.1 * 10.0**noise, 1.0)
+    assert found.decades_per_hour.low < 0.0 < found.decades_per_hour.high
+    assert found.hours_to_limit.high == np.inf
+    falling = growth(time, 0.1 * 10.0 ** (noise - time / 600.0), 1.0)
+    assert falling.hours_to_limit.low == np.inf
+    above = growth(time, 5.0 * 10.0 ** (noise + time / 600.0), 1.0)
+    assert (above.hours_to_limit.low, above.hours_to_limit.high) == (0.0, 0.0)
+
+
+def test_growth_leaves_out_what_the_detector_cannot_read():
+    time = np.arange(0.0, 300.0, 0.5)
+    truth = -2.0 + time / 100.0  # one decade in 100 s
+    seen = 10.0 ** (np.maximum(truth, -1.2) + 0.02 * np.random.default_rng(9).normal(size=len(time)))
+    whole, readable = growth(time, seen, 100.0), growth(time, seen, 100.0, least_lpm=0.1)
+    assert not whole.decades_per_hour.low <= 36.0 <= whole.decades_per_hour.high
+    assert readable.decades_per_hour.value == pytest.approx(36.0, rel=0.02)
+
+
+def test_growth_of_too_few_looks_is_unknown():
+    for time, flow in (
+        (np.zeros(0), np.zeros(0)),
+        (np.arange(40.0), np.ones(40)),
+        (np.arange(200.0), np.full(200, np.nan)),
+    ):
+        assert np.isnan(growth(time, flow, 1.0).decades_per_hour.value)

@@ -1,0 +1,134 @@
+"""Axes at work: references, looks that depend on seeds alone, onsets from one past, files that are resumed."""
+
+import numpy as np
+import pytest
+
+from agents.alarms.detector import Activity, Evidence, activity_of
+from agents.alarms.looks import looks_at
+from agents.alarms.operation import working_references
+from agents.alarms.simulation import Onset, Operation, simulate
+from agents.alarms.store import Bench
+from agents.controllers import PID, PIDGains
+from agents.leakage.head import SIGNALS
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+
+CONFIG = TaskConfig()
+CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
+WORK = Operation(first_seed=1_900_000, axes=3, duration=4.0, interval=0.5, after=3.0)
+
+
+class MeanPressure:
+    """A detector whose score is the mean pressure of chamber a in bar."""
+
+    window = 200
+
+    def __call__(self, signals):
+        mean = 1e-5 * signals[:, SIGNALS.index("pressure_a")].mean(axis=1)
+        unknown = np.full(len(mean), np.nan)
+        return Evidence(mean, unknown, unknown, np.zeros(len(mean), dtype=np.int8))
+
+
+def position(travel, count=400):
+    signals = np.zeros((1, len(SIGNALS), count))
+    signals[0, SIGNALS.index("position")] = travel
+    return signals
+
+
+def test_activity_is_the_travel_of_a_window():
+    noise = 30e-6 * np.random.default_rng(0).normal(size=400)
+    creep, move = np.linspace(0.0, 2e-3, 400), 0.05 * np.sin(np.linspace(0.0, 20.0, 400))
+    kinds = [int(activity_of(position(row + noise), 0.005)[0]) for row in (np.zeros(400), creep, move)]
+    assert kinds == [Activity.STANDING, Activity.SLOW, Activity.MOVING]
+    move[::7] = np.nan
+    assert activity_of(position(move), 0.005)[0] == Activity.MOVING
+    assert activity_of(position(np.full(400, np.nan)), 0.005)[0] == Activity.STANDING
+
+
+def test_references_of_work_stay_reachable_and_continuous():
+    config = TaskConfig(episode_duration=120.0)
+    seeds = np.arange(5)
+    rows = working_references(config, seeds)
+    assert rows.shape[0] == 5
+    assert np.abs(rows).max() <= 0.5 * config.plant.cylinder.stroke
+    jumps = np.abs(np.diff(rows, axis=1))
+    largest_step = config.references.step_range[1]
+    assert jumps.max() <= largest_step + 1e-9
+    assert (np.abs(rows[:, 4000:] - rows[:, :-4000]).max(axis=1) > 1e-3).all(), "every axis moves"
+    np.testing.assert_array_equal(rows[2], working_references(config, seeds[2:3])[0])
+    standing = working_references(config, seeds, (60.0, Activity.STANDING))
+    np.testing.assert_array_equal(standing[:, :12_000], rows[:, :12_000])
+    assert np.ptp(standing[:, 13_000:], axis=1).max() < 1e-12
+
+
+@pytest.fixture(scope="module")
+def looks():
+    onsets = (Onset(2.0, Activity.MOVING), Onset(fault=("valve_null_shift", 0.02)), Onset(2.0, Activity.MOVING))
+    return simulate(CONFIG, CONTROLLER, MeanPressure(), WORK, onsets)
+
+
+def test_each_onset_goes_on_from_the_same_past(looks):
+    before, leak, fault, again = looks
+    np.testing.assert_allclose(before.time, np.arange(0.995, 4.0, 0.5))
+    np.testing.assert_allclose(leak.time, np.arange(4.495, 7.0, 0.5))
+    assert (before.true_flow_lpm <= 0.03).all()
+    assert (leak.true_flow_lpm == 2.0).all()
+    np.testing.assert_array_equal(fault.true_flow_lpm[:, 0], before.true_flow_lpm[:, -1])
+    np.testing.assert_array_equal(leak.score, again.score)
+    assert (leak.score != fault.score).all()
+
+
+def test_looks_depend_on_the_seed_alone(looks):
+    other = simulate(CONFIG, CONTROLLER, MeanPressure(), Operation(1_900_001, 1, 4.0, 0.5))[0]
+    np.testing.assert_array_equal(other.score[0], looks[0].score[1])
+
+
+def test_a_rig_without_a_sensor_shows_nothing_in_its_place():
+    config = TaskConfig(sensors={"pressure_a": {"fitted": False}})
+    controller = PID(PIDGains(proportional=60.0), config)
+    found = simulate(config, controller, MeanPressure(), Operation(1_900_000, 1, 1.5, 0.5))[0]
+    assert np.isnan(found.score).all()
+
+
+def test_recorded_looks_equal_those_of_the_running_axes():
+    config = TaskConfig(episode_duration=10.0)
+    env = ServoHydraulicVectorEnv(2, config, info=False)
+    seeds = [WORK.first_seed, WORK.first_seed + 1]
+    flow = [np.exp(np.random.default_rng([seed, 2]).uniform(*np.log(config.leakage.healthy_range))) for seed in seeds]
+    options = {"reference": working_references(config, np.array(seeds)), "leakage_flow_lpm": flow}
+    observation, _ = env.reset(seed=seeds, options=options)
+    columns = [env.observation_names.index(name) for name in SIGNALS]
+    signals, memory = [], None
+    for step in range(800):
+        signals.append(observation[:, columns] * env.observation_scale[columns])
+        action, memory = CONTROLLER.predict(observation, memory, np.full(2, step == 0), True)
+        observation, *_ = env.step(action)
+    env.close()
+    recorded = looks_at(np.stack(signals, axis=2), config.control_period, MeanPressure(), 0.5)
+    lived = simulate(CONFIG, CONTROLLER, MeanPressure(), WORK)[0]
+    np.testing.assert_allclose(recorded.time, lived.time)
+    np.testing.assert_array_equal(recorded.score, lived.score[:2])
+    np.testing.assert_array_equal(recorded.activity, lived.activity[:2])
+
+
+def test_stored_looks_are_read_again_and_foreign_ones_refused(tmp_path):
+    bench = Bench(CONFIG, {"PID": CONTROLLER}, MeanPressure(), "mean pressure", tmp_path)
+    work = Operation(1_900_000, 2, 2.0, 0.5, after=1.0)
+    first = bench.looks("a", work, (Onset(1.0),))
+    again = bench.looks("a", work, (Onset(1.0),))
+    for one, two in zip(first, again, strict=True):
+        for left, right in zip(one, two, strict=True):
+            np.testing.assert_array_equal(left, right)
+    other = Bench(CONFIG, {"PID": CONTROLLER}, MeanPressure(), "something else", tmp_path)
+    with pytest.raises(ConfigurationError, match="made with another detector"):
+        other.looks("a", work, (Onset(1.0),))
+    with pytest.raises(ConfigurationError, match="made with another work"):
+        bench.looks("a", work)
+
+
+def test_too_short_work_and_recordings_are_refused():
+    with pytest.raises(ConfigurationError, match=r"work of 0.5 s is shorter than a window of 1 s"):
+        simulate(CONFIG, CONTROLLER, MeanPressure(), Operation(0, 1, 0.5, 0.5))
+    with pytest.raises(ConfigurationError, match=r"recording of 0.5 s is shorter than a window of 1 s"):
+        looks_at(np.zeros((1, 5, 100)), 0.005, MeanPressure(), 0.5)
+    with pytest.raises(ConfigurationError, match="shape"):
+        looks_at(np.zeros((5, 400)), 0.005, MeanPressure(), 0.5)
