@@ -28,14 +28,11 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gai
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-FIRST_DIFFERENCE = 3e-3
-"""Step of the first differences, in standard deviations of the prior."""
+STEP = 2.0
+"""Steps of the differences, in standard deviations of the uncertainty along each of its axes."""
 
-RESPONSE = 3.0
-"""Later steps change the readings by about so many standard deviations of the noise, all samples together.
-
-Smaller ones drown in the integrator's error, larger ones leave the range where the readings change linearly.
-"""
+FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
+"""Steps of the first differences, in standard deviations of the prior, of parameters and of start states."""
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _RESISTANCE, _ORIFICE, _EXTERNAL = (
@@ -124,10 +121,11 @@ class Model:
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
         # A bias adds to the readings: the simulator need not run for its derivative.
-        self._added = {
-            place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES
-        }
-        self._simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
+        self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
+        self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
+        self._first_steps = np.array(
+            [FIRST_START_STEP if self.names[place] in STARTS else FIRST_STEP for place in self.simulated]
+        )
 
     def values(self, scaled: Array) -> Array:
         """Values in their units of scaled ones, both (…, P)."""
@@ -181,34 +179,49 @@ class Model:
         return read, last
 
     def linearise(
-        self, scaled: Array, window: Indices | None = None, steps: Array | None = None, samples: int | None = None
+        self, scaled: Array, window: Indices | None = None, directions: Array | None = None, samples: int | None = None
     ) -> Linearised:
         """Readings and their derivatives by forward differences, all plants in one batch.
 
         Args:
             scaled: the unknowns of each window, (B, P).
             window: index of each window, (B,); ``None``: all in order.
-            steps: of the differences, (B, P) or (P,), scaled; ``None``: the same small one for all.
+            directions: steps of the differences (:meth:`directions`); ``None``: a small one for each unknown.
             samples: number of first samples to replay; ``None``: all.
         """
         if window is None:
             window = np.arange(self.count)
+        if directions is None:
+            directions = np.tile(np.diag(self._first_steps), (len(scaled), 1, 1))
         count, unknowns = scaled.shape
-        moved = len(self._simulated)
-        step = np.broadcast_to(FIRST_DIFFERENCE if steps is None else steps, scaled.shape)[:, self._simulated]
+        moved = len(self.simulated)
         rows = np.repeat(scaled[:, None], moved + 1, axis=1)
-        rows[:, np.arange(1, moved + 1), self._simulated] += step
+        rows[:, 1:, self.simulated] += directions.transpose(0, 2, 1)
         read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, moved + 1), samples)
         read, last = read.reshape(count, moved + 1, len(CHANNELS), -1), last.reshape(count, moved + 1, N_STATES)
-        jacobian = np.zeros((count, unknowns, len(CHANNELS), read.shape[-1]))
-        last_jacobian = np.zeros((count, unknowns, N_STATES))
         with np.errstate(invalid="ignore", over="ignore"):
-            jacobian[:, self._simulated] = (read[:, 1:] - read[:, :1]) / step[:, :, None, None]
-            last_jacobian[:, self._simulated] = (last[:, 1:] - last[:, :1]) / step[:, :, None]
+            # A plant that failed beside its neighbour tells nothing of the derivative.
+            change = np.nan_to_num(read[:, 1:] - read[:, :1], posinf=0.0, neginf=0.0)
+            last_change = np.nan_to_num(last[:, 1:] - last[:, :1], posinf=0.0, neginf=0.0)
+        back = np.linalg.inv(directions).transpose(0, 2, 1)
+        jacobian = np.zeros((count, unknowns, len(CHANNELS), read.shape[-1]))
+        jacobian[:, self.simulated] = (back @ change.reshape(count, moved, -1)).reshape(change.shape)
+        last_jacobian = np.zeros((count, unknowns, N_STATES))
+        last_jacobian[:, self.simulated] = back @ last_change
         for place, channel in self._added.items():
             jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
-        # A plant that failed beside its neighbour tells nothing of the derivative.
-        return Linearised(read[:, 0], np.nan_to_num(jacobian, posinf=0.0, neginf=0.0), last[:, 0], last_jacobian)
+        return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
+
+    def directions(self, precision: Array) -> Array:
+        """Steps (B, S, S), one a column, along the axes of the uncertainty with this precision (B, P, P).
+
+        Each step is :data:`STEP` standard deviations long. It changes the readings about as much as their noise does:
+        far more than the integrator's error, and no further than where the result may lie. Steps along single unknowns
+        would leave that region, because some of them compensate each other.
+        """
+        own = precision[:, self.simulated[:, None], self.simulated]
+        values, vectors = np.linalg.eigh(own)
+        return vectors * (STEP / np.sqrt(np.maximum(values, 1e-12)))[:, None]
 
 
 def _resistance(flow_lpm: Array) -> Array:

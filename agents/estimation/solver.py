@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.estimation.model import FIRST_DIFFERENCE, RESPONSE, Linearised, Model
+from agents.estimation.model import Linearised, Model
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -30,7 +30,7 @@ class Fit(NamedTuple):
     chi2: Array  # (B,), sum of the squared residuals over the noise
     count: Array  # (B,), readings that were used
     iterations: Indices  # (B,)
-    damping: Array  # (B,)
+    directions: Array  # (B, S, S), steps along the axes of the uncertainty
 
 
 def prior_belief(model: Model, count: int) -> Belief:
@@ -48,7 +48,7 @@ def fit(
     samples: int,
     iterations: int,
     tolerance: float,
-    damping: Array | None = None,
+    directions: Array | None = None,
 ) -> Fit:
     """Improve the unknowns of some windows until they change no more.
 
@@ -64,31 +64,32 @@ def fit(
         samples: number of first samples that are used.
         iterations: largest number of iterations.
         tolerance: stop a window when an iteration lowers its cost by less.
-        damping: first damping of each window, (B,).
+        directions: steps of the first differences, (B, S, S).
     """
     count, unknowns = first.shape
     scaled = first.copy()
     used = measured[window, :, :samples]
     known = np.isfinite(used)
     number = np.maximum(known.sum(axis=(1, 2)), 1).astype(np.float64)
-    level = np.full(count, 1e-2) if damping is None else damping.copy()
-    steps = np.full(first.shape, FIRST_DIFFERENCE)
+    level = np.full(count, 1e-2)
     chi2, done = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
     active = np.arange(count)
     for _ in range(iterations):
         here, data, mask = scaled[active], used[active], known[active]
-        linear = model.linearise(here, window[active], steps[active], samples)
+        linear = model.linearise(here, window[active], None if directions is None else directions[active], samples)
         residual, jacobian = masked(linear, data, mask)
         now = (residual**2).sum(axis=1)
         now = np.where(np.isfinite(now), now, 1e30)
         softened = np.maximum(1.0, now / number[active])[:, None]
         fisher = jacobian @ jacobian.transpose(0, 2, 1)
-        steps[active] = difference_steps(fisher)
         mean, precision = belief.mean[active], belief.precision[active]
         away = here - mean
         pull = (precision @ away[:, :, None])[:, :, 0]
         gradient = (jacobian @ residual[:, :, None])[:, :, 0] / softened - pull
         curvature = fisher / softened[:, :, None] + precision
+        if directions is None:
+            directions = np.empty((count, len(model.simulated), len(model.simulated)))
+        directions[active] = model.directions(fisher / np.minimum(softened, 100.0)[:, :, None] + precision)
         cost = now / softened[:, 0] + (away * pull).sum(axis=1)
 
         trials = here[:, None] + _damped_steps(curvature, gradient, level[active])
@@ -113,7 +114,8 @@ def fit(
         active = active[moving]
         if not len(active):
             break
-    return Fit(scaled, chi2, number, done, level)
+    assert directions is not None
+    return Fit(scaled, chi2, number, done, directions)
 
 
 def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -121,11 +123,6 @@ def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[A
     residual = np.where(known, data - linear.readings, 0.0).reshape(len(data), -1)
     jacobian = np.where(known[:, None], linear.jacobian, 0.0)
     return residual, jacobian.reshape(len(data), jacobian.shape[1], -1)
-
-
-def difference_steps(fisher: Array) -> Array:
-    """Steps of the next differences, (B, P) scaled, from the Fisher information (B, P, P)."""
-    return np.clip(RESPONSE / np.sqrt(1.0 + np.einsum("bii->bi", fisher)), 1e-7, 0.1)
 
 
 def _damped_steps(curvature: Array, gradient: Array, level: Array) -> Array:
