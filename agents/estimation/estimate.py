@@ -286,10 +286,14 @@ def assess(
 
 
 def _excess(residual: Array, jacobian: Array, covariance: Array, known: NDArray[np.bool_]) -> Array:
-    """Standard deviations by which the sum of squares of residuals exceeds what noise leaves after the fit, (B,)."""
+    """Standard deviations by which the sum of squares of residuals exceeds what noise leaves after the fit, (B,).
+
+    The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).
+    """
     fitted = np.einsum("bij,bij->b", jacobian @ jacobian.transpose(0, 2, 1), covariance)
-    expected = np.maximum(known.sum(axis=1) - fitted, 1.0)
-    excess = ((residual**2).sum(axis=1) - expected) / np.sqrt(2.0 * expected)
+    freedom = np.maximum(known.sum(axis=1) - fitted, 1.0)
+    spread = 2.0 / (9.0 * freedom)
+    excess = (np.cbrt((residual**2).sum(axis=1) / freedom) - 1.0 + spread) / np.sqrt(spread)
     return np.where(np.isfinite(excess), excess, np.inf)
 
 
