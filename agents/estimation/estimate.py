@@ -17,7 +17,7 @@ from agents.estimation.solver import Belief, fit, masked, prior_belief
 from agents.estimation.unknowns import STARTS, Prior, priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import Number
 
 Array = NDArray[np.float64]
@@ -28,6 +28,9 @@ WINDOWS_PER_BATCH = 64
 
 BLOCK = 20
 """Samples of a block whose mean residual tests the model for slow errors."""
+
+RESTART = 0.7
+"""Standard deviation of the random values of a further search, in standard deviations of the prior."""
 
 UNDETERMINED = 0.7
 """An unknown is undetermined where its standard deviation remains above this share of the prior's."""
@@ -41,9 +44,13 @@ class EstimationSettings(Group):
     )
     horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each short fit")
     iterations: int = Field(20, ge=1, le=1000, description="largest number of iterations on the whole window")
-    tolerance: Number = Field(0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last")
+    tolerance: Number = Field(
+        0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
+    )
     restarts: int = Field(4, ge=0, le=100, description="further searches, from random values, of windows that misfit")
-    largest_misfit: Number = Field(4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold")
+    largest_misfit: Number = Field(
+        4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold"
+    )
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,11 @@ class Estimate:
         """Unknowns of which a window says little: their standard deviation stays above 0.7 of the prior's."""
         return tuple(n for n, left in zip(self.names, self.remaining[window], strict=True) if left > UNDETERMINED)
 
+    def replace(self, windows: Indices, by: Estimate, its: Indices) -> None:
+        """Put the windows ``its`` of another estimate into the place of ``windows`` of this one."""
+        for name in _PER_WINDOW:
+            getattr(self, name)[windows] = getattr(by, name)[its]
+
     def _place(self, name: str) -> int:
         if name not in self.names:
             raise ConfigurationError(f"estimate: '{name}' was not among the unknowns: {', '.join(self.names)}")
@@ -138,9 +150,7 @@ def estimate(
     for low in range(0, len(windows), WINDOWS_PER_BATCH):
         part = slice(low, low + WINDOWS_PER_BATCH)
         time = durations[part] if durations is not None and np.ndim(durations) == 2 else durations
-        model = Model(
-            config, known, windows[part, -1], time, own[part] if own is not None else None, threads=threads
-        )
+        model = Model(config, known, windows[part, -1], time, own[part] if own is not None else None, threads=threads)
         guess = first_values(windows[part], model.commands.durations, config, known)
         for name, value in begin.items():
             if name not in known:
@@ -171,8 +181,10 @@ def checked_signals(signals: Any) -> Array:
     if np.isinf(windows).any():
         window, channel, sample = np.argwhere(np.isinf(windows))[0]
         name = [*CHANNELS, "command"][channel]
-        raise ConfigurationError(f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "
-                                 "NaN where no reading exists")
+        raise ConfigurationError(
+            f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "
+            "NaN where no reading exists"
+        )
     return windows
 
 
@@ -192,25 +204,31 @@ def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
     return readings / model.noise[:, None]
 
 
-def search(model: Model, measured: Array, first: Array, belief: Belief, settings: EstimationSettings) -> Estimate:
+def search(
+    model: Model,
+    measured: Array,
+    first: Array,
+    belief: Belief,
+    settings: EstimationSettings,
+    directions: Array | None = None,
+) -> Estimate:
     """Search the most probable values from a first guess, (B, P) scaled; misfits search again from random values.
 
-    The random values come from the priors, of start states from the first guess, by a fixed seed.
+    The random values come from the priors, of start states from the first guess, by a fixed seed. ``directions`` are
+    the steps of the first differences (:meth:`~agents.estimation.model.Model.directions`).
     """
-    everything = np.arange(model.count)
-    best = _descend(model, measured, everything, first, belief, settings)
+    best = _descend(model, measured, np.arange(model.count), first, belief, settings, directions)
     random = np.random.default_rng(0)
     varied = np.array([name not in STARTS for name in model.names])
     for attempt in range(settings.restarts):
         again = np.flatnonzero(~best.holds)
         if not len(again):
             break
-        begin = np.where(varied, 0.7 * random.standard_normal((len(again), len(varied))), first[again])
+        begin = np.where(varied, RESTART * random.standard_normal((len(again), len(varied))), first[again])
         part = Belief(belief.mean[again], belief.precision[again])
-        found = _descend(model, measured, again, begin, part, settings, attempt + 2)
-        better = found.misfit < best.misfit[again]
-        for name in _PER_WINDOW:
-            getattr(best, name)[again[better]] = getattr(found, name)[better]
+        found = _descend(model, measured, again, begin, part, settings, None, attempt + 2)
+        better = np.flatnonzero(found.misfit < best.misfit[again])
+        best.replace(again[better], found, better)
     return best
 
 
@@ -230,6 +248,7 @@ def _descend(
     first: Array,
     belief: Belief,
     settings: EstimationSettings,
+    directions: Array | None,
     searches: int = 1,
 ) -> Estimate:
     """Fit short, then longer beginnings of some windows, then all of them."""
@@ -239,7 +258,7 @@ def _descend(
             limit = settings.horizon_iterations
             scaled = fit(model, measured, window, scaled, belief, horizon, limit, tolerance=1.0).scaled
     found = fit(
-        model, measured, window, scaled, belief, model.samples, settings.iterations, settings.tolerance
+        model, measured, window, scaled, belief, model.samples, settings.iterations, settings.tolerance, directions
     )
     return assess(model, measured, window, found.scaled, belief, settings, found.iterations, found.directions, searches)
 
@@ -260,7 +279,7 @@ def assess(
     linear = model.linearise(scaled, window, directions)
     residual, jacobian = masked(linear, measured[window], known)
     precision = jacobian @ jacobian.transpose(0, 2, 1) + belief.precision
-    covariance = np.linalg.inv(precision)
+    covariance: Array = np.linalg.inv(precision)
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
     misfit = np.maximum(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agents.estimation.unknowns import STARTS, Prior
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,9 @@ def first_values(signals: Array, durations: Array, config: TaskConfig, priors: M
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(CHANNELS)}
     seen["start.velocity"] = slope[:, CHANNELS.index("position")]
     command = signals[:, -1, 0]  # where the spool is not measured, it has followed its command
-    seen["start.spool_position"] = np.where(np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"])
+    seen["start.spool_position"] = np.where(
+        np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"]
+    )
     supply = supply_pressure(signals, config)
     seen["supply.pressure"] = seen["start.supply_pressure"] = supply
     stiffness, force = _spring_and_force(signals, durations, config, "load.external_force" in places)
@@ -83,9 +85,7 @@ def supply_pressure(signals: Array, config: TaskConfig) -> Array:
     return result - config.plant.supply.tank_pressure
 
 
-def _spring_and_force(
-    signals: Array, durations: Array, config: TaskConfig, with_force: bool
-) -> tuple[Array, Array]:
+def _spring_and_force(signals: Array, durations: Array, config: TaskConfig, with_force: bool) -> tuple[Array, Array]:
     """Spring stiffness (N/m) and external force (N), (B,) each, by least squares on the balance of forces.
 
     p_a A_a − p_b A_b = k x + F + (friction with the sign of the speed) + c v + m dv/dt.

@@ -22,7 +22,7 @@ from agents.estimation.unknowns import (
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.states import N_STATES, State
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
 
 Array = NDArray[np.float64]
@@ -72,7 +72,8 @@ class Model:
         durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
         physical: parameters that are not unknown, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those
             of the task's plant.
-        start: start states that are not unknown, (B, N_STATES); ``None``: 0, supply pressure at its setting.
+        start: start states that are not unknown, (B, N_STATES); NaN as coil current or gas volume: what belongs to the
+            first command and to the supply pressure. ``None``: 0, supply pressure at its setting, and NaN for those.
         threads: worker threads; ``None`` takes one per core.
 
     Raises:
@@ -114,8 +115,8 @@ class Model:
         self._physical = np.array(np.broadcast_to(own, (self.count, len(PARAMETER_PATHS))))
         resting = np.zeros(N_STATES)
         resting[State._fields.index("supply_pressure")] = config.plant.supply.pressure
+        resting[_UNFOLLOWED] = np.nan
         self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
-        self._start[:, _UNFOLLOWED] = np.nan
 
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
@@ -131,13 +132,15 @@ class Model:
         """Values in their units of scaled ones, both (…, P)."""
         with np.errstate(over="ignore"):
             logarithmic = self._mean * np.exp(np.where(self._logarithmic, self._deviation * scaled, 0.0))
-        return np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
+        values: Array = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
+        return values
 
     def scaled(self, values: Array) -> Array:
         """The inverse of :meth:`values`."""
         ratio = np.where(self._logarithmic, values / np.where(self._logarithmic, self._mean, 1.0), 1.0)
         linear = (values - self._mean) / self._deviation
-        return np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
+        scaled: Array = np.where(self._logarithmic, np.log(ratio) / self._deviation, linear)
+        return scaled
 
     def derivative(self, scaled: Array) -> Array:
         """Change of each value per change of its scaled value, (…, P)."""
@@ -221,7 +224,8 @@ class Model:
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
-        return vectors * (STEP / np.sqrt(np.maximum(values, 1e-12)))[:, None]
+        steps: Array = vectors * (STEP / np.sqrt(np.maximum(values, 1e-12)))[:, None]
+        return steps
 
 
 def _resistance(flow_lpm: Array) -> Array:

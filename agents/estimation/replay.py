@@ -22,9 +22,9 @@ from hydro_env.plant.arrays import (
 from hydro_env.plant.equations import coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
-from hydro_env.plant.states import N_STATES, State
-from hydro_env.task.configuration import CHANNELS
+from hydro_env.plant.states import State
 from hydro_env.task.kernel import FULL_VOLTAGE
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import Signals, lagged
 
@@ -91,7 +91,16 @@ def replay(
     readings = np.full((rows, len(CHANNELS), samples), np.nan)
     state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
-    arguments = (*commands, window, physical, latency, time_constant(config), accuracy, state, readings)
+    arguments: tuple[Any, ...] = (
+        *commands,
+        window,
+        physical,
+        latency,
+        time_constant(config),
+        accuracy,
+        state,
+        readings,
+    )
     wanted = threads if threads is not None else (os.cpu_count() or 1)
     parts = max(1, min(wanted, rows // ROWS_PER_THREAD))
     if parts == 1:
@@ -99,7 +108,7 @@ def replay(
         return readings, state
     bounds = pairwise([rows * part // parts for part in range(parts + 1)])
     with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
-        for work in [pool.submit(_replay, *arguments, *ends) for ends in bounds]:
+        for work in [pool.submit(_replay, *arguments, low, high) for low, high in bounds]:
             work.result()
     return readings, state
 

@@ -28,7 +28,6 @@ class Fit(NamedTuple):
 
     scaled: Array  # (B, P)
     chi2: Array  # (B,), sum of the squared residuals over the noise
-    count: Array  # (B,), readings that were used
     iterations: Indices  # (B,)
     directions: Array  # (B, S, S), steps along the axes of the uncertainty
 
@@ -115,7 +114,7 @@ def fit(
         if not len(active):
             break
     assert directions is not None
-    return Fit(scaled, chi2, number, done, directions)
+    return Fit(scaled, chi2, done, directions)
 
 
 def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:

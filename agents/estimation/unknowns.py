@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.states import STATE_NAMES, STATES
-from hydro_env.task.configuration import CHANNELS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
@@ -35,8 +35,7 @@ NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, *BIASES, *GAINS, *STARTS, *_PATHS)
 """Every name that an unknown can have."""
 
 START = tuple(
-    f"start.{name}"
-    for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
+    f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 """Start states of every window; the supply pressure joins them unless it is constant."""
 
@@ -78,9 +77,7 @@ def _moments(low: float, high: float, logarithmic: bool) -> tuple[float, float]:
 def _mixed(share: float, first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
     """Mean and variance of a mixture: with probability ``share`` the first (mean, variance), else the second."""
     mean = share * first[0] + (1.0 - share) * second[0]
-    variance = sum(
-        part * (v + (m - mean) ** 2) for part, (m, v) in ((share, first), (1.0 - share, second))
-    )
+    variance = sum(part * (v + (m - mean) ** 2) for part, (m, v) in ((share, first), (1.0 - share, second)))
     return mean, variance
 
 
@@ -100,9 +97,7 @@ def _plant_prior(config: TaskConfig, path: str) -> Prior:
     mean, variance = _moments(*drawn.bounds(own), drawn.logarithmic)
     if drawn.times is not None:
         other = _plant_prior(config, drawn.times)
-        factor, spread = (
-            _lognormal_moments(other) if other.logarithmic else (other.mean, other.deviation**2)
-        )
+        factor, spread = _lognormal_moments(other) if other.logarithmic else (other.mean, other.deviation**2)
         mean, variance = mean * factor, mean**2 * spread + factor**2 * variance + variance * spread
     if drawn.otherwise is not None:
         mean, variance = _mixed(drawn.otherwise_probability, (drawn.otherwise, 0.0), (mean, variance))
@@ -170,8 +165,10 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         return _start_prior(config, name.removeprefix("start."))
     if name in _PATHS:
         return _plant_prior(config, name)
-    raise ConfigurationError(f"unknowns: '{name}' is no unknown; known are {', '.join(NAMES[:3])}, plant paths, "
-                             "start.<state>, <sensor>_bias and <sensor>_gain")
+    raise ConfigurationError(
+        f"unknowns: '{name}' is no unknown; known are {', '.join(NAMES[:3])}, plant paths, "
+        "start.<state>, <sensor>_bias and <sensor>_gain"
+    )
 
 
 def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
