@@ -279,7 +279,7 @@ def assess(
     linear = model.linearise(scaled, window, directions)
     residual, jacobian = masked(linear, measured[window], known)
     precision = jacobian @ jacobian.transpose(0, 2, 1) + belief.precision
-    covariance: Array = np.linalg.inv(precision)
+    covariance = np.linalg.inv(precision)
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
     misfit = np.maximum(
@@ -304,7 +304,7 @@ def assess(
     )
 
 
-def _excess(residual: Array, jacobian: Array, covariance: Array, known: NDArray[np.bool_]) -> Array:
+def _excess(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Array:
     """Standard deviations by which the sum of squares of residuals exceeds what noise leaves after the fit, (B,).
 
     The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).
@@ -317,7 +317,7 @@ def _excess(residual: Array, jacobian: Array, covariance: Array, known: NDArray[
 
 
 def _block_means(
-    residual: Array, jacobian: Array, known: NDArray[np.bool_], covariance: Array
+    residual: Array, jacobian: Array, known: NDArray[np.bool_], covariance: Any
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Residuals and derivatives summed over blocks of samples, over the root of the number of readings in each."""
     windows, channels, samples = known.shape

@@ -144,7 +144,8 @@ class Model:
 
     def derivative(self, scaled: Array) -> Array:
         """Change of each value per change of its scaled value, (…, P)."""
-        return np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
+        slope: Array = np.where(self._logarithmic, self.values(scaled), 1.0) * self._deviation
+        return slope
 
     def readings(self, scaled: Array, window: Indices, samples: int | None = None) -> tuple[Array, Array]:
         """Readings over their noise (R, channels, T) and last states (R, N_STATES) of R rows.

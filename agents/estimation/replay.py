@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -106,10 +105,12 @@ def replay(
     if parts == 1:
         _replay(*arguments, 0, rows)
         return readings, state
-    bounds = pairwise([rows * part // parts for part in range(parts + 1)])
+
+    def run(part: int) -> None:
+        _replay(*arguments, rows * part // parts, rows * (part + 1) // parts)
+
     with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
-        for work in [pool.submit(_replay, *arguments, low, high) for low, high in bounds]:
-            work.result()
+        list(pool.map(run, range(parts)))
     return readings, state
 
 
