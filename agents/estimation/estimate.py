@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from statistics import NormalDist
 from typing import Any
 
@@ -47,7 +48,7 @@ class EstimationSettings(Group):
     tolerance: Number = Field(
         0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
     )
-    restarts: int = Field(4, ge=0, le=100, description="further searches, from random values, of windows that misfit")
+    restarts: int = Field(3, ge=0, le=100, description="further searches of windows that misfit")
     largest_misfit: Number = Field(
         4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold"
     )
@@ -212,24 +213,33 @@ def search(
     settings: EstimationSettings,
     directions: Array | None = None,
 ) -> Estimate:
-    """Search the most probable values from a first guess, (B, P) scaled; misfits search again from random values.
+    """Search the most probable values from a first guess, (B, P) scaled; windows that misfit are searched again.
 
-    The random values come from the priors, of start states from the first guess, by a fixed seed. ``directions`` are
-    the steps of the first differences (:meth:`~agents.estimation.model.Model.directions`).
+    The second search approaches the whole window more slowly. Further ones begin at random values, which come from the
+    priors by a fixed seed; start states begin at the first guess again. ``directions`` are the steps of the first
+    differences (:meth:`~agents.estimation.model.Model.directions`).
     """
     best = _descend(model, measured, np.arange(model.count), first, belief, settings, directions)
     random = np.random.default_rng(0)
     varied = np.array([name not in STARTS for name in model.names])
+    slowly = settings.model_copy(update={"horizons": _between(settings.horizons)})
     for attempt in range(settings.restarts):
         again = np.flatnonzero(~best.holds)
         if not len(again):
             break
-        begin = np.where(varied, RESTART * random.standard_normal((len(again), len(varied))), first[again])
+        begin = first[again]
+        if attempt > 0:
+            begin = np.where(varied, RESTART * random.standard_normal(begin.shape), begin)
         part = Belief(belief.mean[again], belief.precision[again])
-        found = _descend(model, measured, again, begin, part, settings, None, attempt + 2)
+        found = _descend(model, measured, again, begin, part, slowly, None, attempt + 2)
         better = np.flatnonzero(found.misfit < best.misfit[again])
         best.replace(again[better], found, better)
     return best
+
+
+def _between(horizons: Sequence[int]) -> tuple[int, ...]:
+    """The same horizons, and one more between each two of them."""
+    return tuple(sorted({*horizons, *(round((a * b) ** 0.5) for a, b in pairwise(horizons))}))
 
 
 _PER_WINDOW = tuple(field.name for field in fields(Estimate) if field.name != "names")

@@ -69,7 +69,6 @@ def fit(
     scaled = first.copy()
     used = measured[window, :, :samples]
     known = np.isfinite(used)
-    number = np.maximum(known.sum(axis=(1, 2)), 1).astype(np.float64)
     level = np.full(count, 1e-2)
     chi2, done = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
     active = np.arange(count)
@@ -77,33 +76,30 @@ def fit(
         here, data, mask = scaled[active], used[active], known[active]
         linear = model.linearise(here, window[active], None if directions is None else directions[active], samples)
         residual, jacobian = masked(linear, data, mask)
-        now = (residual**2).sum(axis=1)
-        now = np.where(np.isfinite(now), now, 1e30)
-        softened = np.maximum(1.0, now / number[active])[:, None]
-        fisher = jacobian @ jacobian.transpose(0, 2, 1)
+        weight = _weights(residual, mask)
+        fisher = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1)
         mean, precision = belief.mean[active], belief.precision[active]
         away = here - mean
         pull = (precision @ away[:, :, None])[:, :, 0]
-        gradient = (jacobian @ residual[:, :, None])[:, :, 0] / softened - pull
-        curvature = fisher / softened[:, :, None] + precision
+        gradient = (jacobian @ (weight * residual)[:, :, None])[:, :, 0] - pull
+        curvature = fisher + precision
         if directions is None:
             directions = np.empty((count, len(model.simulated), len(model.simulated)))
-        directions[active] = model.directions(fisher / np.minimum(softened, 100.0)[:, :, None] + precision)
-        cost = now / softened[:, 0] + (away * pull).sum(axis=1)
+        directions[active] = model.directions(curvature)
+        cost = (weight * residual**2).sum(axis=1) + (away * pull).sum(axis=1)
 
         trials = here[:, None] + _damped_steps(curvature, gradient, level[active])
         read, _ = model.readings(trials.reshape(-1, unknowns), np.repeat(window[active], len(DAMPINGS)), samples)
-        read = read.reshape(len(active), len(DAMPINGS), *read.shape[1:])
-        missed = np.where(mask[:, None], data[:, None] - read, 0.0)
-        square = (missed**2).sum(axis=(2, 3))
+        missed = np.where(mask[:, None], data[:, None] - read.reshape(len(active), len(DAMPINGS), *data.shape[1:]), 0.0)
+        square = missed.reshape(len(active), len(DAMPINGS), -1) ** 2
         further = trials - mean[:, None]
-        costs = square / softened + (further * (further @ precision)).sum(axis=2)
+        costs = (weight[:, None] * square).sum(axis=2) + (further * (further @ precision)).sum(axis=2)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         best = costs.argmin(axis=1)
         row = np.arange(len(active))
         better = costs[row, best] < cost
         scaled[active] = np.where(better[:, None], trials[row, best], here)
-        chi2[active] = np.where(better, square[row, best], now)
+        chi2[active] = np.where(better, square[row, best].sum(axis=1), (residual**2).sum(axis=1))
         factor = np.where(better, np.array(DAMPINGS)[best], 1e3)
         level[active] = np.clip(level[active] * factor, 1e-8, 1e8)
         done[active] += 1
@@ -115,6 +111,14 @@ def fit(
             break
     assert directions is not None
     return Fit(scaled, chi2, done, directions)
+
+
+def _weights(residual: Array, known: NDArray[np.bool_]) -> Array:
+    """Weight of each reading, (B, readings): 1 over the mean square of its channel's residuals, at most 1."""
+    shape = known.shape
+    square = (residual.reshape(shape) ** 2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)
+    weight = 1.0 / np.maximum(square, 1.0)
+    return np.repeat(np.nan_to_num(weight)[:, :, None], shape[2], axis=2).reshape(len(residual), -1)
 
 
 def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
