@@ -266,7 +266,7 @@ def _descend(
     for horizon in settings.horizons:
         if horizon < 0.8 * model.samples:
             limit = settings.horizon_iterations
-            scaled = fit(model, measured, window, scaled, belief, horizon, limit, tolerance=1.0).scaled
+            scaled = fit(model, measured, window, scaled, belief, horizon, limit, settings.horizon_tolerance).scaled
     found = fit(
         model, measured, window, scaled, belief, model.samples, settings.iterations, settings.tolerance, directions
     )
