@@ -1,6 +1,6 @@
 """What the estimator finds: leaks at 1 % false alarms, size errors, intervals, local minima, wrong structures.
 
-Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion faults structure run]
+Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion worn structure]
 
 The PID of configs/agents/pid.yaml moves the axes; windows last 2 s. The threshold of the detection comes from
 validation seeds, all figures from test seeds.
@@ -79,8 +79,8 @@ def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
     unflagged = holds & (np.abs(error) > 5.0 * sigma)
     print(
         f"{name:34} found {100 * np.mean(holds & (value > threshold)):5.1f} %  flagged {100 * np.mean(~holds):5.1f} %  "
-        f"rms log10 {_rms(logarithm[holds]):.4f}  median |error| {np.median(np.abs(error[holds])):.4f}  "
-        f"median σ {np.median(sigma[holds]):.4f}  90 % interval {100 * np.mean(inside[holds]):5.1f} %  "
+        f"rms log10 {_rms(logarithm[holds]):.4f}  median |error| {_median(np.abs(error[holds])):.4f}  "
+        f"median σ {_median(sigma[holds]):.4f}  90 % interval {100 * _mean(inside[holds]):5.1f} %  "
         f"beyond 5 σ {100 * np.mean(unflagged):.1f} %  searched again {100 * np.mean(found.searches > 1):.0f} %",
         flush=True,
     )
@@ -88,6 +88,14 @@ def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def _mean(values: NDArray[np.bool_]) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
 
 
 def motion(config: TaskConfig, windows: int, validation: int, name: str) -> None:

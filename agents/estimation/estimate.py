@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agents.estimation.first_guess import first_values
+from agents.estimation.goodness import misfit_of
 from agents.estimation.model import Model
 from agents.estimation.solver import Belief, fit, masked, prior_belief
 from agents.estimation.unknowns import STARTS, Prior, priors_of
@@ -26,9 +27,6 @@ Indices = NDArray[np.int64]
 
 WINDOWS_PER_BATCH = 64
 """Windows that are fitted together; more would only take more memory."""
-
-BLOCK = 20
-"""Samples of a block whose mean residual tests the model for slow errors."""
 
 RESTART = 0.7
 """Standard deviation of the random values of a further search, in standard deviations of the prior."""
@@ -45,9 +43,8 @@ class EstimationSettings(Group):
     )
     horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each short fit")
     iterations: int = Field(20, ge=1, le=1000, description="largest number of iterations on the whole window")
-    tolerance: Number = Field(
-        0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
-    )
+    horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="as tolerance, of each short fit")
+    tolerance: Number = Field(0.2, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last")
     restarts: int = Field(3, ge=0, le=100, description="further searches of windows that misfit")
     largest_misfit: Number = Field(
         4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold"
@@ -292,10 +289,7 @@ def assess(
     covariance = np.linalg.inv(precision)
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
-    misfit = np.maximum(
-        _excess(residual, jacobian, covariance, known.reshape(len(known), -1)),
-        _excess(*_block_means(residual, jacobian, known, covariance)),
-    )
+    misfit = misfit_of(residual, jacobian, covariance, known)
     scale = model.derivative(scaled)
     deviation = np.sqrt(np.einsum("bii->bi", covariance))
     return Estimate(
@@ -311,40 +305,4 @@ def assess(
         searches=np.full(len(scaled), searches),
         scaled=scaled,
         precision=precision,
-    )
-
-
-def _excess(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Array:
-    """Standard deviations by which the sum of squares of residuals exceeds what noise leaves after the fit, (B,).
-
-    The sum has a chi-square distribution, whose cube root is nearly normal (Wilson and Hilferty 1931).
-    """
-    fitted = np.einsum("bij,bij->b", jacobian @ jacobian.transpose(0, 2, 1), covariance)
-    freedom = np.maximum(known.sum(axis=1) - fitted, 1.0)
-    spread = 2.0 / (9.0 * freedom)
-    excess = (np.cbrt((residual**2).sum(axis=1) / freedom) - 1.0 + spread) / np.sqrt(spread)
-    return np.where(np.isfinite(excess), excess, np.inf)
-
-
-def _block_means(
-    residual: Array, jacobian: Array, known: NDArray[np.bool_], covariance: Any
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Residuals and derivatives summed over blocks of samples, over the root of the number of readings in each."""
-    windows, channels, samples = known.shape
-    starts = np.arange(0, samples, BLOCK)
-    number = np.add.reduceat(known, starts, axis=2, dtype=np.int64)
-    root = np.sqrt(np.maximum(number, 1))
-
-    def mean(values: Array) -> Array:
-        shaped = values.reshape(*values.shape[:-1], channels, samples)
-        summed: Array = np.add.reduceat(shaped, starts, axis=-1)
-        return summed
-
-    blocks = mean(residual) / root
-    slopes = mean(jacobian) / root[:, None]
-    return (
-        blocks.reshape(windows, -1),
-        slopes.reshape(windows, slopes.shape[1], -1),
-        covariance,
-        (number > 0).reshape(windows, -1),
     )
