@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.estimation.estimate import Estimate, estimate
-from agents.estimation.unknowns import LEAKAGE, default_unknowns
+from agents.estimation.names import LEAKAGE
+from agents.estimation.unknowns import default_unknowns
 from agents.evaluation.opponents import shipped
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS

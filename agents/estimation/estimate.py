@@ -15,8 +15,10 @@ from pydantic import Field
 from agents.estimation.first_guess import first_values
 from agents.estimation.goodness import misfit_of
 from agents.estimation.model import Model
+from agents.estimation.names import STARTS
+from agents.estimation.priors import Prior
 from agents.estimation.solver import Belief, fit, masked, prior_belief
-from agents.estimation.unknowns import STARTS, Prior, priors_of
+from agents.estimation.unknowns import priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNELS
@@ -30,6 +32,9 @@ WINDOWS_PER_BATCH = 64
 
 RESTART = 0.7
 """Standard deviation of the random values of a further search, in standard deviations of the prior."""
+
+UNLIKELY = 4.0
+"""Standard deviations of the prior beyond which a value contradicts it."""
 
 UNDETERMINED = 0.7
 """An unknown is undetermined where its standard deviation remains above this share of the prior's."""
@@ -53,7 +58,7 @@ class EstimationSettings(Group):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimates of B windows with P unknowns; values in the units of :mod:`agents.estimation.unknowns`.
+    """Estimates of B windows with P unknowns; values in the units of :mod:`agents.estimation.names`.
 
     ``deviations`` and ``covariance`` hold where ``holds`` is true. Elsewhere the model does not explain the readings,
     or the search stopped in a local minimum; the values say little then.
@@ -97,6 +102,11 @@ class Estimate:
         """Unknowns of which a window says little: their standard deviation stays above 0.7 of the prior's."""
         return tuple(n for n, left in zip(self.names, self.remaining[window], strict=True) if left > UNDETERMINED)
 
+    def unlikely(self, window: int) -> tuple[str, ...]:
+        """Unknowns that a window puts further from the prior's mean than 4 of its standard deviations."""
+        far = np.abs(self.scaled[window]) > UNLIKELY
+        return tuple(name for name, is_far in zip(self.names, far, strict=True) if is_far)
+
     def replace(self, windows: Indices, by: Estimate, its: Indices) -> None:
         """Put the windows ``its`` of another estimate into the place of ``windows`` of this one."""
         for name in _PER_WINDOW:
@@ -127,7 +137,7 @@ def estimate(
         signals: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
             the readings of sample k and the command that acts until the latency after it has passed. NaN: no reading.
         config: the task: the rig, its ranges, its sensors.
-        unknowns: names (:mod:`agents.estimation.unknowns`); ``None``: all that an episode draws, and the start.
+        unknowns: names (:mod:`agents.estimation.names`); ``None``: all that an episode draws, and the start.
         priors: priors that replace those of the task, by name.
         durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
         physical: parameters of each window that are not unknown, (B, parameters); ``None``: those of the task's plant.

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.estimation.unknowns import STARTS, Prior
+from agents.estimation.names import STARTS
+from agents.estimation.priors import Prior
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import CHANNELS

@@ -18,8 +18,10 @@ from agents.estimation.estimate import (
 )
 from agents.estimation.first_guess import first_values
 from agents.estimation.model import Model
+from agents.estimation.names import STARTS
+from agents.estimation.priors import Prior
 from agents.estimation.solver import Belief, prior_belief
-from agents.estimation.unknowns import STARTS, Prior, priors_of
+from agents.estimation.unknowns import priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.states import N_STATES, STATE_NAMES, STATES
 

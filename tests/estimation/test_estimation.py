@@ -7,8 +7,10 @@ from agents.estimation.estimate import EstimationSettings, estimate
 from agents.estimation.following import Follower, estimate_run
 from agents.estimation.information import information
 from agents.estimation.model import Model
+from agents.estimation.names import LEAKAGE, NAMES
+from agents.estimation.priors import Prior, prior_of
 from agents.estimation.replay import Commands, replay
-from agents.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
+from agents.estimation.unknowns import default_unknowns, priors_of
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.states import N_STATES, State
@@ -254,6 +256,15 @@ def test_a_structure_that_the_model_lacks_is_flagged(faults):
     assert not wrong.holds.any()
 
 
+def test_an_offset_beyond_the_sensor_is_unlikely(moving):
+    _, signals, *_ = moving
+    beside = signals[2:3].copy()
+    beside[:, 3] += 0.02
+    odd = estimate(beside, CONFIG, settings=QUICK)
+    assert "spool_position_bias" in odd.unlikely(0)
+    assert estimate(signals[2:3], CONFIG, settings=QUICK).unlikely(0) == ()
+
+
 def test_a_null_shift_that_is_unknown_is_read():
     signals, *_ = driven(CONFIG, [0.1, 0.1], [41, 42], faults={"valve_null_shift": 0.02})
     right = estimate(signals, CONFIG, (*default_unknowns(CONFIG), "valve.null_shift"))
@@ -332,3 +343,20 @@ def test_wrong_input_is_one_line(change, message):
 def test_a_follower_refuses_windows_that_do_not_fit(settings, message):
     with pytest.raises(ConfigurationError, match=message):
         Follower(CONFIG, **settings)
+
+
+def test_faults_of_the_task_widen_its_priors():
+    faults = {
+        "valve_null_shift": {"probability": 0.5, "range": (0.01, 0.01)},
+        "valve_underlap": {"probability": 1.0, "range": (0.02, 0.04)},
+        "sensor_offset": {"probability": 1.0, "range": (0.02, 0.02), "sensors": ("position",)},
+    }
+    config = TaskConfig(faults=faults)
+    assert "valve.null_shift" in default_unknowns(config)
+    assert "valve.null_shift" not in default_unknowns(CONFIG)
+    shift = prior_of(config, "valve.null_shift")
+    assert (shift.mean, shift.deviation) == pytest.approx((0.0, np.hypot(0.01, 0.01 * 0.5**0.5)))
+    underlap, healthy = prior_of(config, "valve.underlap"), prior_of(CONFIG, "valve.underlap")
+    assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
+    assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
+    assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")
