@@ -1,6 +1,6 @@
 """What the estimator finds: leaks at 1 % false alarms, size errors, intervals, local minima, wrong structures.
 
-Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion worn structure]
+Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion worn structure run]
 
 The PID of configs/agents/pid.yaml moves the axes; windows last 2 s. The threshold of the detection comes from
 validation seeds, all figures from test seeds.
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.estimation.estimate import Estimate, estimate
+from agents.estimation.following import estimate_run
 from agents.estimation.names import LEAKAGE
 from agents.estimation.unknowns import default_unknowns
 from agents.evaluation.opponents import shipped
@@ -153,12 +154,45 @@ def structure(windows: int) -> None:
         describe(name, estimate(recordings[name][:, :, LATER : LATER + SAMPLES], CONFIG, more), leak, 0.04)
 
 
+def run(axes: int) -> None:
+    """Continuous running: the moving window and the filter, by time since the start, and their cost."""
+    config = TaskConfig(episode_duration=8.0)
+    signals = record(config, TEST_SEEDS[30_000 : 30_000 + axes], np.full(axes, 0.1))
+    print(f"\n{axes} axes with 0.1 l/min for 8 s")
+    for name, window, hop, memory in (
+        ("moving window of 2 s, every 0.5 s", 401, 100, None),
+        ("filter, 0.5 s at a time", 101, None, 60.0),
+        ("filter, 0.1 s at a time", 21, None, 60.0),
+    ):
+        before = time.process_time()
+        runs = [estimate_run(one, config, window=window, hop=hop, memory=memory) for one in signals]
+        cost = (time.process_time() - before) / axes / signals.shape[2]
+        print(f"{name}: {1e3 * cost:.2f} ms of one core per control period of {1e3 * config.control_period:g} ms")
+        for until in (2.0, 4.0, 7.9):
+            place = np.flatnonzero(runs[0][0] * config.control_period <= until + 1e-9)[-1]
+            value, sigma, holds = (
+                np.array([column[place] for column in columns])
+                for columns in (
+                    [found.value(LEAKAGE) for _, found in runs],
+                    [found.deviation(LEAKAGE) for _, found in runs],
+                    [found.holds for _, found in runs],
+                )
+            )
+            error = np.abs(value - 0.1)
+            print(
+                f"  after {until:g} s: median |error| {np.median(error):.4f}, median σ {np.median(sigma):.4f} l/min, "
+                f"90 % interval {100 * np.mean(error <= 1.645 * sigma):.0f} %, "
+                f"window flagged {100 * np.mean(~holds):.0f} %",
+                flush=True,
+            )
+
+
 def main() -> None:
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--windows", type=int, default=64, help="test windows per level")
     parser.add_argument("--validation", type=int, default=200, help="windows that set the threshold")
-    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure"])
+    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "run"])
     arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}")
     if "motion" in arguments.only:
@@ -167,6 +201,8 @@ def main() -> None:
         motion(WORN, arguments.windows, arguments.validation, "worn valves, unknown")
     if "structure" in arguments.only:
         structure(arguments.windows)
+    if "run" in arguments.only:
+        run(max(arguments.windows // 4, 1))
 
 
 if __name__ == "__main__":
