@@ -27,8 +27,11 @@ from hydro_env.units import Number
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-WINDOWS_PER_BATCH = 64
-"""Windows that are fitted together; more would only take more memory."""
+SAMPLES_PER_BATCH = 25_600
+"""Samples of all windows that are fitted together; more would only take more memory."""
+
+SHORTEST_FIT = 10
+"""Samples; shorter fits say nothing."""
 
 RESTART = 0.7
 """Standard deviation of the random values of a further search, in standard deviations of the prior."""
@@ -43,8 +46,9 @@ UNDETERMINED = 0.7
 class EstimationSettings(Group):
     """How an estimate is searched."""
 
-    horizons: tuple[int, ...] = Field(
-        (20, 40, 80, 140, 240), description="samples of the first, short fits; each begins where the one before ended"
+    horizons: tuple[Number, ...] = Field(
+        (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8),
+        description="s; lengths of the first, short fits; each begins where the one before ended",
     )
     horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each short fit")
     iterations: int = Field(20, ge=1, le=1000, description="largest number of iterations on the whole window")
@@ -155,8 +159,9 @@ def estimate(
     own = None if physical is None else np.broadcast_to(physical, (len(windows), np.shape(physical)[-1]))
     begin = {name: np.broadcast_to(value, len(windows)) for name, value in (first or {}).items()}
     parts = []
-    for low in range(0, len(windows), WINDOWS_PER_BATCH):
-        part = slice(low, low + WINDOWS_PER_BATCH)
+    together = max(SAMPLES_PER_BATCH // windows.shape[2], 1)
+    for low in range(0, len(windows), together):
+        part = slice(low, low + together)
         time = durations[part] if durations is not None and np.ndim(durations) == 2 else durations
         model = Model(config, known, windows[part, -1], time, own[part] if own is not None else None, threads=threads)
         guess = first_values(windows[part], model.commands.durations, config, known)
@@ -168,7 +173,7 @@ def estimate(
         belief = prior_belief(model, model.count)
         parts.append(search(model, measured, model.scaled(guess), belief, settings))
         if progress is not None:
-            progress(min(low + WINDOWS_PER_BATCH, len(windows)))
+            progress(min(low + together, len(windows)))
     return join(parts)
 
 
@@ -244,9 +249,9 @@ def search(
     return best
 
 
-def _between(horizons: Sequence[int]) -> tuple[int, ...]:
+def _between(horizons: Sequence[float]) -> tuple[float, ...]:
     """The same horizons, and one more between each two of them."""
-    return tuple(sorted({*horizons, *(round((a * b) ** 0.5) for a, b in pairwise(horizons))}))
+    return tuple(sorted({*horizons, *((a * b) ** 0.5 for a, b in pairwise(horizons))}))
 
 
 _PER_WINDOW = tuple(field.name for field in fields(Estimate) if field.name != "names")
@@ -270,7 +275,8 @@ def _descend(
 ) -> Estimate:
     """Fit short, then longer beginnings of some windows, then all of them."""
     scaled = first
-    for horizon in settings.horizons:
+    interval = float(np.median(model.commands.durations))
+    for horizon in (max(round(length / interval), SHORTEST_FIT) for length in settings.horizons):
         if horizon < 0.8 * model.samples:
             limit = settings.horizon_iterations
             scaled = fit(model, measured, window, scaled, belief, horizon, limit, settings.horizon_tolerance).scaled

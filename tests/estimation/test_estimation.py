@@ -31,7 +31,7 @@ FEW = (
     "start.supply_pressure",
 )
 """Unknowns of tests whose other parameters are known."""
-QUICK = EstimationSettings(horizons=(40,), restarts=1)
+QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 PLANT = PARAMETER_PATHS.index
 
 
