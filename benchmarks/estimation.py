@@ -77,11 +77,12 @@ def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
     error = value - leak
     inside = np.abs(error) <= 1.645 * sigma
     logarithm = np.log10(np.maximum(value, 1e-3) / leak)
+    told = holds & (sigma < 0.2 * value)  # the others say themselves that they cannot tell the size
     # A window that the model cannot explain although it could: the search stopped in a local minimum.
     unflagged = holds & (np.abs(error) > 5.0 * sigma)
     print(
         f"{name:34} found {100 * np.mean(holds & (value > threshold)):5.1f} %  flagged {100 * np.mean(~holds):5.1f} %  "
-        f"rms log10 {_rms(logarithm[holds]):.4f}  median |error| {_median(np.abs(error[holds])):.4f}  "
+        f"size known to 20 % {100 * np.mean(told):5.1f} %  rms log10 of these {_rms(logarithm[told]):.4f}  median |error| {_median(np.abs(error[holds])):.4f}  "
         f"median σ {_median(sigma[holds]):.4f}  90 % interval {100 * _mean(inside[holds]):5.1f} %  "
         f"beyond 5 σ {100 * np.mean(unflagged):.1f} %  searched again {100 * np.mean(found.searches > 1):.0f} %",
         flush=True,

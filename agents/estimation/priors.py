@@ -111,6 +111,10 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
     own = own_value(config.plant, path)
     drawn = config.randomisation.get(path)
     value = flow_from_resistance(own) if name == EXTERNAL_LEAKAGE else own
+    if not math.isfinite(value):
+        raise ConfigurationError(
+            f"unknowns: '{name}' is infinite on this rig: give its prior, or give the rig a finite value"
+        )
     if drawn is None:
         result = _Moments(value, _NOT_DRAWN.get(name, max(abs(value) * _SHARE_UNKNOWN, 1e-9)) ** 2)
     else:

@@ -22,10 +22,10 @@ from hydro_env.plant.equations import coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
-from hydro_env.task.kernel import FULL_VOLTAGE
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import Signals, lagged
+from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
