@@ -82,9 +82,10 @@ def describe(name: str, found: Estimate, leak: Array, threshold: float) -> None:
     unflagged = holds & (np.abs(error) > 5.0 * sigma)
     print(
         f"{name:34} found {100 * np.mean(holds & (value > threshold)):5.1f} %  flagged {100 * np.mean(~holds):5.1f} %  "
-        f"size known to 20 % {100 * np.mean(told):5.1f} %  rms log10 of these {_rms(logarithm[told]):.4f}  median |error| {_median(np.abs(error[holds])):.4f}  "
-        f"median σ {_median(sigma[holds]):.4f}  90 % interval {100 * _mean(inside[holds]):5.1f} %  "
-        f"beyond 5 σ {100 * np.mean(unflagged):.1f} %  searched again {100 * np.mean(found.searches > 1):.0f} %",
+        f"size known to 20 % {100 * np.mean(told):5.1f} %  rms log10 of these {_rms(logarithm[told]):.4f}  "
+        f"median |error| {_median(np.abs(error[holds])):.4f}  median σ {_median(sigma[holds]):.4f}  "
+        f"90 % interval {100 * _mean(inside[holds]):5.1f} %  beyond 5 σ {100 * np.mean(unflagged):.1f} %  "
+        f"searched again {100 * np.mean(found.searches > 1):.0f} %",
         flush=True,
     )
 
