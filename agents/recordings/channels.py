@@ -17,8 +17,8 @@ from hydro_env.task.sensors import Sensor
 Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
-MOST_MISSING = 0.2
-"""Share of a channel that may be missing or saturated."""
+MOST_MISSING, MOST_SATURATED = 0.2, 0.6
+"""Share of a channel that may be missing, and that may stand at an end: a pressure rests at zero while it cavitates."""
 
 SHORTEST_STUCK = 0.1
 """s, and at least STUCK_SAMPLES samples: the noise of a working sensor does not stay within a step so long."""
@@ -158,7 +158,7 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
     sensor = getattr(config.sensors, signal)
     at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
     what = f"stands at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
-    return at_end, what, severe_if(at_end.mean() > MOST_MISSING)
+    return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
 
 
 def _under_full_command(samples: Sampled, signal: str) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -98,14 +99,18 @@ def _read_cells(path: Path) -> tuple[pd.DataFrame, int]:
     separator = next((mark for mark in ";\t" if mark in line), ",")
     decimal = "," if separator != "," and "," in text[start + len(line) : start + 100_000] else "."
     try:
-        table = pd.read_csv(
-            io.StringIO(text[start:]),
-            sep=separator,
-            decimal=decimal,
-            index_col=False,
-            skipinitialspace=True,
-            low_memory=False,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                io.StringIO(text[start:]),
+                sep=separator,
+                decimal=decimal,
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+            )
+    except pd.errors.ParserWarning:
+        raise ConfigurationError(f"{path}: rows have more columns than there are headings") from None
     except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
         raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
     if not len(table):

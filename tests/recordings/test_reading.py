@@ -91,6 +91,7 @@ def test_text_becomes_a_finding_with_its_line(tmp_path):
     [
         ("", ["holds no table"]),
         ("time [s],command [V]\n", ["no rows"]),
+        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["more columns than there are headings"]),
         ("a,b\n1,2\n", ["no column is headed 'time'", "--map"]),
         (PLAIN.replace("command", "foo"), ["'command'", "foo [V]"]),
         (PLAIN.replace("[bar]", "[bars]", 1), ["pressure_a", "'bars'", "MPa"]),
