@@ -35,13 +35,16 @@ from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.task.randomisation import own_value
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
-POINTS = 4
+POINTS = 2
 """Points between two samples at which the flows are evaluated."""
 
-ITERATIONS = 5
+ITERATIONS = 4
 
 FLOW_ERROR = 0.02
 """Error of the flow between two samples, in parts of the change that the spool's motion makes."""
+
+
+CAVITATING = 1e-3
 
 
 class Unknowns(NamedTuple):
@@ -74,6 +77,8 @@ class Sheet(NamedTuple):
     mean: NDArray[np.float64]  # (COUNT,), of the priors
     spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
     transition: NDArray[np.float64]  # (POINTS + 1, 3, 5): valve states after a part of a period, from states and commands
+    lowest_a: float  # Pa; below this a reading may be at the end of its range
+    lowest_b: float  # Pa
     gas_volume: float  # m³, of the accumulator at the supply's pressure
     period: float  # s
     position_noise: float  # m
@@ -150,6 +155,8 @@ def sheet_of(config: TaskConfig) -> Sheet:
         mean=np.array(mean),
         spread=np.array(spread),
         transition=transition,
+        lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
+        lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
         gas_volume=float(gas_volume_of(plant)),
         period=config.control_period,
         position_noise=math.hypot(sensors.position.noise, sensors.position.resolution) + 1e-9,
@@ -234,6 +241,7 @@ def _build(sources: int) -> Any:
         whitened = np.empty(COUNT + 1)
         valve, moved = np.empty(3), np.empty(3)
         variance = np.empty(2)
+        inflation = np.empty(2)
         leak_unit = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
         part = sheet.period / POINTS
         for window in range(signals.shape[0]):
@@ -263,6 +271,7 @@ def _build(sources: int) -> Any:
 
             for i in range(COUNT):
                 theta[i] = sheet.mean[i]
+            inflation[0] = inflation[1] = 1.0
             for iteration in range(ITERATIONS + 1):
                 u = _read_unknowns(theta)
                 gain = c.edge_gain * u.flow_gain
@@ -279,7 +288,12 @@ def _build(sources: int) -> Any:
                 filtered[0, COUNT] = filtered[1, COUNT] = 0.0
                 variance[0], variance[1] = sheet.position_noise**2, sheet.travel_noise**2
                 travel_a = travel_b = 0.0
-                misfit[window, 0] = misfit[window, 1] = 0.0
+                for residual in range(2):
+                    if iteration > 1:
+                        inflation[residual] *= min(max(misfit[window, residual], 0.5), 4.0)
+                    if inflation[residual] < 1.0:
+                        inflation[residual] = 1.0
+                    misfit[window, residual] = 0.0
                 for k in range(samples - 1):
                     drawn = 0.0
                     drop_a = drop_b = 0.0
@@ -355,12 +369,14 @@ def _build(sources: int) -> Any:
                     # Whitening.
                     speed = abs(reading[k + 1] - reading[k])
                     noise = sheet.flow_noise**2 + (sheet.flow_error * speed) ** 2
+                    if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
+                        noise += CAVITATING**2  # the reading may be at the end of its range
                     for residual in range(2):
                         other = residual == 1
                         base = sheet.travel_noise if other else sheet.position_noise
                         variance[residual] += noise
                         total = variance[residual] + base * base
-                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total)
+                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total * inflation[residual])
                         variance[residual] *= 1.0 - blend
                         value = travel_b - travel_a if other else x[k + 1] - x[0] - travel_a
                         innovation = value - filtered[residual, COUNT]
@@ -380,6 +396,9 @@ def _build(sources: int) -> Any:
                             column[i] -= whitened[i] * whitened[COUNT]
                 misfit[window, 0] /= samples - 1
                 misfit[window, 1] /= samples - 1
+                if iteration == ITERATIONS:
+                    misfit[window, 0] *= inflation[0]
+                    misfit[window, 1] *= inflation[1]
                 if iteration < ITERATIONS:
                     _factor(normal)
                     _substitute(normal, column)
