@@ -33,6 +33,7 @@ from hydro_env.plant.parts.supply import supply_rates
 from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.task.randomisation import own_value
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 POINTS = 2
@@ -77,6 +78,8 @@ class Sheet(NamedTuple):
     mean: NDArray[np.float64]  # (COUNT,), of the priors
     spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
     transition: NDArray[np.float64]  # (POINTS + 1, 3, 5): valve states after a part of a period, from states and commands
+    sensor_low: NDArray[np.float64]  # (4,), lower ends of the ranges of position, pressures and spool position
+    sensor_high: NDArray[np.float64]  # (4,)
     lowest_a: float  # Pa; below this a reading may be at the end of its range
     lowest_b: float  # Pa
     gas_volume: float  # m³, of the accumulator at the supply's pressure
@@ -155,6 +158,8 @@ def sheet_of(config: TaskConfig) -> Sheet:
         mean=np.array(mean),
         spread=np.array(spread),
         transition=transition,
+        sensor_low=np.array([getattr(sensors, name).low for name in CHANNELS]),
+        sensor_high=np.array([getattr(sensors, name).high for name in CHANNELS]),
         lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
         lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
         gas_volume=float(gas_volume_of(plant)),
@@ -418,4 +423,28 @@ def _build(sources: int) -> Any:
     return compiled(fit)
 
 
-fit = _build(SOURCES)
+_fit = _build(SOURCES)
+
+
+class Balance(NamedTuple):
+    """The fit of N windows of T samples."""
+
+    estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
+    deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
+    misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
+    spool_error: NDArray[np.float64]  # (N, T), reading of the spool less the nominal valve's answer to the commands
+
+
+def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
+    """Fit the flow balance of windows.
+
+    Args:
+        signals: (N, 5, T), position, pressures, spool position and previous command in SI units, without NaN.
+        sheet: data sheet of the axis.
+    """
+    count, _, samples = signals.shape
+    balance = Balance(
+        np.empty((count, COUNT)), np.empty((count, COUNT)), np.empty((count, 2)), np.empty((count, samples))
+    )
+    _fit(np.ascontiguousarray(signals), sheet, *balance)
+    return balance
