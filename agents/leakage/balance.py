@@ -34,14 +34,24 @@ from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.settings import settings_of
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 POINTS = 2
 """Points between two samples at which the flows are evaluated."""
 
-ITERATIONS = 4
+ITERATIONS = 6
 
-FLOW_ERROR = 0.02
+NOISE_WITHOUT_LAG = 1.17
+"""Factor by which taking out the transducers' lag raises their noise."""
+
+FREQUENCIES, DAMPINGS = 9, 3
+"""Numbers of natural frequencies and damping ratios of the valve that are tried."""
+
+AT_ONCE = 1e5
+"""1/s; of parts of the valve that the model lets follow at once."""
+
+FLOW_ERROR = 0.015
 """Error of the flow between two samples, in parts of the change that the spool's motion makes."""
 
 
@@ -67,6 +77,7 @@ class Unknowns(NamedTuple):
 
 
 COUNT = len(Unknowns._fields)
+COMPRESSIBILITY = Unknowns._fields.index("compressibility")
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)
 
@@ -77,15 +88,19 @@ class Sheet(NamedTuple):
     coefficients: NDArray[np.float64]  # of the nominal plant
     mean: NDArray[np.float64]  # (COUNT,), of the priors
     spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
-    transition: NDArray[np.float64]  # (POINTS + 1, 3, 5): valve states after a part of a period, from states and commands
+    transition: NDArray[np.float64]  # (valves, POINTS + 1, 3, 5), see _valve_steps
+    spool_noise: float  # of full stroke
     sensor_low: NDArray[np.float64]  # (4,), lower ends of the ranges of position, pressures and spool position
     sensor_high: NDArray[np.float64]  # (4,)
     lowest_a: float  # Pa; below this a reading may be at the end of its range
     lowest_b: float  # Pa
+    pressure_decay: float  # exp(−T/τ) of the pressure transducers
+    pressure_lag: float  # τ/T
     gas_volume: float  # m³, of the accumulator at the supply's pressure
     period: float  # s
     position_noise: float  # m
-    travel_noise: float  # m, of the difference between the travels that the two flow balances give
+    pressure_noise_a: float  # Pa
+    pressure_noise_b: float  # Pa
     flow_noise: float  # m per period, of the travel that the noise of the spool's sensor makes
     flow_error: float  # m per period, of the travel that full spool stroke makes, times FLOW_ERROR
 
@@ -97,6 +112,7 @@ def sheet_of(config: TaskConfig) -> Sheet:
     """
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
+    numbers = settings_of(config)[0]
 
     def drawn(path: str) -> tuple[float, float]:
         own = own_value(plant, path)
@@ -136,37 +152,33 @@ def sheet_of(config: TaskConfig) -> Sheet:
         bias_b=sensors.pressure_b.bias + 1e3,
         tank_pressure=1e5,
     )
-    valve = plant.valve
-    stiff = 1e5  # 1/s, of parts that follow at once
-    coil = stiff if c.ideal_drive > 0.0 or c.ideal_spool > 0.0 else c.coil_rate
-    frequency, damping = (stiff, 1.0) if c.ideal_spool > 0.0 else (valve.natural_frequency, valve.damping_ratio)
-    # States: spool position, its speed, coil current as the spool position that it commands.
-    a = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2.0 * damping * frequency, frequency**2], [0.0, 0.0, -coil]])
-    b = np.array([0.0, 0.0, coil * FULL_COMMAND * c.drive_rate / c.coil_rate * c.spool_gain])
-    transition = np.array(
-        [
-            _held(a, b, share * config.control_period, config.command_latency)
-            for share in [*((np.arange(POINTS) + 0.5) / POINTS), 1.0]
-        ]
-    )
+    frequency, frequency_range = drawn("valve.natural_frequency")
+    damping, damping_range = drawn("valve.damping_ratio")
+    transition = [
+        _valve_steps(config, frequency + across * frequency_range, damping + along * damping_range)
+        for across in (np.linspace(-1.0, 1.0, FREQUENCIES) if frequency_range > 0.0 else [0.0])
+        for along in (np.linspace(-1.0, 1.0, DAMPINGS) if damping_range > 0.0 else [0.0])
+    ]
     full_flow = c.edge_gain * math.sqrt(0.5 * supply)
     travel = full_flow * config.control_period / min(c.area_a, c.area_b)
-    noise_b = sensors.pressure_b.noise * c.volume_b0 / (c.bulk_modulus * c.area_b)
-    noise_a = sensors.pressure_a.noise * c.volume_a0 / (c.bulk_modulus * c.area_a)
     return Sheet(
         coefficients=np.array(c),
         mean=np.array(mean),
         spread=np.array(spread),
-        transition=transition,
+        transition=np.array(transition),
         sensor_low=np.array([getattr(sensors, name).low for name in CHANNELS]),
         sensor_high=np.array([getattr(sensors, name).high for name in CHANNELS]),
         lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
         lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
+        spool_noise=sensors.spool_position.noise + 1e-9,
+        pressure_decay=float(numbers["pressure_decay"]),
+        pressure_lag=float(numbers["pressure_lag"]),
         gas_volume=float(gas_volume_of(plant)),
         period=config.control_period,
         position_noise=math.hypot(sensors.position.noise, sensors.position.resolution) + 1e-9,
-        travel_noise=math.hypot(noise_a, noise_b) + 1e-9,
-        flow_noise=travel * sensors.spool_position.noise + 1e-12,
+        pressure_noise_a=NOISE_WITHOUT_LAG * sensors.pressure_a.noise + 1.0,
+        pressure_noise_b=NOISE_WITHOUT_LAG * sensors.pressure_b.noise + 1.0,
+        flow_noise=0.4 * travel * sensors.spool_position.noise + 1e-12,
         flow_error=travel * FLOW_ERROR,
     )
 
@@ -178,11 +190,25 @@ def gas_volume_of(plant: Any) -> float:
     return float(supply.accumulator_volume * ratio ** (1.0 / supply.polytropic_index))
 
 
-def _held(a: NDArray[np.float64], b: NDArray[np.float64], time: float, latency: float) -> NDArray[np.float64]:
-    """(3, 5): states at a time within a period from those at its start, the previous command and the new one."""
-    first, old = zero_order_hold(a, b, min(time, latency))
-    rest, new = zero_order_hold(a, b, max(time - latency, 0.0))
-    return np.column_stack([rest @ first, rest @ old, new])
+def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArray[np.float64]:
+    """Matrices (POINTS + 1, 3, 5) of a valve: its states at the points of a period and at its end.
+
+    They multiply the states at its start, the previous command and the new one. States: spool position, its speed, and
+    the current of the coil as the spool position that it commands.
+    """
+    c = plant_coefficients(config.plant)
+    if c.ideal_spool > 0.0:
+        frequency, damping = AT_ONCE, 1.0
+    coil = AT_ONCE if c.ideal_drive > 0.0 else c.coil_rate
+    a = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2.0 * damping * frequency, frequency**2], [0.0, 0.0, -coil]])
+    b = np.array([0.0, 0.0, coil * FULL_COMMAND * c.drive_rate / c.coil_rate * c.spool_gain])
+    steps = []
+    for share in (*((np.arange(POINTS) + 0.5) / POINTS), 1.0):
+        time = share * config.control_period
+        first, old = zero_order_hold(a, b, min(time, config.command_latency))
+        rest, new = zero_order_hold(a, b, max(time - config.command_latency, 0.0))
+        steps.append(np.column_stack([rest @ first, rest @ old, new]))
+    return np.array(steps)
 
 
 @inline
@@ -215,7 +241,7 @@ def _factor(matrix):
             total = matrix[i, j]
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = math.sqrt(total) if i == j else total / matrix[j, j]
+            matrix[i, j] = math.sqrt(max(total, 0.05)) if i == j else total / matrix[j, j]
 
 
 @inline
@@ -233,46 +259,108 @@ def _substitute(factor, right):
         right[i] /= factor[i, i]
 
 
+@inline
+def _advance(valve, row, old, new):
+    """Move the states of a valve by a period: (3, 5) matrix, previous command and new one."""
+    first = row[0, 0] * valve[0] + row[0, 1] * valve[1] + row[0, 2] * valve[2] + row[0, 3] * old + row[0, 4] * new
+    second = row[1, 0] * valve[0] + row[1, 1] * valve[1] + row[1, 2] * valve[2] + row[1, 3] * old + row[1, 4] * new
+    third = row[2, 0] * valve[0] + row[2, 1] * valve[1] + row[2, 2] * valve[2] + row[2, 3] * old + row[2, 4] * new
+    valve[0], valve[1], valve[2] = first, second, third
+
+
+@inline
+def _best_valve(reading, command, candidates, noise, valve):
+    """Index of the valve whose answer to the commands is nearest to the readings, apart from a constant."""
+    best, least = 0, 1e300
+    for candidate in range(candidates.shape[0]):
+        row = candidates[candidate, POINTS]
+        valve[0], valve[1], valve[2] = reading[0], 0.0, command[0]
+        mean, total = 0.0, 0.0
+        for k in range(1, reading.shape[0]):
+            _advance(valve, row, command[k - 1], command[k])
+            # Far differences, such as at the slew limit, count no more than 20 times the noise.
+            off = min(max(reading[k] - valve[0] - mean, -20.0 * noise), 20.0 * noise)
+            mean += off / (k + 5.0)
+            total += off * off
+        if total < least:
+            best, least = candidate, total
+    return best
+
+
+@inline
+def _spool_between(reading, command, transition, noise, valve, spool, error, smooth):
+    """Spool position between samples (T − 1, POINTS), and the readings less the valve's answer at the samples (T,).
+
+    The difference between readings and answer is taken as a random walk under the sensor's noise, and smoothed
+    (Rauch, Tung & Striebel 1965, with the gains of the steady state).
+    """
+    samples = reading.shape[0]
+    valve[0], valve[1], valve[2] = reading[0], 0.0, command[0]
+    error[0] = 0.0
+    walk = 0.0
+    for k in range(samples - 1):
+        for point in range(POINTS):
+            row = transition[point]
+            spool[k, point] = row[0, 3] * command[k] + row[0, 4] * command[k + 1]
+            for state in range(3):
+                spool[k, point] += row[0, state] * valve[state]
+        _advance(valve, transition[POINTS], command[k], command[k + 1])
+        error[k + 1] = reading[k + 1] - valve[0]
+        walk += (error[k + 1] - error[k]) ** 2 / (samples - 1)
+    measured = noise * noise
+    walk = max(walk - 2.0 * measured, 1e-4 * measured)
+    ahead = 0.5 * (walk + math.sqrt(walk * walk + 4.0 * walk * measured))
+    steady = ahead / (ahead + measured)
+    smooth[0] = error[0]
+    for k in range(1, samples):
+        smooth[k] = smooth[k - 1] + max(1.0 / (k + 1.0), steady) * (error[k] - smooth[k - 1])
+    for back in range(samples - 1):
+        k = samples - 2 - back
+        kept = max(1.0 / (k + 1.0), steady) * measured
+        smooth[k] += kept / (kept + walk) * (smooth[k + 1] - smooth[k])
+        for point in range(POINTS):
+            share = (point + 0.5) / POINTS
+            spool[k, point] += (1.0 - share) * smooth[k] + share * smooth[k + 1]
+
+
+@inline
+def _without_lag(sensed, decay, lag, pressure):
+    """Pressure before a transducer's first-order lag; the inverse of :func:`hydro_env.task.signals.lagged`."""
+    follow = lag * (1.0 - decay) - decay
+    pressure[0] = sensed[0]
+    for k in range(sensed.shape[0] - 1):
+        pressure[k + 1] = (sensed[k + 1] - decay * sensed[k] - follow * pressure[k]) / (1.0 - decay - follow)
+
+
 def _build(sources: int) -> Any:
-    def fit(signals, sheet, estimate, deviation, misfit, spool_error):
+    def fit(signals, sheet, estimate, deviation, misfit, valve_choice, spool_error):
         assert sources >= 0  # keys numba's cache
         c = _read_coefficients(sheet.coefficients)
         samples = signals.shape[2]
         spool = np.empty((samples, POINTS))
+        p_a, p_b = np.empty(samples), np.empty(samples)
         theta, step = np.empty(COUNT), np.empty(COUNT)
         normal, column = np.empty((COUNT, COUNT)), np.empty(COUNT)
         slope_a, slope_b = np.zeros(COUNT), np.zeros(COUNT)  # of the travels, summed since the window began
         filtered = np.empty((2, COUNT + 1))
         whitened = np.empty(COUNT + 1)
-        valve, moved = np.empty(3), np.empty(3)
+        valve = np.empty(3)
+        error, smooth = np.empty(samples), np.empty(samples)
         variance = np.empty(2)
         inflation = np.empty(2)
         leak_unit = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
         part = sheet.period / POINTS
         for window in range(signals.shape[0]):
-            x, p_a, p_b, reading, command = signals[window]
-            # The nominal valve tells how the spool moves between samples; the readings correct it at the samples.
-            valve[0], valve[1], valve[2] = reading[0], 0.0, command[0]
-            error = 0.0
-            for k in range(samples - 1):
-                for point in range(POINTS + 1):
-                    row = sheet.transition[point]
-                    rows = 3 if point == POINTS else 1
-                    for i in range(rows):
-                        moved[i] = row[i, 3] * command[k] + row[i, 4] * command[k + 1]
-                        for j in range(3):
-                            moved[i] += row[i, j] * valve[j]
-                    if point < POINTS:
-                        spool[k, point] = moved[0]
-                for i in range(3):
-                    valve[i] = moved[i]
-                next_error = reading[k + 1] - valve[0]
-                for point in range(POINTS):
-                    share = (point + 0.5) / POINTS
-                    spool[k, point] += (1.0 - share) * error + share * next_error
-                error = next_error
-                spool_error[window, k + 1] = error
-            spool_error[window, 0] = 0.0
+            x, sensed_a, sensed_b, reading, command = signals[window]
+            _without_lag(sensed_a, sheet.pressure_decay, sheet.pressure_lag, p_a)
+            _without_lag(sensed_b, sheet.pressure_decay, sheet.pressure_lag, p_b)
+            candidate = _best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)
+            _spool_between(
+                reading, command, sheet.transition[candidate], sheet.spool_noise, valve, spool, error, smooth
+            )
+            valve_choice[window] = candidate
+            for k in range(samples):
+                spool_error[window, k] = error[k]
 
             for i in range(COUNT):
                 theta[i] = sheet.mean[i]
@@ -291,7 +379,8 @@ def _build(sources: int) -> Any:
                         normal[i, j] = 1.0 if i == j else 0.0
                     filtered[0, i] = filtered[1, i] = 0.0
                 filtered[0, COUNT] = filtered[1, COUNT] = 0.0
-                variance[0], variance[1] = sheet.position_noise**2, sheet.travel_noise**2
+                variance[0] = sheet.position_noise**2
+                variance[1] = (u.compressibility * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b) ** 2
                 travel_a = travel_b = 0.0
                 for residual in range(2):
                     if iteration > 1:
@@ -372,13 +461,14 @@ def _build(sources: int) -> Any:
                     supply += sheet.period * rate
                     gas += sheet.period * gas_rate
                     # Whitening.
+                    sensed = math.hypot(all_a * sheet.pressure_noise_a, all_b * sheet.pressure_noise_b) / c.bulk_modulus
                     speed = abs(reading[k + 1] - reading[k])
                     noise = sheet.flow_noise**2 + (sheet.flow_error * speed) ** 2
                     if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
                         noise += CAVITATING**2  # the reading may be at the end of its range
                     for residual in range(2):
                         other = residual == 1
-                        base = sheet.travel_noise if other else sheet.position_noise
+                        base = u.compressibility * sensed if other else sheet.position_noise
                         variance[residual] += noise
                         total = variance[residual] + base * base
                         blend, unit = variance[residual] / total, 1.0 / math.sqrt(total * inflation[residual])
@@ -390,11 +480,15 @@ def _build(sources: int) -> Any:
                         weight = 1.0 if size < 3.0 else math.sqrt(3.0 / size)  # Huber
                         misfit[window, residual] += (unit * innovation) ** 2
                         for i in range(COUNT):
-                            slope = (slope_b[i] - slope_a[i]) if other else -slope_a[i]
+                            slope = slope_b[i] - slope_a[i] if other else -slope_a[i]
                             new = slope * sheet.spread[i] - filtered[residual, i]
                             filtered[residual, i] += blend * new
                             whitened[i] = weight * unit * new
                         whitened[COUNT] = weight * unit * innovation
+                        if other:  # the noise of the pressures is in the derivative by the compressibility too
+                            noisy = (unit * sheet.spread[COMPRESSIBILITY] * sensed) ** 2
+                            normal[COMPRESSIBILITY, COMPRESSIBILITY] -= 0.5 * noisy
+                            column[COMPRESSIBILITY] += noisy * u.compressibility / sheet.spread[COMPRESSIBILITY]
                         for i in range(COUNT):
                             for j in range(i + 1):
                                 normal[i, j] += whitened[i] * whitened[j]
@@ -411,6 +505,7 @@ def _build(sources: int) -> Any:
                         theta[i] += min(max(column[i], -1.5), 1.5) * sheet.spread[i]
                     theta[0] = min(max(theta[0], 0.2), 3.0)
                     theta[3] = max(theta[3], 1e-3)
+                    theta[7] = max(theta[7], 0.3)
             for i in range(COUNT):
                 estimate[window, i] = theta[i]
             _factor(normal)
@@ -432,7 +527,8 @@ class Balance(NamedTuple):
     estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
     deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
     misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
-    spool_error: NDArray[np.float64]  # (N, T), reading of the spool less the nominal valve's answer to the commands
+    valve: NDArray[np.int64]  # (N,), index of the valve that answers most like the spool
+    spool_error: NDArray[np.float64]  # (N, T), reading of the spool less that valve's answer to the commands
 
 
 def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
@@ -444,7 +540,11 @@ def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
     """
     count, _, samples = signals.shape
     balance = Balance(
-        np.empty((count, COUNT)), np.empty((count, COUNT)), np.empty((count, 2)), np.empty((count, samples))
+        np.empty((count, COUNT)),
+        np.empty((count, COUNT)),
+        np.empty((count, 2)),
+        np.empty(count, dtype=np.int64),
+        np.empty((count, samples)),
     )
     _fit(np.ascontiguousarray(signals), sheet, *balance)
     return balance

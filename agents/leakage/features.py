@@ -143,7 +143,7 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
     still = np.abs(np.diff(command, axis=1, prepend=command[:, :1])) < STILL_COMMAND
     load = _load_fit(x, p_a * c.area_a - p_b * c.area_b, sheet.period, stroke, pressure * c.area_a)
     columns = [
-        *((estimate - sheet.mean) / sheet.spread).T,
+        *np.arcsinh(10.0 * (estimate - sheet.mean) / sheet.spread).T,
         *np.log10(deviation / sheet.spread + 1e-6).T,
         *_logarithm(fitted.misfit, 1e-2).T,
         *np.arcsinh(estimate[:, leaks] / 0.02).T,
