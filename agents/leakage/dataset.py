@@ -9,16 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.balance import Sheet, sheet_of
-from agents.leakage.features import FEATURES, SENSORS, SIGNALS, features_of
+from agents.leakage.features import FEATURES, LABELS, SENSORS, SIGNALS, features_of
 from agents.leakage.operation import OPERATIONS, Operation, Row
+from agents.leakage.sheet import Sheet, sheet_of
 from agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS
-
-LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
-"""What the head tells from each other. An axis may have several at once, so each has a probability of its own."""
 
 UNSEEN = ("position_offset",)
 """Faults that no measured signal shows: they get no label."""
@@ -128,9 +125,11 @@ class Plan(NamedTuple):
             kept = np.flatnonzero(lengths >= size)
             begin = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
             begin[generator.random(len(kept)) < AT_START] = 0
-            cut = np.stack([signals[axis, :, b : b + size] for axis, b in zip(kept, begin, strict=True)]) if len(
-                kept
-            ) else np.empty((0, len(SIGNALS), size))
+            cut = (
+                np.stack([signals[axis, :, b : b + size] for axis, b in zip(kept, begin, strict=True)])
+                if len(kept)
+                else np.empty((0, len(SIGNALS), size))
+            )
             told = labels[kept].copy()
             told[freeze(cut, generator), LABELS.index("sensor_fault")] = 1.0
             values = features_of(cut, sheet) if len(kept) else np.empty((0, len(FEATURES)), dtype=np.float32)

@@ -7,13 +7,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.balance import Sheet, Unknowns, fit_balance
+from agents.leakage.balance import fit_balance
+from agents.leakage.sheet import Sheet, Unknowns
 from hydro_env.plant.equations import Coefficients
 
 SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
 """Measured signals that the head reads, in this order."""
 
 SENSORS = SIGNALS[:4]
+
+LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
+"""What the head tells from each other. An axis may have several at once, so each has a probability of its own."""
 
 LONGEST_GAP = 5
 """Samples; a reading that stays at the lower end of its range for longer is believed."""
@@ -150,7 +154,9 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
         *np.arcsinh(estimate[:, leaks] / deviation[:, leaks]).T,
         np.arcsinh(error.mean(axis=1) / 2e-3),
         _logarithm(_spread(error), 1e-4),
-        np.arcsinh(20.0 * np.mean(error * (told - told.mean(axis=1, keepdims=True)), axis=1) / (told.var(axis=1) + 1e-6)),
+        np.arcsinh(
+            20.0 * np.mean(error * (told - told.mean(axis=1, keepdims=True)), axis=1) / (told.var(axis=1) + 1e-6)
+        ),
         np.arcsinh(np.mean(error * direction, axis=1) / 1e-3),
         _logarithm(np.sum(np.abs(error) * still, axis=1) / (still.sum(axis=1) + 1), 1e-4),
         p_a.mean(axis=1) / pressure,
