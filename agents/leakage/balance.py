@@ -37,7 +37,14 @@ from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
-ITERATIONS = 6
+ITERATIONS = 12
+"""Largest number of evaluations of the balance."""
+
+FIRST_DAMPING = 1e-3
+"""Of the normal matrix's diagonal (Levenberg–Marquardt)."""
+
+ENOUGH = 0.1
+"""Fall of the cost, in the unit of χ², after which the fit ends."""
 
 LARGEST_MOVE = 1.5
 """Standard deviations of its prior by which an unknown may move in one iteration."""
@@ -177,7 +184,7 @@ def _add_compression(travel, slope, chamber, sign, first, last, length, area, u,
 
 @inline
 def _whiten(value, slope, other, filtered, whitened, spread, blend, unit):
-    """Whitened residual and derivatives, into ``whitened``; returns the square of the residual before Huber's weight.
+    """Whitened residual and derivatives, into ``whitened``; returns the residual's square, linear beyond an outlier.
 
     ``other``: the residual is the difference of both travels, else position less the travel of chamber a.
     """
@@ -190,7 +197,7 @@ def _whiten(value, slope, other, filtered, whitened, spread, blend, unit):
         filtered[i] += blend * change
         whitened[i] = weight * change
     whitened[COUNT] = weight * innovation
-    return size * size
+    return size * size if size < OUTLIER else OUTLIER * (2.0 * size - OUTLIER)
 
 
 def _build(sources: int) -> Any:
@@ -200,38 +207,31 @@ def _build(sources: int) -> Any:
         samples = signals.shape[2]
         spool, p_a, p_b = np.empty((samples, POINTS)), np.empty(samples), np.empty(samples)
         smooth, valve = np.empty(samples), np.empty(3)
-        normal, right = np.empty((COUNT, COUNT)), np.empty(COUNT)
+        theta, normal, right = np.empty(COUNT), np.empty((COUNT, COUNT)), np.empty(COUNT)
+        best_normal, best_right, mean_square = np.empty((COUNT, COUNT)), np.empty(COUNT), np.empty(2)
+        normals, rights = np.empty((2, COUNT, COUNT)), np.empty((2, COUNT))  # of each residual
         travel, slope = np.empty(2), np.empty((2, COUNT))  # since the window began
         filtered, whitened = np.empty((2, COUNT + 1)), np.empty(COUNT + 1)
-        variance, inflation = np.empty(2), np.empty(2)
+        variance = np.empty(2)
         spread = sheet.spread
         for window in range(signals.shape[0]):
             x, sensed_a, sensed_b, reading, command = signals[window]
-            theta = estimate[window]
             _without_lag(sensed_a, sheet, p_a)
             _without_lag(sensed_b, sheet, p_b)
             answer = sheet.transition[best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)]
             spool_between(reading, command, answer, sheet.spool_noise, valve, spool, spool_error[window], smooth)
             theta[:] = sheet.mean
-            inflation[:] = 1.0
-            for iteration in range(ITERATIONS + 1):
+            damping, least = FIRST_DAMPING, math.inf
+            for _ in range(ITERATIONS):
                 u = _read_unknowns(theta)
-                right[:] = (sheet.mean - theta) / spread
-                normal[:] = 0.0
-                for i in range(COUNT):
-                    normal[i, i] = 1.0
-                if iteration > 1:  # what the model does not explain is noise
-                    for residual in range(2):
-                        inflation[residual] *= min(max(misfit[window, residual], 0.5), 4.0)
-                        inflation[residual] = max(inflation[residual], 1.0)
-                misfit[window] = 0.0
+                mean_square[:] = 0.0
+                normals[:] = 0.0
+                rights[:] = 0.0
                 travel[:] = 0.0
                 slope[:] = 0.0
                 filtered[:] = 0.0
                 variance[0] = sheet.position_noise**2
-                variance[1] = (
-                    u.compressibility * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b
-                ) ** 2
+                variance[1] = (sheet.mean[OIL] * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b) ** 2
                 supply, gas, excess_share = u.supply_pressure + u.supply_excess, sheet.gas_volume, 1.0
                 for k in range(samples - 1):
                     drawn = 0.0
@@ -254,7 +254,7 @@ def _build(sources: int) -> Any:
                     stiffness = c.supply_dynamics * (supply + ATMOSPHERIC_PRESSURE) / gas
                     excess_share *= math.exp(-sheet.period * stiffness * c.relief_slope)
                     supply += sheet.period * rate
-                    gas += sheet.period * gas_rate
+                    gas = max(gas + sheet.period * gas_rate, 0.1 * sheet.gas_volume)
 
                     sensed = (
                         math.hypot(length_a * sheet.pressure_noise_a, length_b * sheet.pressure_noise_b)
@@ -265,37 +265,65 @@ def _build(sources: int) -> Any:
                         noise += CAVITATING**2
                     for residual in range(2):
                         other = residual == 1
-                        base = u.compressibility * sensed if other else sheet.position_noise
+                        base = sheet.mean[OIL] * sensed if other else sheet.position_noise
                         value = travel[1] - travel[0] if other else x[k + 1] - x[0] - travel[0]
                         variance[residual] += noise
                         total = variance[residual] + base * base
-                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total * inflation[residual])
+                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total)
                         variance[residual] *= 1.0 - blend
-                        misfit[window, residual] += _whiten(
-                            value, slope, other, filtered[residual], whitened, spread, blend, unit
-                        ) / (samples - 1)
-                        if other:  # the noise of the pressures; half in the matrix, which keeps the steps sure
-                            known = (unit * spread[OIL] * sensed) ** 2
-                            normal[OIL, OIL] -= 0.5 * known
-                            right[OIL] += known * u.compressibility / spread[OIL]
+                        square = _whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
+                        mean_square[residual] += square / (samples - 1)
+                        if other:  # noise of the pressures, taken out; less in the matrix, so that it stays definite
+                            known = (unit * sensed) ** 2
+                            mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / (samples - 1)
+                            rights[1, OIL] += known * u.compressibility * spread[OIL]
+                            normals[1, OIL, OIL] -= 0.8 * known * spread[OIL] ** 2
                         for i in range(COUNT):
                             for j in range(i + 1):
-                                normal[i, j] += whitened[i] * whitened[j]
-                            right[i] -= whitened[i] * whitened[COUNT]
+                                normals[residual, i, j] += whitened[i] * whitened[j]
+                            rights[residual, i] -= whitened[i] * whitened[COUNT]
+
+                # What the model does not explain is noise: a residual above 1 counts by its logarithm.
+                cost = 0.0
+                normal[:] = 0.0
+                for i in range(COUNT):
+                    off = (sheet.mean[i] - theta[i]) / spread[i]
+                    normal[i, i], right[i] = 1.0, off
+                    cost += off * off
+                for residual in range(2):
+                    above = max(mean_square[residual], 1.0)
+                    cost += (samples - 1) * (min(mean_square[residual], 1.0) + math.log(above))
+                    for i in range(COUNT):
+                        right[i] += rights[residual, i] / above
+                        for j in range(i + 1):
+                            normal[i, j] += normals[residual, i, j] / above
+                if cost < least:
+                    gained, least = least - cost, cost
+                    damping *= 0.2
+                    best_normal[:] = normal
+                    best_right[:] = right
+                    estimate[window] = theta
+                    misfit[window] = mean_square
+                    if gained < ENOUGH:
+                        break
+                else:
+                    damping *= 10.0
+                normal[:] = best_normal
+                right[:] = best_right
+                for i in range(COUNT):
+                    normal[i, i] *= 1.0 + damping
                 _factor(normal)
-                if iteration == ITERATIONS:
-                    break
                 _substitute(normal, right)
                 for i in range(COUNT):
-                    theta[i] += min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
+                    theta[i] = estimate[window, i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
                 theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
                 theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
                 theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
-            misfit[window] *= inflation
+            _factor(best_normal)
             for i in range(COUNT):  # diagonal of the inverse
                 right[:] = 0.0
                 right[i] = 1.0
-                _substitute(normal, right)
+                _substitute(best_normal, right)
                 deviation[window, i] = math.sqrt(right[i]) * spread[i]
 
     return compiled(fit)

@@ -33,11 +33,13 @@ LABEL_OF_FAULT = {
 }
 """Index of the label of each fault."""
 
+_FREEZES = np.array([FAULTS.index(f"{name}_freeze") for name in SENSORS])
+
 CHUNK = 512
 """Largest number of axes that are simulated together."""
 
 SECOND_FAULT, FROZEN_LATER, AT_START = 0.1, 0.03, 0.2
-"""Shares: of faulty axes with a second fault, of windows in which a sensor freezes, of windows at the start of a run."""
+"""Shares: of faulty axes with a second fault, of windows in which a sensor freezes, of those at the start of a run."""
 
 
 class Windows(NamedTuple):
@@ -99,7 +101,7 @@ class Plan(NamedTuple):
         generator = np.random.default_rng([int(seeds[0]), number])
         count, config = len(seeds), self.config
         steps = self.longest + self.longest // 4
-        changes = {
+        changes: dict[str, Any] = {
             "episode_duration": steps * config.control_period,
             "leakage": config.leakage.model_dump() | {"schedule": "constant"},
             "faults": {"sensor_freeze": {"schedule": "mixed", "start_range": (0.2, 0.6)}},
@@ -131,9 +133,12 @@ class Plan(NamedTuple):
                 else np.empty((0, len(SIGNALS), size))
             )
             told = labels[kept].copy()
-            told[freeze(cut, generator), LABELS.index("sensor_fault")] = 1.0
+            frozen, sensor = freeze(cut, generator)
+            told[frozen, LABELS.index("sensor_fault")] = 1.0
+            met = first[kept]
+            met[frozen] = np.where(met[frozen] < 0, _FREEZES[sensor], met[frozen])
             values = features_of(cut, sheet) if len(kept) else np.empty((0, len(FEATURES)), dtype=np.float32)
-            parts.append(Windows(values, told, flow[kept], np.full(len(kept), number), first[kept]))
+            parts.append(Windows(values, told, flow[kept], np.full(len(kept), number), met))
         return Windows.joined(parts)
 
     def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
@@ -165,11 +170,11 @@ def draw_faults(
     return sizes, first, labels
 
 
-def freeze(signals: NDArray[Any], generator: np.random.Generator) -> NDArray[np.int64]:
-    """Freeze a sensor of some windows (N, 5, T) in place, from some place on; returns the numbers of those windows."""
+def freeze(signals: NDArray[Any], generator: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Freeze a sensor of some windows (N, 5, T) in place, from some place on; numbers of those windows and sensors."""
     frozen = np.flatnonzero(generator.random(len(signals)) < FROZEN_LATER)
-    for window in frozen:
-        sensor = generator.integers(len(SENSORS))
+    sensors = generator.integers(len(SENSORS), size=len(frozen))
+    for window, sensor in zip(frozen, sensors, strict=True):
         begin = int(generator.uniform(0.0, 0.7) * signals.shape[2])
         signals[window, sensor, begin:] = signals[window, sensor, begin]
-    return frozen
+    return frozen, sensors

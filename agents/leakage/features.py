@@ -181,13 +181,14 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
         *_standstill(whole.signals[:, :4]).T,
         np.full(len(x), np.log10(x.shape[1] * sheet.period)),
     ]
-    return np.nan_to_num(np.stack(columns, axis=1), posinf=0.0, neginf=0.0).astype(np.float32)
+    values: NDArray[np.float32] = np.nan_to_num(np.stack(columns, axis=1), posinf=0.0, neginf=0.0).astype(np.float32)
+    return values
 
 
 def _load_fit(
     x: NDArray[np.float64], force: NDArray[np.float64], period: float, stroke: float, scale: float
 ) -> NDArray[np.float64]:
-    """Spring, offset, friction and misfit (N, 4) of the force of the oil over position and speed; in parts of ``scale``."""
+    """Spring, offset, friction and misfit (N, 4) of the oil's force over position and speed, in ``scale``."""
     place = x / (0.5 * stroke)
     speed = np.zeros_like(x)
     speed[:, 2:-2] = (x[:, 4:] - x[:, :-4]) / (4.0 * period)
