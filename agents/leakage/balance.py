@@ -324,7 +324,7 @@ def _build(sources: int) -> Any:
                 right[:] = 0.0
                 right[i] = 1.0
                 _substitute(best_normal, right)
-                deviation[window, i] = math.sqrt(right[i]) * spread[i]
+                deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # none exceeds its prior's
 
     return compiled(fit)
 

@@ -38,7 +38,7 @@ _FREEZES = np.array([FAULTS.index(f"{name}_freeze") for name in SENSORS])
 CHUNK = 512
 """Largest number of axes that are simulated together."""
 
-SECOND_FAULT, FROZEN_LATER, AT_START = 0.1, 0.03, 0.2
+SECOND_FAULT, FROZEN_LATER, AT_START = 0.1, 0.05, 0.2
 """Shares: of faulty axes with a second fault, of windows in which a sensor freezes, of those at the start of a run."""
 
 

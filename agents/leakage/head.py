@@ -243,16 +243,18 @@ class LeakageHead:
     def estimate_windows(self, signals: NDArray[Any], batch: int = 512) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
 
+        Of windows that are longer than any of the training the head reads the end.
+
         Raises:
-            ConfigurationError: another shape, or a window that is too short or too long.
+            ConfigurationError: another shape, or windows that are too short.
         """
-        shortest, longest = self.settings.window, self.settings.longest
         shape = np.shape(signals)
-        if len(shape) != 3 or shape[1] != len(SIGNALS) or not shortest <= shape[2] <= longest:
+        if len(shape) != 3 or shape[1] != len(SIGNALS) or shape[2] < self.settings.window:
             raise ConfigurationError(
-                f"leakage head: signals have shape {shape}: must be (N, {len(SIGNALS)}, T), T within {shortest} to "
-                f"{longest}"
+                f"leakage head: signals have shape {shape}: must be (N, {len(SIGNALS)}, T) with T of at least "
+                f"{self.settings.window}"
             )
+        signals = signals[:, :, -self.settings.longest :]
         parts = [
             self.judge(features_of(signals[first : first + batch], self.sheet))
             for first in range(0, len(signals), batch)

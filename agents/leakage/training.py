@@ -229,11 +229,12 @@ def calibrated(
     plain = HeadSettings(config, config.steps, round(settings.longest * config.steps), 0.5, record)
     output = LeakageHead(tensors, plain).outputs(inputs)
     probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
-    clean = windows.fault < 0
+    clean, threshold = windows.fault < 0, 1.0
     for label in range(len(LABELS)):
         without = (windows.labels[:, label] == 0.0) & (clean if label == 0 else True)
-        tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
-    threshold = min(float(tensors["thresholds"][0]), 1.0)
+        found = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
+        tensors["thresholds"][label] = found
+        threshold = min(found, 1.0) if label == 0 else threshold
     low, middle, high = quantiles(output).T
     size = size_target(windows.flow_lpm)
     group = groups(windows.features, probability[:, 0], threshold, float(tensors["motion"][0]))
@@ -289,7 +290,8 @@ class _Job:
             raise ConfigurationError(f"{self.checkpoint}: was made with another seed, settings or task")
         if stored.get("controllers") != self.drivers:
             raise ConfigurationError(f"{self.checkpoint}: was trained on episodes of other controllers; cannot resume")
-        epoch, counts = stored.get("epoch"), stored.get("windows")
+        epoch: Any = stored.get("epoch")
+        counts: Any = stored.get("windows")
         if type(epoch) is not int or not 0 <= epoch <= self.settings.epochs:
             raise ConfigurationError(f"{self.checkpoint}: damaged: epoch = {str(epoch)[:30]}")
         own = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
@@ -300,6 +302,8 @@ class _Job:
         try:
             for phase in self.parts:
                 whole = [tensors[f"{phase}.{name}"] for name in Windows._fields] if counts[phase] else []
+                if any(len(array) != sum(counts[phase]) for array in whole):
+                    raise ValueError(phase)
                 ends = np.cumsum(counts[phase])[:-1]
                 self.parts[phase] = [
                     Windows(*part) for part in zip(*(np.split(array, ends) for array in whole), strict=True)
@@ -358,7 +362,7 @@ class _Job:
                 rows = order[first : first + settings.batch]
                 loss = loss_of(self.network(inputs[rows]), labels[rows], size[rows], settings.size_weight)
                 self._optimiser.zero_grad(set_to_none=True)
-                loss.backward()  # type: ignore[no-untyped-call]
+                loss.backward()
                 self._optimiser.step()
                 losses.append(float(loss.detach()))
             self.epoch += 1
