@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.leakage.normal_equations import factor, substitute
 from agents.leakage.sheet import POINTS, Sheet, Unknowns
 from agents.leakage.spool import best_valve, spool_between
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
@@ -95,31 +96,6 @@ def _without_lag(sensed, sheet, pressure):
     pressure[0] = sensed[0]
     for k in range(sensed.shape[0] - 1):
         pressure[k + 1] = (sensed[k + 1] - decay * sensed[k] - follow * pressure[k]) / (1.0 - decay - follow)
-
-
-@inline
-def _factor(matrix):
-    """Cholesky factor of a symmetric positive definite matrix, in place; the lower half counts."""
-    for i in range(COUNT):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = math.sqrt(max(total, 0.05)) if i == j else total / matrix[j, j]
-
-
-@inline
-def _substitute(factor, right):
-    """Solve with a Cholesky factor, in place."""
-    for i in range(COUNT):
-        for k in range(i):
-            right[i] -= factor[i, k] * right[k]
-        right[i] /= factor[i, i]
-    for back in range(COUNT):
-        i = COUNT - 1 - back
-        for k in range(i + 1, COUNT):
-            right[i] -= factor[k, i] * right[k]
-        right[i] /= factor[i, i]
 
 
 @inline
@@ -312,18 +288,18 @@ def _build(sources: int) -> Any:
                 right[:] = best_right
                 for i in range(COUNT):
                     normal[i, i] *= 1.0 + damping
-                _factor(normal)
-                _substitute(normal, right)
+                factor(normal)
+                substitute(normal, right)
                 for i in range(COUNT):
                     theta[i] = estimate[window, i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
                 theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
                 theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
                 theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
-            _factor(best_normal)
+            factor(best_normal)
             for i in range(COUNT):  # diagonal of the inverse
                 right[:] = 0.0
                 right[i] = 1.0
-                _substitute(best_normal, right)
+                substitute(best_normal, right)
                 deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # none exceeds its prior's
 
     return compiled(fit)

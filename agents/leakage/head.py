@@ -1,8 +1,9 @@
 """The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside what I know".
 
-It works under any operation of the axis, because it reads measured signals alone. ``MonitoredController`` attaches it
-to a controller. A small network judges the flow balance of the window (:mod:`agents.leakage.balance`) and statistics of
-its motion (:mod:`agents.leakage.features`). Inference needs NumPy alone.
+It works under any operation of the axis, because it reads measured signals alone; ``MonitoredController``
+(:mod:`agents.leakage.monitor`) attaches it to a controller. A small network judges the flow balance of the window
+(:mod:`agents.leakage.balance`) and statistics of its motion (:mod:`agents.leakage.features`). Inference needs NumPy and
+numba alone.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
+from agents.controllers.base import Floats, ObservationLayout, as_batch
 from agents.leakage.features import FEATURES, LABELS, MOTION, SIGNALS, features_of
 from agents.leakage.sheet import sheet_of
 from agents.running.weights import load_weights, require, save_weights
@@ -324,40 +325,3 @@ class LeakageHead:
             return cls({name: tensors[name] for name in like}, described)
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-
-
-@dataclass
-class MonitorState:
-    """Memory of a monitored controller: the controller's own, and the head's."""
-
-    controller: Any
-    head: HeadState
-
-
-class MonitoredController:
-    """Any controller with the leakage head attached; its commands are those of the controller.
-
-    ``estimate(state)`` reads the last window of observations of each axis.
-    """
-
-    def __init__(self, controller: Controller, head: LeakageHead) -> None:
-        self.controller = controller
-        self.head = head
-
-    def predict(
-        self,
-        observation: Floats,
-        state: MonitorState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], MonitorState]:
-        """The controller's commands; the state also stores the observations for the head."""
-        batch, single = as_batch(observation)
-        inner, watching = (state.controller, state.head) if state is not None else (None, None)
-        action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
-        watching = self.head.remember(batch, watching, episode_start)
-        return (action[0] if single else action), MonitorState(inner, watching)
-
-    def estimate(self, state: MonitorState) -> LeakageEstimate:
-        """Estimate on each axis (N,); NaN until a whole window is known."""
-        return self.head.estimate_remembered(state.head)

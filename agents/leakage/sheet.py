@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.controllers.sampled_loop import FULL_COMMAND, zero_order_hold
+from agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import Physical, to_vector
@@ -16,6 +16,7 @@ from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.task.randomisation import own_value
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import settings_of
+from hydro_env.units import FULL_VOLTAGE
 
 POINTS = 2
 """Points between two samples at which the flows are evaluated."""
@@ -166,7 +167,7 @@ def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArra
         frequency, damping = AT_ONCE, 1.0
     coil = AT_ONCE if c.ideal_drive > 0.0 else c.coil_rate
     a = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2.0 * damping * frequency, frequency**2], [0.0, 0.0, -coil]])
-    b = np.array([0.0, 0.0, coil * FULL_COMMAND * c.drive_rate / c.coil_rate * c.spool_gain])
+    b = np.array([0.0, 0.0, coil * FULL_VOLTAGE * c.drive_rate / c.coil_rate * c.spool_gain])
     steps = []
     for share in (*((np.arange(POINTS) + 0.5) / POINTS), 1.0):
         time = share * config.control_period

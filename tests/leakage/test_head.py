@@ -9,18 +9,19 @@ import pytest
 import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
+from agents.leakage.calibration import calibrated, size_target
 from agents.leakage.dataset import Windows
 from agents.leakage.features import FEATURES, LABELS, SIGNALS
-from agents.leakage.head import LeakageEstimate, LeakageHead, MonitoredController, quantiles, standardised
+from agents.leakage.head import LeakageEstimate, LeakageHead, quantiles, standardised
 from agents.leakage.metrics import area_under_roc
+from agents.leakage.monitor import MonitoredController
 from agents.leakage.training import (
     CHECKPOINT_FILE,
     KIND,
     HeadTrainingSettings,
-    calibrated,
     loss_of,
+    make_network,
     network_tensors,
-    size_target,
     train_head,
     untrained_head,
 )
@@ -253,7 +254,7 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     features = generator.standard_normal((count, len(FEATURES))).astype(np.float32)
     nobody = np.full(count, -1)
     windows = Windows(features, labels, flow, np.zeros(count, dtype=np.int64), nobody)
-    found = calibrated(dict(head.tensors), CONFIG, SETTINGS, windows, {})
+    found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
     estimate = LeakageEstimate(*found.judge(features).T)
     assert np.mean(estimate.probability[flow <= 0.03] >= found.settings.threshold) <= 0.01
     held = (estimate.low_lpm <= flow) & (np.maximum(flow, 0.01) <= estimate.high_lpm * 1.001)
@@ -265,8 +266,6 @@ def test_the_network_of_inference_is_that_of_training():
     torch.manual_seed(0)
     head = untrained_head(CONFIG)
     torch.manual_seed(0)
-    from agents.leakage.training import make_network
-
     network = make_network(8)
     np.testing.assert_array_equal(network_tensors(network)["weight_1"], head.tensors["weight_1"])
     inputs = np.random.default_rng(0).standard_normal((6, len(FEATURES))).astype(np.float32)
@@ -325,6 +324,6 @@ def test_a_state_that_was_given_is_never_changed(head):
 
 def test_inference_needs_no_torch():
     tree = Path("agents/leakage")
-    for name in ("head", "features", "balance", "sheet", "spool"):
+    for name in ("head", "monitor", "features", "balance", "sheet", "spool"):
         assert "torch" not in (Path(__file__).parents[2] / tree / f"{name}.py").read_text().replace("PyTorch", "")
     assert len(SIGNALS) == 5
