@@ -19,6 +19,10 @@ from hypothesis import strategies as st
 
 from agents.leakage.head import LeakageHead
 from agents.learning.policy import PolicyController
+from agents.recordings.columns import read_map
+from agents.recordings.quality import check_recording
+from agents.recordings.recording import read_recording
+from agents.recordings.simulated import recording_csv
 from agents.recordings.table import read_table
 from agents.running.folders import config_folder, pretrained_folder
 from agents.study.settings import StudySettings
@@ -293,6 +297,21 @@ def use_table(folder: Path, content: bytes) -> None:
     refused_or_done(read_table, file_of(folder, "a.csv", content))
 
 
+def use_recording(folder: Path, drawn: Any) -> None:
+    content, columns = drawn
+    mapped = refused_or_done(read_map, file_of(folder, "map.yaml", columns))
+    for chosen in (None, mapped):
+        recording = refused_or_done(read_recording, file_of(folder, "a.csv", content), chosen)
+        if recording is not None:
+            for finding in check_recording(recording, TaskConfig()).findings:
+                assert finding.line().isprintable()
+
+
+RECORDING = recording_csv(
+    0.005 * np.arange(200), np.random.default_rng(0).normal([[0], [4e6], [5e6], [0], [0]], 0.01, (5, 200)), "a test"
+).encode()
+COLUMNS = b"time: {column: 1, unit: s}\ncommand: {column: 6, unit: V, gain: -1}\npressure_a: pressure_a\n"
+
 OPTIONS = {
     "leakage_flow_lpm": 1.0,
     "leakage_resistance": 1e12,
@@ -319,6 +338,7 @@ TARGETS: dict[str, tuple[Any, Any]] = {
     "policy weights": (weights_of("policy"), use_weights(PolicyController.load, "policy")),
     "head weights": (weights_of("leakage_head"), use_weights(LeakageHead.load, "leakage_head")),
     "tables": (edited(b"time,voltage\n" + b"".join(b"%d.5,1e-1\n" % n for n in range(20))), use_table),
+    "recordings": (st.tuples(edited(RECORDING), edited(COLUMNS)), use_recording),
     "command lines": (command_lines(), use_command_line),
 }
 

@@ -17,6 +17,7 @@ FLOORS = (
     ("agents/controllers/", 4),
     ("agents/running/", 5),
     ("agents/learning/", 6),
+    ("agents/estimation/", 6),
     ("agents/leakage/", 7),
     ("agents/alarms/", 8),
     ("agents/experiments/", 8),

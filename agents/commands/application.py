@@ -15,10 +15,12 @@ from typer.core import TyperGroup
 from agents.commands.alarms import alarms
 from agents.commands.bound import bound
 from agents.commands.check_rig import check_rig
+from agents.commands.diagnose import diagnose
 from agents.commands.evaluate import evaluate
 from agents.commands.export import export
 from agents.commands.ladder import ladder
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
+from agents.commands.record import record
 from agents.commands.simulate import simulate
 from agents.commands.study import study
 from agents.commands.train import train
@@ -111,6 +113,8 @@ def benchmark(
 
 
 app.command("simulate")(simulate)
+app.command("record")(record)
+app.command("diagnose")(diagnose)
 app.command("check-rig")(check_rig)
 app.command("train")(train)
 app.command("evaluate")(evaluate)

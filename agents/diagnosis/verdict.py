@@ -1,0 +1,184 @@
+"""The rules of the verdict, in one place.
+
+They hold in this order; the first one that applies decides:
+
+1. A severe finding about the recording → **cannot tell**: what was found.
+2. The estimator was at work, and its model explains less than half of the windows. If it explains them without one of
+   the sensors → **something else**: that sensor; otherwise → **cannot tell**: the model does not describe this rig.
+3. A sensor sticks or loses readings, and no detector has read a window → **something else**: that sensor.
+4. No detector has read a window → **cannot tell**: why not.
+5. The interval of the leak lies above what a healthy seal lets through → **internal leak** of so much; a fault
+   besides it is named.
+6. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
+7. The interval lies below the smallest leak that counts as a fault → **healthy**.
+8. The interval holds both → **cannot tell**.
+
+The estimator leads if it has read at least one window, because its model says when it does not hold; the leakage
+head leads otherwise.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.recordings.findings import Finding, Weight
+from agents.report.text import decimals_for, number
+
+Floats = NDArray[np.float64]
+
+MOST = 0.5
+"""Share of the windows that makes "most"."""
+
+CHANGED = 3.0
+"""Change of the leak within the recording, in standard deviations of a window's reading, that is mentioned."""
+
+HALF_WIDTH = 1.645
+"""Half of a 90 % interval, in standard deviations."""
+
+
+class Kind(StrEnum):
+    """The four verdicts."""
+
+    HEALTHY = "healthy"
+    LEAK = "internal leak"
+    OTHER = "something else"
+    UNKNOWN = "cannot tell"
+
+
+class Leak(NamedTuple):
+    """A leak in l/min at 100 bar with its 90 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def text(self) -> str:
+        """``1.02 [0.98, 1.06] l/min at 100 bar``; as many decimals as the interval is worth."""
+        decimals = min(decimals_for(self.high - self.low, 2), 4)
+        parts = (number(max(part, 0.0), decimals) for part in self)
+        return "{} [{}, {}] l/min at 100 bar".format(*parts)
+
+
+class Reading(NamedTuple):
+    """What a detector has read from each of B windows."""
+
+    leak: Floats  # (B,), l/min at 100 bar; NaN: nothing
+    low: Floats  # (B,), 90 % interval
+    high: Floats  # (B,)
+    holds: NDArray[np.bool_]  # (B,), whether the reading counts
+    fault: tuple[str, ...]  # (B,), fault besides the piston seal that the window shows; empty: none
+    why: tuple[str, ...]  # (B,), why the reading does not count; empty where it counts
+    misfits: NDArray[np.bool_]  # (B,), the detector was at work, but the window is outside what it describes
+
+
+class Limits(NamedTuple):
+    """Leaks in l/min at 100 bar."""
+
+    healthy: float  # a healthy seal lets through no more
+    fault: float  # smallest leak that counts as a fault
+
+
+class Verdict(NamedTuple):
+    """The answer."""
+
+    kind: Kind
+    why: str  # the fault, or the reason
+    leak: Leak | None  # where one was read
+    detector: str  # that has decided; empty: none
+
+    def line(self) -> str:
+        """The verdict in one line."""
+        if self.kind is Kind.LEAK and self.leak is not None:
+            return f"internal leak of {self.leak.text()}{f'; {self.why}' if self.why else ''}"
+        if self.kind is Kind.HEALTHY and self.leak is not None:
+            return f"healthy: leak past the piston {self.leak.text()}"
+        seal = f"; leak past the piston {self.leak.text()}" if self.kind is Kind.OTHER and self.leak is not None else ""
+        return f"{self.kind.value}: {self.why}{seal}"
+
+
+def judge(
+    findings: Sequence[Finding], estimator: Reading | None, head: Reading | None, limits: Limits, missing: str = ""
+) -> Verdict:
+    """The verdict on a recording, by the rules above.
+
+    Args:
+        findings: about the recording.
+        estimator: readings of the estimator in the order of time; ``None``: it was not used.
+        head: readings of the leakage head in the order of time; ``None``: it was not used.
+        limits: of leaks.
+        missing: the sensor without which the model explains the windows, in words; empty: there is none.
+    """
+    readings = {"estimator": estimator, "leakage head": head}
+    leader = next((name for name, reading in readings.items() if reading is not None and reading.holds.any()), "")
+    reading = readings.get(leader)
+    severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
+    if severe:
+        more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
+        return Verdict(Kind.UNKNOWN, severe[0].line() + more, None, "")
+    sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
+    besides = f"sensor fault: {sensors[0].line()}" if sensors else ""
+    if estimator is not None and _share(estimator.misfits) > MOST:
+        if missing or besides:
+            return Verdict(Kind.OTHER, besides or missing, None, "estimator")
+        share = number(100.0 * _share(estimator.misfits), 0)
+        why = f"the model does not describe this rig: it explains too little in {share} % of the windows"
+        return Verdict(Kind.UNKNOWN, why, None, "estimator")
+    if reading is None:
+        return Verdict(*(Kind.OTHER, besides) if besides else (Kind.UNKNOWN, _why_nothing(estimator, head)), None, "")
+    leak, change = combined(reading)
+    named = Counter(fault for fault, holds in zip(reading.fault, reading.holds, strict=True) if holds and fault)
+    if not besides and named.total() >= MOST * reading.holds.sum():
+        besides = named.most_common(1)[0][0]
+    if leak.low > limits.healthy:
+        return Verdict(
+            Kind.LEAK, "; ".join(part for part in (change, besides and f"besides, {besides}") if part), leak, leader
+        )
+    if besides:
+        return Verdict(Kind.OTHER, besides, leak, leader)
+    if leak.high < limits.fault:
+        return Verdict(Kind.HEALTHY, "", leak, leader)
+    why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
+    return Verdict(Kind.UNKNOWN, why, leak, leader)
+
+
+def combined(reading: Reading) -> tuple[Leak, str]:
+    """The leak of the recording, and words about its change; of the last third if it has changed.
+
+    Windows of one axis share its unknown parameters, so that many windows know the leak no better than one: the
+    interval is that of a typical window, widened if the windows scatter more than their intervals say.
+    """
+    leak, low, high = (values[reading.holds] for values in (reading.leak, reading.low, reading.high))
+    change = ""
+    third = len(leak) // 3
+    if third >= 2:
+        before, after = float(np.median(leak[:third])), float(np.median(leak[-third:]))
+        sigma = float(np.median(high - low)) / (2.0 * HALF_WIDTH)
+        scatter = float(np.median(np.abs(np.diff(leak)))) / 0.954  # of one window: a difference has √2 of it
+        if abs(after - before) > CHANGED * max(sigma, scatter):
+            word = "grew" if after > before else "fell"
+            change = f"it {word} from {number(max(before, 0.0), 3)} during the recording"
+            leak, low, high = leak[-third:], low[-third:], high[-third:]
+    value = float(np.median(leak))
+    below, above = float(np.median(leak - low)), float(np.median(high - leak))
+    if len(leak) >= 3:
+        scatter = HALF_WIDTH * 1.483 * float(np.median(np.abs(leak - value)))
+        below, above = max(below, scatter), max(above, scatter)
+    return Leak(value, value - below, value + above), change
+
+
+def _share(mask: NDArray[np.bool_]) -> float:
+    return float(mask.mean()) if len(mask) else 0.0
+
+
+def _why_nothing(*readings: Reading | None) -> str:
+    """The reason that most windows give, of the first detector that was at work."""
+    for reading in readings:
+        if reading is not None and any(reading.why):
+            return Counter(why for why in reading.why if why).most_common(1)[0][0]
+    return "the recording is shorter than one window"

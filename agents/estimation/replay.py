@@ -1,0 +1,183 @@
+"""Replays recorded commands on many plants at once and returns what their sensors would have read."""
+
+from __future__ import annotations
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_env import TaskConfig
+from hydro_env.compiling import SOURCES, compiled, tuple_writer
+from hydro_env.plant.arrays import (
+    N_COEFFICIENTS,
+    read_physical,
+    read_state,
+    write_coefficients,
+)
+from hydro_env.plant.equations import coefficients, derivatives
+from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
+from hydro_env.plant.parts.supply import gas_volume_at
+from hydro_env.plant.states import State
+from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.settings import settings_of
+from hydro_env.task.signals import Signals, lagged
+from hydro_env.units import FULL_VOLTAGE
+
+Array = NDArray[np.float64]
+
+ROWS_PER_THREAD = 64
+"""Each thread gets at least this many rows; with fewer, waking it takes longer than its work."""
+
+MOST_STEPS = 500.0
+"""Budget of inner steps between two samples; a plant that exceeds it is none that could have moved as recorded."""
+
+_CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
+    State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
+)
+_write_signals = tuple_writer(Signals)
+
+
+class Lag(NamedTuple):
+    """A transducer's lag over one interval, under the names that :func:`~hydro_env.task.signals.lagged` reads."""
+
+    pressure_lag: float  # time constant over the interval
+    pressure_decay: float  # exp(−interval over time constant)
+
+
+class Commands(NamedTuple):
+    """The commands of B recorded windows of T samples; see docs/estimation.md for the format."""
+
+    command: Array  # (B, T), −1 to 1; column k acts until the latency after sample k has passed
+    durations: Array  # (B, T − 1), s, from each sample to the next
+
+
+def time_constant(config: TaskConfig) -> float:
+    """Time constant in s of the pressure transducers; 0 for exact sensors."""
+    settings = settings_of(config)[0]
+    return float(settings["pressure_lag"] * config.control_period)
+
+
+def replay(
+    config: TaskConfig,
+    commands: Commands,
+    window: NDArray[np.int64],
+    physical: Array,
+    start: Array,
+    latency: Array,
+    threads: int | None = None,
+) -> tuple[Array, Array]:
+    """Readings of R plants, without noise and bias, and their states at the last sample.
+
+    Args:
+        config: the task; it sets the integrator's accuracy and the transducers' lag.
+        commands: the recorded commands of B windows.
+        window: index of the window that each row replays, (R,).
+        physical: parameters of each plant, (R, parameters), in the order of ``PARAMETER_PATHS``.
+        start: state at the first sample, (R, N_STATES). NaN as coil current stands for the current of the first
+            command, NaN as gas volume for the one that belongs to the supply pressure.
+        latency: from a sample until its command acts, (R,), s.
+        threads: worker threads; ``None`` takes one per core.
+
+    Returns:
+        Readings (R, channels, T) in the order of ``CHANNELS``, and states (R, N_STATES). NaN from where the
+        integration failed.
+    """
+    rows, samples = len(window), commands.command.shape[1]
+    readings = np.full((rows, len(CHANNELS), samples), np.nan)
+    state = np.array(start, dtype=np.float64)
+    accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
+    arguments: tuple[Any, ...] = (
+        *commands,
+        window,
+        physical,
+        latency,
+        time_constant(config),
+        accuracy,
+        state,
+        readings,
+    )
+    wanted = threads if threads is not None else (os.cpu_count() or 1)
+    parts = max(1, min(wanted, rows // ROWS_PER_THREAD))
+    if parts == 1:
+        _replay(*arguments, 0, rows)
+        return readings, state
+
+    def run(part: int) -> None:
+        _replay(*arguments, rows * part // parts, rows * (part + 1) // parts)
+
+    with ThreadPoolExecutor(parts, thread_name_prefix="estimation") as pool:
+        list(pool.map(run, range(parts)))
+    return readings, state
+
+
+def _build(sources: int) -> Any:
+    def run(
+        command: Array,
+        durations: Array,
+        window: Any,
+        physical: Array,
+        latency: Array,
+        time_constant: float,
+        accuracy: Any,
+        state: Array,
+        readings: Array,
+        first: int,
+        last: int,
+    ) -> None:
+        assert sources >= 0  # keys numba's cache
+        rows = last - first
+        states = state[first:last]
+        coefficient = np.empty((rows, N_COEFFICIENTS))
+        voltage = np.empty((rows, 2))
+        interval = np.empty((rows, 2))
+        peaks = np.empty((rows, N_PEAKS))
+        true, sensed = np.empty((rows, 2)), np.empty((rows, 2))  # pressures, and the transducers' signals
+        for row in range(rows):
+            p = read_physical(physical[first + row])
+            c = coefficients(p)
+            write_coefficients(coefficient[row], c)
+            own = states[row]
+            volts = FULL_VOLTAGE * command[window[first + row], 0]
+            if math.isnan(own[_CURRENT]):
+                own[_CURRENT] = c.drive_rate * volts / c.coil_rate
+            if math.isnan(own[_GAS_VOLUME]):
+                own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
+            s = read_state(own)
+            # A lag that has followed a steady change stays behind by this change within its time constant.
+            rate = derivatives(s, c, volts)
+            true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
+            sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
+            sensed[row, 1] = s.pressure_b - time_constant * rate.pressure_b
+            signals = Signals(s.position, sensed[row, 0], sensed[row, 1], s.spool_position)
+            _write_signals(readings[first + row, :, 0], signals)
+        for sample in range(1, readings.shape[2]):
+            for row in range(rows):
+                source = window[first + row]
+                duration = durations[source, sample - 1]
+                interval[row, 0] = min(latency[first + row], duration)
+                interval[row, 1] = duration - interval[row, 0]
+                if math.isnan(states[row, 0]):  # it has failed: no time is spent on it
+                    interval[row, :] = 0.0
+                voltage[row, 0] = FULL_VOLTAGE * command[source, sample - 1]
+                voltage[row, 1] = FULL_VOLTAGE * command[source, sample]
+            integrate_part(Plants(states, coefficient, voltage, interval, peaks), accuracy, 0, rows)
+            for row in range(rows):
+                if peaks[row, STEPS] > accuracy.most_steps:
+                    states[row, :] = np.nan
+                duration = durations[window[first + row], sample - 1]
+                lag = Lag(time_constant / duration, math.exp(-duration / time_constant) if time_constant > 0.0 else 0.0)
+                s = read_state(states[row])
+                sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
+                sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)
+                true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
+                signals = Signals(s.position, sensed[row, 0], sensed[row, 1], s.spool_position)
+                _write_signals(readings[first + row, :, sample], signals)
+
+    return compiled(run)
+
+
+_replay = _build(SOURCES)

@@ -1,0 +1,57 @@
+"""What is wrong with a recording: one line per finding, with the place in seconds and the share that it concerns."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agents.report.text import number
+
+
+class Weight(StrEnum):
+    """What a finding means for the verdict."""
+
+    NOTE = "note"  # nothing
+    FAULT = "fault"  # a sensor of the rig is faulty
+    SEVERE = "severe"  # no verdict is possible
+
+
+class Finding(NamedTuple):
+    """One thing that is wrong with a recording."""
+
+    signal: str  # or "time"
+    what: str  # the rest of the sentence, which begins with a verb
+    weight: Weight
+    begin: float = np.nan  # s, first place; NaN for the whole recording
+    end: float = np.nan  # s, end of the first place
+    share: float = np.nan  # of the recording, 0 to 1
+
+    def line(self) -> str:
+        """The finding in one line."""
+        parts = [f"{self.signal} {self.what}"]
+        if np.isfinite(self.begin):
+            to = f" to {number(self.end, 3)}" if self.end > self.begin else ""
+            parts.append(f"first at {number(self.begin, 3)}{to} s")
+        if np.isfinite(self.share):
+            parts.append(f"{number(100.0 * self.share, digits=2)} % of the recording")
+        return ", ".join(parts)
+
+
+def runs_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First index of each run of true values, and the index behind its last."""
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def severe_if(condition: object) -> Weight:
+    """SEVERE if the condition holds, otherwise a NOTE."""
+    return Weight.SEVERE if condition else Weight.NOTE
+
+
+def finding_of(mask: NDArray[np.bool_], time: NDArray[np.float64], signal: str, what: str, weight: Weight) -> Finding:
+    """A finding about the rows where ``mask`` (n,) is true; ``time`` (n,), s. At least one must be."""
+    begins, ends = runs_of(mask)
+    return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

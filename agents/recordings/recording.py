@@ -1,0 +1,146 @@
+"""Reads a recording of a rig: a CSV file with time stamps and one column per measured signal."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
+from agents.recordings.findings import Finding, severe_if
+from hydro_env import ConfigurationError
+from hydro_env.files import read_text
+
+LARGEST_RECORDING = 200_000_000
+"""Largest size in bytes; about three hours at 200 rows per second."""
+
+FEWEST_ROWS = 3
+
+Floats = NDArray[np.float64]
+
+
+class Recording(NamedTuple):
+    """Rows of a file as they stand there; a cell that is empty or no number is NaN."""
+
+    source: str
+    time: Floats  # (n,), s, from the first row
+    signals: Floats  # (5, n), SI, in the order of MEASURED; the command is the one that acts at the time of the row
+    units: dict[str, str]  # by signal, as the file or the map says
+    findings: list[Finding]
+
+
+def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
+    """Read a recording.
+
+    The first line holds the headings; lines before it that are empty or begin with ``#`` are skipped. Columns are
+    separated by semicolons or tabs, which allow decimal commas, or by commas.
+
+    Args:
+        path: the file, UTF-8.
+        columns: which column is which; default: the names that ``hydro record`` writes.
+
+    Raises:
+        ConfigurationError: the file is unreadable, too large or no table, or a column or its unit is missing.
+    """
+    table, first_line = _read_cells(path)
+    headings = [str(name) for name in table.columns]
+    source = str(path)
+    if columns is None:
+        columns = own_map(headings, source)
+    findings: list[Finding] = []
+    units: dict[str, str] = {}
+    time, signals = np.zeros(0), np.full((len(MEASURED), len(table)), np.nan)
+    for signal, column in columns.columns().items():
+        place = place_of(column, signal, headings, source)
+        values = _time_stamps(table.iloc[:, place]) if signal == "time" else None
+        if values is None:
+            values = _numbers(table.iloc[:, place], signal, first_line, findings)
+            units[signal], size = unit_of(column, signal, headings[place], source)
+            values = size * (column.gain * values + column.offset)
+        values[~np.isfinite(values)] = np.nan
+        if signal == "time":
+            time = values
+        else:
+            signals[MEASURED.index(signal)] = values
+    if columns.command.rows_early:
+        signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
+    for signal in MEASURED:
+        if getattr(columns, signal) is None:
+            findings.append(Finding(signal, "was not recorded", severe_if(signal == "command")))
+    known = np.isfinite(time)
+    if known.sum() < FEWEST_ROWS:
+        raise ConfigurationError(f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp")
+    if not known.all():
+        share = float(1.0 - known.mean())
+        findings.append(
+            Finding("time", "is missing in some rows, which are left out", severe_if(share > 0.2), share=share)
+        )
+    time = time[known]
+    return Recording(source, time - time[0], signals[:, known], units, findings)
+
+
+def _read_cells(path: Path) -> tuple[pd.DataFrame, int]:
+    """The table under its headings, and the line of the file in which its first row stands."""
+    text = read_text(path, LARGEST_RECORDING)
+    start, skipped = 0, 0
+    while start < len(text):
+        end = text.find("\n", start)
+        line = text[start : end if end >= 0 else len(text)].strip()
+        if line and not line.startswith("#"):
+            break
+        start, skipped = (end + 1 if end >= 0 else len(text)), skipped + 1
+    if start >= len(text):
+        raise ConfigurationError(f"{path}: holds no table")
+    separator = next((mark for mark in ";\t" if mark in line), ",")
+    decimal = "," if separator != "," and "," in text[start + len(line) : start + 100_000] else "."
+    try:
+        table = pd.read_csv(
+            io.StringIO(text[start:]),
+            sep=separator,
+            decimal=decimal,
+            index_col=False,
+            skipinitialspace=True,
+            low_memory=False,
+        )
+    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
+        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
+    if not len(table):
+        raise ConfigurationError(f"{path}: holds headings and no rows")
+    return table, skipped + 2
+
+
+def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
+    """Values of a column; text becomes NaN and a finding."""
+    values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
+    text = np.flatnonzero(np.isnan(values) & cells.notna().to_numpy())
+    if len(text):
+        example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)
+        what = f"has {len(text)} cells that are no numbers, the first one {example!r} in line {first_line + text[0]}"
+        findings.append(Finding(signal, what, severe_if(share > 0.2), share=share))
+    return values
+
+
+def _time_stamps(cells: pd.Series) -> Floats | None:
+    """Seconds since the first of the dates and times of day (ISO 8601); ``None`` if the cells are numbers."""
+    if pd.api.types.is_numeric_dtype(cells):
+        return None
+    stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
+    if stamps.isna().mean() > 0.5:
+        return None
+    seconds: Floats = (stamps - stamps.dropna().iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64).copy()
+    return seconds
+
+
+def _shifted(values: Floats, rows: int) -> Floats:
+    """Values moved down by a number of rows; the gap is NaN."""
+    result = np.full_like(values, np.nan)
+    if abs(rows) < len(values):
+        if rows > 0:
+            result[rows:] = values[:-rows]
+        else:
+            result[:rows] = values[-rows:]
+    return result

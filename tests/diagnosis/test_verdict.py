@@ -1,0 +1,117 @@
+"""The rules of the verdict, as a table."""
+
+import numpy as np
+import pytest
+
+from agents.diagnosis.verdict import Kind, Limits, Reading, combined, judge
+from agents.recordings.findings import Finding, Weight
+
+LIMITS = Limits(0.03, 0.1)
+NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
+STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
+WRONG = Finding("position", "reads metres", Weight.SEVERE)
+
+
+def reading(*leaks, width=0.01, holds=True, fault="", why="", misfits=False):
+    """Windows with these leaks; the other arguments hold for all."""
+    leak, count = np.array(leaks, dtype=np.float64), len(leaks)
+    flags = np.full(count, holds), np.full(count, misfits)
+    return Reading(leak, leak - width, leak + width, flags[0], (fault,) * count, (why,) * count, flags[1])
+
+
+def misfit(count=4):
+    return reading(*[0.5] * count, holds=False, misfits=True, why="the model does not explain the readings")
+
+
+HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
+CASES = {
+    "healthy": ([], HEALTHY, None, "", Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
+    "leak": ([], LEAK, None, "", Kind.LEAK, "internal leak of 1.000 ["),
+    "notes change nothing": ([NOTE], LEAK, None, "", Kind.LEAK, ""),
+    "severe finding": ([NOTE, WRONG], LEAK, LEAK, "", Kind.UNKNOWN, "cannot tell: position reads metres"),
+    "several severe findings": ([WRONG, WRONG], LEAK, LEAK, "", Kind.UNKNOWN, "(and 1 more)"),
+    "model misfits": ([], misfit(), LEAK, "", Kind.UNKNOWN, "cannot tell: the model does not describe this rig"),
+    "model misfits, one sensor explains it": (
+        [],
+        misfit(),
+        LEAK,
+        "the spool sensor",
+        Kind.OTHER,
+        "something else: the spool sensor",
+    ),
+    "stuck sensor, tight seal": (
+        [STUCK],
+        HEALTHY,
+        None,
+        "",
+        Kind.OTHER,
+        "something else: sensor fault: pressure_a",
+    ),
+    "stuck sensor, no reading": (
+        [STUCK],
+        None,
+        None,
+        "",
+        Kind.OTHER,
+        "something else: sensor fault: pressure_a",
+    ),
+    "stuck sensor, model misfits": ([STUCK], misfit(), None, "", Kind.OTHER, "sensor fault"),
+    "stuck sensor and leak": ([STUCK], LEAK, None, "", Kind.LEAK, "besides, sensor fault: pressure_a is stuck"),
+    "worn valve": (
+        [],
+        reading(0.01, 0.01, fault="worn edges"),
+        None,
+        "",
+        Kind.OTHER,
+        "something else: worn edges;",
+    ),
+    "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, "", Kind.LEAK, "besides, worn edges"),
+    "nothing read": ([], None, None, "", Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
+    "standstill": (
+        [],
+        reading(0.2, holds=False, why="more motion is needed"),
+        None,
+        "",
+        Kind.UNKNOWN,
+        "cannot tell: more motion is needed",
+    ),
+    "interval holds both": ([], reading(0.05, 0.05, width=0.06), None, "", Kind.UNKNOWN, "may be healthy or faulty"),
+    "small but sure": ([], reading(0.05, 0.05), None, "", Kind.LEAK, "internal leak of 0.050"),
+    "head alone": ([], None, LEAK, "", Kind.LEAK, "internal leak"),
+    "estimator leads": ([], HEALTHY, LEAK, "", Kind.HEALTHY, "healthy"),
+    "head leads where the estimator reads nothing": (
+        [],
+        reading(0.2, holds=False, why="commands are missing in the window"),
+        LEAK,
+        "",
+        Kind.LEAK,
+        "internal leak",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_rule(case):
+    findings, estimator, head, missing, kind, words = CASES[case]
+    verdict = judge(findings, estimator, head, LIMITS, missing)
+    assert verdict.kind is kind
+    assert words in verdict.line()
+    assert "\n" not in verdict.line()
+
+
+def test_cannot_tell_gives_no_number_for_a_rig_that_the_model_does_not_describe():
+    assert judge([], misfit(), LEAK, LIMITS).leak is None
+
+
+def test_a_leak_that_has_changed_is_that_of_the_end():
+    leak, change = combined(reading(0.01, 0.01, 0.01, 0.5, 0.51, 0.5, 0.5, 0.5, 0.5))
+    assert leak.value == 0.5
+    assert change == "it grew from 0.010 during the recording"
+    assert combined(reading(0.01, 0.012, 0.011, 0.01, 0.012, 0.011))[1] == ""
+
+
+def test_windows_that_scatter_widen_the_interval():
+    narrow, _ = combined(reading(1.0, 1.001, 0.999, 1.0))
+    wide, _ = combined(reading(0.8, 1.2, 0.9, 1.1))
+    assert narrow.high - narrow.low == pytest.approx(0.02)
+    assert wide.high - wide.low > 0.3

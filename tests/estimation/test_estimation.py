@@ -1,0 +1,364 @@
+"""The estimator finds what was put in, says how well it knows it, and notices what its model does not have."""
+
+import numpy as np
+import pytest
+
+from agents.estimation.estimate import EstimationSettings, estimate
+from agents.estimation.following import Follower, estimate_run
+from agents.estimation.information import information
+from agents.estimation.model import Model
+from agents.estimation.names import LEAKAGE, NAMES
+from agents.estimation.priors import Prior, prior_of
+from agents.estimation.replay import Commands, replay
+from agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.plant.states import N_STATES, State
+from hydro_env.task.sensors import CHANNELS
+from hydro_env.units import resistance_from_flow
+
+SAMPLES = 161
+CONFIG = TaskConfig(episode_duration=1.0)
+FEW = (
+    LEAKAGE,
+    "valve.rated_flow",
+    "load.mass",
+    "pressure_a_bias",
+    "start.position",
+    "start.pressure_a",
+    "start.pressure_b",
+    "start.spool_position",
+    "start.supply_pressure",
+)
+"""Unknowns of tests whose other parameters are known."""
+QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
+PLANT = PARAMETER_PATHS.index
+
+
+def driven(config, leak, seeds, samples=SAMPLES, faults=None, start_moving=False):
+    """Signals (N, 5, T) of axes that follow a few sines, their physical parameters and states at the first sample."""
+    env = ServoHydraulicVectorEnv(len(seeds), config, info=False, autoreset_mode="Disabled")
+    options = {"leakage_flow_lpm": np.asarray(leak, float), "initial_position": 0.0}
+    env.reset(seed=list(seeds), options={**options, **({"faults": faults} if faults else {})})
+    axes, columns = env.axes, []
+
+    def column():
+        return np.column_stack([axes.column("measured"), axes.column("command")])
+
+    before = 15 if start_moving else 0
+    for step in range(samples + before):
+        if step == before:
+            start = axes.state.copy()
+        if step >= before:
+            columns.append(column())
+        time = step * config.control_period
+        command = 0.25 * np.sin(25.0 * time) + 0.12 * np.sin(61.0 * time) + 0.02 - 0.3 * axes.column("position") / 0.02
+        env.step(np.clip(command, -1.0, 1.0).astype(np.float32)[:, None])
+    physical = axes.physical.copy()
+    physical[:, PLANT("leakage.internal_resistance")] = [resistance_from_flow(flow) for flow in leak]
+    return np.stack(columns, axis=-1), physical, start
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """Windows of four plants with two leaks; they do not begin at rest."""
+    leak = np.array([0.05, 0.05, 0.5, 0.5])
+    signals, physical, start = driven(CONFIG, leak, range(1_300_000, 1_300_004), start_moving=True)
+    return leak, signals, physical, start
+
+
+@pytest.fixture(scope="module")
+def found(moving):
+    return estimate(moving[1], CONFIG)
+
+
+def exact(config=CONFIG):
+    """The task with exact sensors: no lag, no noise."""
+    return config.model_copy(update={"sensors": config.sensors.model_copy(update={"enabled": False})})
+
+
+def quiet():
+    """The task with sensors that lag, but have neither noise nor bias nor steps."""
+    silent = {name: {"noise": 0, "bias": 0, "resolution": 0} for name in CHANNELS}
+    return CONFIG.model_copy(update={"sensors": type(CONFIG.sensors).model_validate(silent)})
+
+
+def test_the_replay_is_what_the_environment_does():
+    config = exact(TaskConfig(episode_duration=1.0, command_latency_range=(0.0, 4e-3)))
+    env = ServoHydraulicVectorEnv(3, config, info=False)
+    env.reset(seed=[1, 2, 3], options={"leakage_flow_lpm": 2.0})
+    axes, start = env.axes, env.axes.state.copy()
+    commands, seen = [axes.column("command").copy()], [axes.column("measured").copy()]
+    for command in np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3)).astype(np.float32):
+        env.step(command[:, None])
+        commands.append(axes.column("command").copy())
+        seen.append(axes.column("measured").copy())
+    physical = axes.physical.copy()
+    physical[:, PLANT("leakage.internal_resistance")] = resistance_from_flow(2.0)
+    durations = np.full((3, 40), config.control_period)
+    readings, last = replay(
+        config, Commands(np.transpose(commands), durations), np.arange(3), physical, start, axes.column("latency")
+    )
+    np.testing.assert_allclose(readings, np.transpose(seen, (1, 2, 0)), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(last, axes.state, rtol=1e-9)
+
+
+def test_the_sensors_lag_as_those_of_the_environment():
+    config = quiet()
+    signals, physical, start = driven(config, [0.3], [7])
+    commands = Commands(signals[:, -1], np.full((1, SAMPLES - 1), config.control_period))
+    readings, _ = replay(config, commands, np.zeros(1, np.int64), physical, start, np.array([config.command_latency]))
+    inside = (signals[:, 1] > 0.0) & (signals[:, 1] < 100e5)
+    np.testing.assert_allclose(readings[:, 1][inside], signals[:, 1][inside], rtol=1e-9)
+    np.testing.assert_allclose(readings[:, 0], signals[:, 0], atol=1e-12)
+
+
+def test_a_plant_that_cannot_be_integrated_gives_nan():
+    physical = np.tile([1.0], (1, len(PARAMETER_PATHS)))
+    physical[:] = driven(CONFIG, [0.3], [7], 3)[1]
+    physical[:, PLANT("leakage.internal_resistance")] = -1.0  # the chambers would drive each other
+    commands = Commands(np.zeros((1, 9)), np.full((1, 8), 5e-3))
+    start = np.zeros((1, N_STATES))
+    start[:, [State._fields.index(name) for name in ("pressure_a", "pressure_b")]] = 2e6, 3e6
+    start[:, State._fields.index("supply_pressure")], start[:, State._fields.index("gas_volume")] = 7e6, np.nan
+    readings, last = replay(CONFIG, commands, np.zeros(1, np.int64), physical, start, np.array([1e-3]))
+    assert np.isnan(last).all()
+    assert np.isnan(readings[:, :, -1]).all()
+
+
+def test_the_truth_is_recovered_from_exact_readings():
+    config = exact()
+    signals, physical, _ = driven(config, [0.02, 0.7], [11, 12])
+    unknowns = (LEAKAGE, "valve.rated_flow", "load.mass", "load.spring_stiffness", "start.position", "start.pressure_a")
+    unknowns = (*unknowns, "start.pressure_b", "start.spool_position", "start.supply_pressure")
+    known = estimate(signals, config, unknowns, physical=physical)
+    assert known.value(LEAKAGE) == pytest.approx([0.02, 0.7], abs=2e-4)
+    for name in unknowns[1:4]:
+        np.testing.assert_allclose(known.value(name), physical[:, PLANT(name)], rtol=2e-3)
+
+
+def test_noisy_windows_of_unknown_plants_are_read_within_their_uncertainty(moving, found):
+    leak, _, physical, start = moving
+    assert found.names == default_unknowns(CONFIG)
+    assert found.holds.all()
+    assert (np.abs(found.chi2_per_sample - 1.0) < 0.2).all()
+    assert (np.abs(found.value(LEAKAGE) - leak) < 3.5 * found.deviation(LEAKAGE)).all()
+    assert (found.deviation(LEAKAGE) < 0.03).all()
+    for name in ("load.mass", "valve.rated_flow", "friction.coulomb_force"):
+        assert (np.abs(found.value(name) - physical[:, PLANT(name)]) < 4.0 * found.deviation(name)).all()
+    position = start[:, State._fields.index("position")]
+    assert (np.abs(found.value("start.position") - position) < 4.0 * found.deviation("start.position")).all()
+
+
+def test_interval_and_probability_follow_from_value_and_deviation(found):
+    low, high = found.interval(LEAKAGE, 0.9)
+    np.testing.assert_allclose(high - low, 2 * 1.6449 * found.deviation(LEAKAGE), rtol=1e-4)
+    np.testing.assert_allclose(found.probability_above(LEAKAGE, high[0])[0], 0.05, atol=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.einsum("bii->bi", found.covariance)), found.deviations)
+
+
+def test_the_deviation_is_the_spread_over_noise():
+    signals, physical, _ = driven(quiet(), [0.3], [21], start_moving=True)
+    noise = np.random.default_rng(3).standard_normal((48, len(CHANNELS), SAMPLES))
+    sigma = np.array([getattr(CONFIG.sensors, name).noise for name in CHANNELS])
+    noisy = np.repeat(signals, 48, axis=0)
+    noisy[:, : len(CHANNELS)] += noise * sigma[:, None]
+    unknowns = (*FEW[:3], *FEW[4:], "start.velocity")  # no bias: what is the same in every window cannot spread
+    spread = estimate(noisy, CONFIG, unknowns, physical=physical[0], settings=QUICK)
+    error = (spread.values - spread.values.mean(axis=0)) / spread.deviations
+    assert spread.holds.mean() > 0.9
+    np.testing.assert_allclose(error.std(axis=0), 1.0, atol=0.35)
+    assert abs((spread.value(LEAKAGE).mean() - 0.3) / spread.deviation(LEAKAGE).mean()) < 0.6
+
+
+def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
+    leak, signals, physical, _ = moving
+    narrow = {LEAKAGE: Prior(0.2, 1e-5)}
+    held = estimate(signals[:1], CONFIG, FEW, priors=narrow, physical=physical[:1], settings=QUICK)
+    assert held.value(LEAKAGE)[0] == pytest.approx(0.2, abs=1e-3)
+    wide = {LEAKAGE: Prior(0.2, 5.0)}
+    free = estimate(signals[2:3], CONFIG, FEW, priors=wide, physical=physical[2:3], settings=QUICK)
+    assert abs(free.value(LEAKAGE)[0] - leak[2]) < 0.05
+
+
+def test_what_a_window_at_rest_cannot_tell_is_named():
+    env = ServoHydraulicVectorEnv(1, CONFIG, info=False)
+    env.reset(seed=[5], options={"leakage_flow_lpm": [0.01], "initial_position": 0.01})
+    axes, columns = env.axes, []
+    hold = axes.column("command").copy()
+    for _ in range(60):
+        columns.append(np.column_stack([axes.column("measured"), axes.column("command")]))
+        env.step(hold.astype(np.float32)[:, None])
+    still = estimate(np.stack(columns, axis=-1), CONFIG, settings=QUICK)
+    assert {"load.mass", "load.viscous_damping", "position_bias"} <= set(still.undetermined(0))
+    assert "start.position" not in still.undetermined(0)
+
+
+def test_missing_readings_are_left_out(moving):
+    leak, signals, *_ = moving
+    gaps = signals[2:].copy()
+    gaps[:, 3] = np.nan  # no spool sensor
+    gaps[:, :4, 50:60] = np.nan
+    gaps[:, 0, 70] = np.nan
+    partial = estimate(gaps, CONFIG)
+    assert partial.holds.all()
+    assert (np.abs(partial.value(LEAKAGE) - leak[2:]) < 4.0 * partial.deviation(LEAKAGE)).all()
+    assert (partial.deviation("spool_position_bias") > 0.99 * prior_of(CONFIG, "spool_position_bias").deviation).all()
+    blind = signals[2:3].copy()
+    blind[:, :4] = np.nan
+    nothing = estimate(blind, CONFIG, settings=QUICK)
+    assert LEAKAGE in nothing.undetermined(0)
+
+
+def test_saturated_readings_are_left_out(moving):
+    leak, signals, *_ = moving
+    limited = CONFIG.sensors.pressure_b.model_copy(update={"high": float(np.quantile(signals[2, 2], 0.8))})
+    config = CONFIG.model_copy(update={"sensors": CONFIG.sensors.model_copy(update={"pressure_b": limited})})
+    cut = signals[2:3].copy()
+    cut[:, 2] = np.minimum(cut[:, 2], limited.high)
+    answer = estimate(cut, config)
+    assert answer.holds.all()
+    assert abs(answer.value(LEAKAGE)[0] - leak[2]) < 4.0 * answer.deviation(LEAKAGE)[0]
+
+
+def test_own_time_stamps_are_followed():
+    """A control period of 10 ms for some samples, of 5 ms for others, as a recording with gaps has them."""
+    signals, physical, start = driven(exact(), [0.4], [31], 60)
+    rng = np.random.default_rng(5)
+    durations = rng.choice([3e-3, 5e-3, 9e-3], 119)
+    command = np.repeat(signals[:, -1], 2, axis=1)
+    readings, _ = replay(
+        CONFIG,
+        Commands(command, durations[None]),
+        np.zeros(1, np.int64),
+        physical,
+        start,
+        np.array([CONFIG.command_latency]),
+    )
+    noise = np.array([getattr(CONFIG.sensors, name).noise for name in CHANNELS])[:, None]
+    window = np.concatenate([readings + noise * rng.standard_normal(readings.shape), command[:, None]], axis=1)
+    unknowns = [name for name in FEW if "bias" not in name]
+    right = estimate(window, CONFIG, unknowns, durations=durations, physical=physical, settings=QUICK)
+    wrong = estimate(window, CONFIG, unknowns, physical=physical, settings=QUICK)
+    assert right.holds[0]
+    assert abs(right.value(LEAKAGE)[0] - 0.4) < 4.0 * right.deviation(LEAKAGE)[0]
+    assert not wrong.holds[0]
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [{"valve_null_shift": 0.02}, {"pressure_b_freeze": 1.0}, {"valve_hysteresis": 0.04}],
+    ids=["null shift", "frozen sensor", "hysteresis"],
+)
+def test_a_structure_that_the_model_lacks_is_flagged(faults):
+    signals, *_ = driven(CONFIG, [0.02, 0.02], [41, 42], faults=faults)
+    wrong = estimate(signals, CONFIG, settings=EstimationSettings(restarts=0))
+    assert not wrong.holds.any()
+
+
+def test_an_offset_beyond_the_sensor_is_unlikely(moving):
+    _, signals, *_ = moving
+    beside = signals[2:3].copy()
+    beside[:, 3] += 0.02
+    odd = estimate(beside, CONFIG, settings=QUICK)
+    assert "spool_position_bias" in odd.unlikely(0)
+    assert estimate(signals[2:3], CONFIG, settings=QUICK).unlikely(0) == ()
+
+
+def test_a_null_shift_that_is_unknown_is_read():
+    signals, *_ = driven(CONFIG, [0.1, 0.1], [41, 42], faults={"valve_null_shift": 0.02})
+    right = estimate(signals, CONFIG, (*default_unknowns(CONFIG), "valve.null_shift"))
+    assert right.holds.all()
+    np.testing.assert_allclose(right.value("valve.null_shift"), 0.02, atol=0.005)
+    assert (np.abs(right.value(LEAKAGE) - 0.1) < 4.0 * right.deviation(LEAKAGE)).all()
+
+
+@pytest.mark.parametrize("memory", [None, 5.0])
+def test_a_run_is_followed_window_by_window(memory):
+    config = TaskConfig(episode_duration=4.0)
+    signals, *_ = driven(config, [0.2], [51], 500)
+    ends, run = estimate_run(signals[0], config, window=101, memory=memory)
+    assert list(ends) == [100, 200, 300, 400]
+    last = run.value(LEAKAGE)[-1], run.deviation(LEAKAGE)[-1]
+    assert abs(last[0] - 0.2) < 4.0 * last[1]
+    if memory is not None:
+        assert run.deviation(LEAKAGE)[-1] < 0.7 * run.deviation(LEAKAGE)[0]  # it remembers
+    follower = Follower(config, window=101, memory=memory)
+    live = [answer for sample in range(201) if (answer := follower.update(signals[:, :, sample])) is not None]
+    np.testing.assert_array_equal([answer.value(LEAKAGE)[0] for answer in live], run.value(LEAKAGE)[:2])
+
+
+def test_information_is_what_the_estimate_leaves(moving, found):
+    _, signals, *_ = moving
+    model = Model(CONFIG, priors_of(CONFIG), signals[:, -1])
+    told = information(model, found.values)
+    np.testing.assert_allclose(told.deviations[:, 0], found.deviation(LEAKAGE), rtol=0.3)
+    without = information(model, found.values, np.array([True, False, False, True]))
+    assert (without.deviations[:, 0] > 2.0 * told.deviations[:, 0]).all()
+
+
+def test_batches_threads_and_neighbours_change_nothing(moving, found):
+    _, signals, *_ = moving
+    alone = estimate(signals[1], CONFIG, threads=1)
+    np.testing.assert_allclose(alone.values[0], found.values[1], rtol=1e-6)
+
+
+def test_every_name_has_a_prior_and_scales_there_and_back():
+    names = [name for name in NAMES if name != "lines.wall_bulk_modulus"]
+    priors = priors_of(CONFIG, names)
+    model = Model(CONFIG, priors, np.zeros((1, 2)))
+    scaled = np.linspace(-2.0, 2.0, len(names))[None]
+    np.testing.assert_allclose(model.scaled(model.values(scaled)), scaled, atol=1e-6)
+    low, high = CONFIG.randomisation["load.mass"].bounds(60.0)
+    mass = priors["load.mass"]
+    assert low < mass.mean < high
+    assert mass.deviation == pytest.approx((high - low) / 12**0.5 / 60.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"unknowns": ["leak"]}, "'leak' is no unknown"),
+        ({"unknowns": [LEAKAGE, LEAKAGE]}, "occurs twice"),
+        ({"unknowns": ["lines.wall_bulk_modulus"]}, "is infinite on this rig"),
+        ({"priors": {"load.mas": Prior(1.0, 1.0)}}, "'load.mas' is not among the unknowns"),
+        ({"first": {"valve.null_shift": 0.0}}, "'valve.null_shift' is not among the unknowns"),
+        ({"durations": np.full(3, 5e-3)}, "durations: shape"),
+        ({"durations": np.full(19, -1.0)}, "durations: -1 s"),
+        ({"signals": np.zeros((4, 20))}, "signals: shape"),
+        ({"signals": np.full((5, 20), np.inf)}, "infinite"),
+        ({"signals": np.full((5, 20), 2.0)}, "commands: window 0, sample 0 = 2"),
+        ({"signals": "text"}, "array of numbers"),
+    ],
+)
+def test_wrong_input_is_one_line(change, message):
+    arguments = {"signals": np.zeros((5, 20)), **change}
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        estimate(arguments.pop("signals"), CONFIG, **arguments)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [({"window": 1}, "window = 1"), ({"hop": 401}, "hop = 401"), ({"hop": 10, "memory": 5.0}, "memory = 5")],
+)
+def test_a_follower_refuses_windows_that_do_not_fit(settings, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Follower(CONFIG, **settings)
+
+
+def test_faults_of_the_task_widen_its_priors():
+    faults = {
+        "valve_null_shift": {"probability": 0.5, "range": (0.01, 0.01)},
+        "valve_underlap": {"probability": 1.0, "range": (0.02, 0.04)},
+        "sensor_offset": {"probability": 1.0, "range": (0.02, 0.02), "sensors": ("position",)},
+    }
+    config = TaskConfig(faults=faults)
+    assert "valve.null_shift" in default_unknowns(config)
+    assert "valve.null_shift" not in default_unknowns(CONFIG)
+    shift = prior_of(config, "valve.null_shift")
+    assert (shift.mean, shift.deviation) == pytest.approx((0.0, np.hypot(0.01, 0.01 * 0.5**0.5)))
+    underlap, healthy = prior_of(config, "valve.underlap"), prior_of(CONFIG, "valve.underlap")
+    assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
+    assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
+    assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")

@@ -1,0 +1,135 @@
+"""Every kind of damage to a recording is found, told with its remedy, and weighed."""
+
+import numpy as np
+import pytest
+from recorded import CONFIG, changed, healthy
+
+from agents.diagnosis.windows import cut
+from agents.recordings.findings import Weight
+from agents.recordings.quality import check_recording
+
+BAR = 1e5
+NOTE, FAULT, SEVERE = Weight
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return healthy(tmp_path_factory.mktemp("recorded"))
+
+
+def scaled(*factors):
+    return lambda r: changed(r, signals=r.signals * np.array(factors)[:, None])
+
+
+def edited(row, part, value):
+    def change(recording):
+        signals = recording.signals.copy()
+        signals[row, part] = value if not callable(value) else value(signals[row, part])
+        return changed(recording, signals=signals)
+
+    return change
+
+
+def rows(chosen):
+    return lambda r: changed(r, time=r.time[chosen(len(r.time))], signals=r.signals[:, chosen(len(r.time))])
+
+
+def restamped(stamp):
+    return lambda r: changed(r, time=stamp(r.time))
+
+
+def command_moved(by):
+    def change(recording):
+        signals = recording.signals.copy()
+        signals[4] = np.roll(signals[4], by)
+        return changed(recording, signals=signals)
+
+    return change
+
+
+CASES = {
+    "nothing": (lambda r: r, []),
+    "clock 1 % off": (restamped(lambda t: 1.01 * t), []),
+    "chambers exchanged": (
+        lambda r: changed(r, signals=r.signals[[0, 2, 1, 3, 4]]),
+        [(SEVERE, "with the pressures of the chambers exchanged")],
+    ),
+    "position turned": (scaled(-1, 1, 1, 1, 1), [(SEVERE, "the other sign of the position")]),
+    "spool turned": (scaled(1, 1, 1, -1, 1), [(SEVERE, "spool_position moves against the command")]),
+    "valve turned": (scaled(1, 1, 1, -1, -1), [(SEVERE, "the other sign of spool and command")]),
+    "mm as m": (scaled(1e3, 1, 1, 1, 1), [(SEVERE, "position reads")]),
+    "m as mm": (scaled(1e-3, 1, 1, 1, 1), [(SEVERE, "times as far as the valve's flow")]),
+    "psi as bar": (scaled(1, 14.5, 14.5, 1, 1), [(SEVERE, "psi instead of bar"), (SEVERE, "psi instead of bar")]),
+    "MPa as bar": (scaled(1, 0.1, 0.1, 1, 1), [(SEVERE, "MPa instead of bar")]),
+    "V as parts": (scaled(1, 1, 1, 1, 10), [(SEVERE, "command reads")]),
+    "parts as %": (scaled(1, 1, 1, 0.01, 1), [(SEVERE, "0.01 times as far as the command")]),
+    "zero at the end": (edited(0, slice(None), lambda v: v + 0.25), [(SEVERE, "an offset of -200 mm would fit")]),
+    "constant": (edited(1, slice(None), 30 * BAR), [(SEVERE, "pressure_a is constant at 30 bar")]),
+    "stuck": (
+        edited(2, slice(400, 600), 51 * BAR),
+        [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")],
+    ),
+    "cut off": (edited(2, slice(None), lambda v: np.minimum(v, np.median(v))), [(FAULT, "pressure_b is cut off")]),
+    "lost": (edited(0, slice(7, None, 31), -0.2), [(FAULT, "position loses readings: it falls 39 times to -200 mm")]),
+    "spikes": (edited(1, slice(50, None, 100), 9e8), [(NOTE, "pressure_a has single values")]),
+    "NaN": (edited(3, slice(100, 110), np.nan), [(NOTE, "spool_position lacks readings, first at 0.500 to 0.545 s")]),
+    "many NaN": (edited(3, slice(100, 900), np.nan), [(SEVERE, "spool_position lacks readings")]),
+    "gap": (rows(lambda n: np.r_[0:400, 440:n]), [(NOTE, "time has a gap of 200 ms, first at 1.995 to 2.200 s")]),
+    "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has stamps that stand twice")]),
+    "backward": (
+        restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]),
+        [(SEVERE, "runs backward 1 times, by up to")],
+    ),
+    "jitter": (
+        restamped(lambda t: t + np.random.default_rng(0).uniform(-3e-4, 3e-4, len(t))),
+        [(NOTE, "time has stamps that jitter")],
+    ),
+    "great jitter": (
+        restamped(lambda t: np.sort(t + np.random.default_rng(0).uniform(-4e-3, 4e-3, len(t)))),
+        [(SEVERE, "time has stamps that jitter"), (NOTE, "gaps")],
+    ),
+    "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
+    "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
+    "command early": (command_moved(-1), [(SEVERE, "'rows_early: 1' in the map would fit")]),
+    "command late": (command_moved(1), [(SEVERE, "'rows_early: -1' in the map would fit")]),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_damage_is_found_and_nothing_else(recording, case):
+    damage, wanted = CASES[case]
+    found = check_recording(damage(recording), CONFIG).findings
+    assert [finding.weight for finding in found] == [weight for weight, _ in wanted], [f.line() for f in found]
+    for finding, (_, words) in zip(found, wanted, strict=True):
+        assert words in finding.line()
+
+
+def test_faulty_readings_are_left_out(recording):
+    damaged = edited(0, slice(7, None, 31), -0.2)(recording)
+    samples = check_recording(damaged, CONFIG).samples
+    assert np.isnan(samples.signals[0, 7::31]).all()
+    assert np.isfinite(np.delete(samples.signals[0], np.s_[7::31])).all()
+
+
+def test_a_faster_recording_keeps_the_rows_in_which_the_controller_sampled(recording):
+    # Five rows per period; the command of sample k acts from 1 ms after it, so that row 5 k still shows the one before.
+    signals = np.repeat(recording.signals, 5, axis=1)
+    signals[4] = np.append(signals[4, 4:], np.full(4, signals[4, -1]))
+    offset = np.random.default_rng(1).normal(0.0, 3e-5, signals.shape[1])
+    offset[::5] = 0.0
+    signals[0] += offset  # only the right rows hold the readings unchanged
+    fast = changed(recording, time=1e-3 * np.arange(signals.shape[1]), signals=signals)
+    checked = check_recording(fast, CONFIG)
+    assert checked.findings == []
+    np.testing.assert_array_equal(checked.samples.signals[0], recording.signals[0])
+    np.testing.assert_array_equal(checked.samples.signals[4], recording.signals[4])
+
+
+def test_windows_keep_gaps_as_missing_samples(recording):
+    damaged = rows(lambda n: np.r_[0:400, 440:n])(recording)
+    windows = cut(check_recording(damaged, CONFIG).samples, 300)
+    np.testing.assert_allclose(windows.begin, [0.0, 1.5, 3.0, 4.5])
+    assert windows.commanded.tolist() == [True, False, True, True]
+    np.testing.assert_array_equal(windows.signals[0], recording.signals[:, :300])
+    assert np.isnan(windows.signals[1, :, 100:140]).all()
+    np.testing.assert_array_equal(windows.signals[1, :, 140:], recording.signals[:, 440:600])

@@ -1,0 +1,136 @@
+"""Reading a recording: columns, units, time stamps, and what is no recording."""
+
+import numpy as np
+import pytest
+from recorded import recorded_file
+
+from agents.recordings import recording as reading
+from agents.recordings.columns import read_map
+from agents.recordings.recording import read_recording
+from agents.recordings.simulated import named_faults, recording_csv
+from hydro_env import ConfigurationError
+
+TIME = np.arange(5) * 0.005
+SIGNALS = np.array([np.linspace(-0.1, 0.1, 5), np.linspace(1e6, 5e6, 5), np.full(5, 3e6), np.zeros(5), np.full(5, 0.5)])
+PLAIN = recording_csv(TIME, SIGNALS, "hydro record")
+
+
+def written(folder, text, name="a.csv"):
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    found = read_recording(written(tmp_path, PLAIN))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    assert found.findings == []
+
+
+def test_record_keeps_every_step_of_the_sensors(tmp_path):
+    done = recorded_file(tmp_path / "a.csv", duration=0.5)
+    found = read_recording(tmp_path / "a.csv")
+    assert done.rows == found.signals.shape[1] == 100
+    step = 0.4 / (65536 * 8.0 / 20.0)
+    places = (found.signals[0] + 0.2) / step
+    assert np.abs(places - np.rint(places)).max() < 0.1
+
+
+def test_a_sensor_that_the_rig_lacks_has_no_column(tmp_path):
+    recorded_file(tmp_path / "a.csv", {"sensors": {"spool_position": {"fitted": False}}}, duration=0.1)
+    assert "spool" not in (tmp_path / "a.csv").read_text()
+    found = read_recording(tmp_path / "a.csv")
+    assert np.isnan(found.signals[3]).all()
+    assert [finding.line() for finding in found.findings] == ["spool_position was not recorded"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", ";").replace(".", ","),
+        PLAIN.replace(",", "\t"),
+        "\n# more\n" + PLAIN,
+        "\ufeff" + PLAIN,
+        PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace("time [s]", "time").replace("command [V]", "Voltage (V)"),
+    ],
+)
+def test_other_writings_hold_the_same(tmp_path, text):
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
+
+
+def test_a_map_gives_columns_units_signs_and_offsets(tmp_path):
+    rows = [
+        f"2026-11-21T10:00:00.{5 * k:03d},{200 + 1e3 * x:.4f},{-u:.3f}" for k, (x, u) in enumerate(SIGNALS[[0, 4]].T)
+    ]
+    file = written(tmp_path, "\n".join(["When,Pos,Y", *rows]))
+    columns = written(
+        tmp_path,
+        "time: When\nposition: {column: 2, unit: mm, offset: -200}\n"
+        "command: {column: Y, unit: '-', gain: -1, rows_early: 1}",
+        "map.yaml",
+    )
+    found = read_recording(file, read_map(columns))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals[0], SIGNALS[0], atol=1e-9)
+    np.testing.assert_allclose(found.signals[4], [np.nan, *SIGNALS[4, :-1]])
+    assert [finding.signal for finding in found.findings] == ["pressure_a", "pressure_b", "spool_position"]
+
+
+def test_text_becomes_a_finding_with_its_line(tmp_path):
+    lines = PLAIN.split("\n")
+    lines[3] = lines[3].replace(lines[3].split(",")[2], "Error")
+    found = read_recording(written(tmp_path, "\n".join(lines)))
+    assert np.isnan(found.signals[1, 1])
+    assert "'Error' in line 4" in found.findings[0].line()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["holds no table"]),
+        ("time [s],command [V]\n", ["no rows"]),
+        ("a,b\n1,2\n", ["no column is headed 'time'", "--map"]),
+        (PLAIN.replace("command", "foo"), ["'command'", "foo [V]"]),
+        (PLAIN.replace("[bar]", "[bars]", 1), ["pressure_a", "'bars'", "MPa"]),
+        (PLAIN.replace(" [mm]", ""), ["position", "no unit"]),
+        (PLAIN.replace("pressure_b", "position"), ["two columns", "'position'"]),
+        ("time [s],command [V]\nx,1\ny,2\n0.1,2\n", ["time stamp"]),
+    ],
+)
+def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
+    with pytest.raises(ConfigurationError) as error:
+        read_recording(written(tmp_path, text))
+    for part in parts:
+        assert part in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("time: t", "command: is missing"),
+        ("time: t\ncommand: {column: u, unit: bar}", "'bar': must be one of V"),
+        ("time: t\ncommand: {column: absent, unit: V}", "no column is headed 'absent'"),
+        ("time: t\ncommand: {column: 9, unit: V}", "column 9"),
+        ("time: t\ncommand: {column: u, units: V}", "unknown key; did you mean unit?"),
+    ],
+)
+def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
+    file = written(tmp_path, "t,u\n0,1\n1,1\n2,1\n")
+    with pytest.raises(ConfigurationError, match=part.replace("?", r"\?")):
+        read_recording(file, read_map(written(tmp_path, text, "map.yaml")))
+
+
+def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "LARGEST_RECORDING", 100)
+    with pytest.raises(ConfigurationError, match="larger than"):
+        read_recording(written(tmp_path, PLAIN))
+
+
+def test_faults_are_named():
+    assert named_faults(["valve_null_shift=-0.01"]) == {"valve_null_shift": -0.01}
+    for text in ("x=1", "valve_null_shift", "valve_null_shift=x"):
+        with pytest.raises(ConfigurationError, match="--fault"):
+            named_faults([text])
