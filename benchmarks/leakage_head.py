@@ -166,7 +166,7 @@ def measured(row: Row, head: LeakageHead, config: TaskConfig, plants: int) -> di
 
 
 def update_time(head: LeakageHead, config: TaskConfig) -> tuple[float, float]:
-    """Mean and largest processor time in ms of one ``predict`` on one axis, over 1000 periods after the first window."""
+    """Mean and largest processor time (ms) of one ``predict`` on one axis, over 1000 periods after a first window."""
     env = gym.make("ServoHydraulic-v0", config=task_config(config, episode_duration=RUN), info=False)
     observation, _ = env.reset(seed=TEST_SEEDS.start)
     controller = opponent("pid", config, "PID")
