@@ -6,7 +6,7 @@ import pytest
 from agents.controllers import ObservationLayout
 from agents.evaluation.opponents import load_head, opponent
 from agents.evaluation.protocol import ProtocolSettings
-from agents.leakage.head import SIGNALS
+from agents.leakage.features import SIGNALS
 from agents.leakage.metrics import area_under_roc, detection_rate
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import VALIDATION_SEEDS

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.head import SIGNALS, LeakageHead
+from agents.leakage.features import SIGNALS
+from agents.leakage.head import LeakageHead
 
 Floats = NDArray[np.float64]
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
@@ -45,7 +46,7 @@ class Detector(Protocol):
     """Control periods of a window."""
 
     def __call__(self, signals: NDArray[Any]) -> Evidence:
-        """Evidence of ``signals`` (N, 5, window): :data:`~agents.leakage.head.SIGNALS` in SI units, NaN = lost."""
+        """Evidence of ``signals`` (N, 5, window): :data:`~agents.leakage.features.SIGNALS` in SI units, NaN = lost."""
         ...
 
 
@@ -112,15 +113,10 @@ class HeadDetector:
     def __init__(self, head: LeakageHead) -> None:
         self.head = head
         self.window = head.settings.window
-        layout = head.settings.layout
-        self._scale = np.array([layout.scale[layout.index(name)] for name in SIGNALS])[:, None]
 
     def __call__(self, signals: NDArray[Any]) -> Evidence:
-        """Evidence of windows (N, 5, window); NaN where a sample is lost, which the head cannot read."""
-        whole = np.isfinite(signals).all(axis=(1, 2))
-        score, flow = np.full(len(signals), np.nan), np.full(len(signals), np.nan)
-        if whole.any():
-            estimate = self.head.estimate_signals(signals[whole] / self._scale)
-            inside = np.clip(estimate.probability, 1e-12, 1.0 - 1e-12)
-            score[whole], flow[whole] = np.log(inside / (1.0 - inside)), estimate.flow_lpm
-        return Evidence(score, np.full(len(signals), np.nan), flow, np.zeros(len(signals), dtype=np.int8))
+        """Evidence of windows (N, 5, window); the cause is unknown where the head has seen nothing like it."""
+        estimate = self.head.estimate_windows(signals)
+        inside = np.clip(estimate.probability, 1e-12, 1.0 - 1e-12)
+        cause = np.where(estimate.outside > 0.0, Cause.UNKNOWN, Cause.SEAL_OR_NOTHING).astype(np.int8)
+        return Evidence(np.log(inside / (1.0 - inside)), np.full(len(signals), np.nan), estimate.flow_lpm, cause)

@@ -44,7 +44,8 @@ def looks_at(signals: NDArray[Any], control_period: float, detector: Detector, i
     """What a detector says of recorded axes; :meth:`~agents.alarms.alarm.LeakAlarm.follow` turns it into alarms.
 
     Args:
-        signals: (N, 5, T), :data:`~agents.leakage.head.SIGNALS` in SI units, one column per control period; NaN = lost.
+        signals: (N, 5, T), :data:`~agents.leakage.features.SIGNALS` in SI units, one column per control period;
+            NaN = lost.
         control_period: s.
         detector: the detector.
         interval: s, from look to look.

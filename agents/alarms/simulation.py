@@ -13,7 +13,7 @@ from agents.alarms.detector import Activity, Detector, activity_of
 from agents.alarms.looks import Looks
 from agents.alarms.operation import working_references
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.head import SIGNALS
+from agents.leakage.features import SIGNALS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import LeakageDraw, task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault

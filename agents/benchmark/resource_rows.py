@@ -15,7 +15,8 @@ import numpy as np
 
 from agents.benchmark.table import Case, Row, UnavailableError, one_row
 from agents.benchmark.timing import Extent, fresh_process
-from agents.leakage.head import LeakageHead, MonitoredController
+from agents.leakage.head import LeakageHead
+from agents.leakage.monitor import MonitoredController
 from agents.learning.policy import PolicyController
 from agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv

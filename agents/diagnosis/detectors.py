@@ -19,7 +19,8 @@ from agents.estimation.estimate import Estimate, EstimationSettings, estimate
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from agents.estimation.priors import Prior
 from agents.estimation.unknowns import default_unknowns
-from agents.leakage.head import SIGNALS, LeakageHead
+from agents.leakage.features import SIGNALS
+from agents.leakage.head import LeakageHead
 from agents.report.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import own_value

@@ -16,6 +16,10 @@ DAMPINGS = (0.1, 1.0, 10.0, 100.0)
 """Multiples of the damping whose steps compete in each iteration."""
 
 
+SMALL_DAMPING = 1e-2
+"""Damping up to which a step is that of Gauss and Newton: only then does a small gain mean that the search is over."""
+
+
 class Belief(NamedTuple):
     """A normal distribution of the scaled unknowns of B windows."""
 
@@ -105,7 +109,7 @@ def fit(
         done[active] += 1
         gain = np.where(better, cost - costs[row, best], 0.0)
         lost = ~better & (level[active] > 1e4)
-        moving = ~lost & ((gain > tolerance) | ~better)
+        moving = ~lost & ((gain > tolerance) | ~better | (level[active] > SMALL_DAMPING))
         active = active[moving]
         if not len(active):
             break

@@ -10,7 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from agents.evaluation.statistics import share_interval
-from agents.leakage.head import SIGNALS, LeakageHead
+from agents.leakage.features import SIGNALS
+from agents.leakage.head import LeakageHead
 from agents.leakage.metrics import (
     area_under_roc,
     average_precision,
@@ -65,7 +66,7 @@ def signal_columns(names: tuple[str, ...]) -> list[int]:
 
 
 def detection_table(controller: str, cases: Cases, rollout: Rollout, head: LeakageHead) -> pd.DataFrame:
-    """One row per episode: the leak, and the head's estimate from the signals of the whole episode."""
+    """One row per episode: the leak, and the head's estimate from the whole episode."""
     assert rollout.signals is not None
     estimate = head.estimate_signals(rollout.signals)
     return pd.DataFrame(

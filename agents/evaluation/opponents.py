@@ -96,14 +96,16 @@ def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
     """Check that a leakage head can watch the episodes of a task.
 
     Raises:
-        ConfigurationError: other observations, or a window that is not as long as an episode.
+        ConfigurationError: other observations, or a window that is longer than an episode.
     """
     try:
         check_layout(head.settings.layout, config)
     except ConfigurationError as error:
         raise ConfigurationError(f"{name}: {error}") from None
-    if head.settings.window != config.steps:
-        raise ConfigurationError(f"{name}: reads {head.settings.window} observations, an episode has {config.steps}")
+    if head.settings.window > config.steps:
+        raise ConfigurationError(
+            f"{name}: reads at least {head.settings.window} observations, an episode has {config.steps}"
+        )
 
 
 def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:

@@ -1,109 +1,71 @@
-"""The leakage head: it estimates probability and size of a leak from two seconds of observations.
+"""The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside what I know".
 
-It works under any controller, because it reads only observations. ``MonitoredController`` attaches it to one.
+It works under any operation of the axis, because it reads measured signals alone; ``MonitoredController``
+(:mod:`agents.leakage.monitor`) attaches it to a controller. A small network judges the flow balance of the window
+(:mod:`agents.leakage.balance`) and statistics of its motion (:mod:`agents.leakage.features`). Inference needs NumPy and
+numba alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from pydantic import Field
-from torch import Tensor, nn
+from pydantic import ConfigDict, Field
 
-from agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
-from agents.running.weights import StoredLayout, load_weights, require, save_weights
-from hydro_env import ConfigurationError
-from hydro_env.files import validate
+from agents.controllers.base import Floats, ObservationLayout, as_batch
+from agents.leakage.features import FEATURES, LABELS, MOTION, SIGNALS, features_of
+from agents.leakage.sheet import sheet_of
+from agents.running.weights import load_weights, require, save_weights
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, validate
 
 KIND = "leakage head"
-SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
-"""Measured signals that the head reads, in this order."""
 
-N_CHANNELS = 18
+SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
+"""Numbers of observations in a window; fewer say nothing, and more must be a mistake."""
 
-SHORTEST_WINDOW = 56
-"""Number of observations for which the last convolution has one output."""
+LARGEST_WIDTH = 1024
 
-LONGEST_WINDOW, LARGEST_WIDTH = 1_000_000, 1024
-"""Largest numbers of observations and of channels of a convolution; more must be a mistake."""
+UPDATES_PER_WINDOW = 16
+"""``predict`` reads a new estimate so often while a window passes; between two readings it repeats the last one."""
+
+SMALLEST_FLOW = 0.01
+"""l/min at 100 bar; smaller leaks are not told from none, and an interval that begins here begins at 0."""
+
+LAYERS = 3
+GROUPS = 4
+"""Kinds of windows with intervals of their own: (flagged or not) × (lively or quiet)."""
+
+FARTHEST = 8.0
+"""Standard deviations from the mean of the training at which a feature is cut off."""
 
 
 class LeakageEstimate(NamedTuple):
-    """Estimate of the head, each (N,); NaN until a whole window of observations is known."""
+    """Estimate of the head, each (N,); NaN until a whole window of observations is known.
 
-    probability: NDArray[np.float64]  # of a leak, 0 to 1
-    flow_lpm: NDArray[np.float64]  # l/min at 100 bar
-
-
-def channels(signals: Tensor) -> Tensor:
-    """Input channels (N, 18, T) of the network from SIGNALS (N, 5, T) in the scales of the observation.
-
-    Besides the signals these are the terms of the flow balance of each chamber (12), (13): the speed, the pressure
-    rates, and the products of spool and pressures that make up the valve flows. A leak is the rest of this balance.
+    The five probabilities are of five separate questions, for a leak may meet another fault.
     """
-    position, pressure_a, pressure_b, spool, command = signals.unbind(1)
 
-    def rate(values: Tensor) -> Tensor:
-        return torch.diff(values, dim=1, prepend=values[:, :1])
+    probability: NDArray[np.float64]  # of a leak past the piston, 0 to 1
+    flow_lpm: NDArray[np.float64]  # its size, l/min at 100 bar
+    low_lpm: NDArray[np.float64]  # 90 % interval of the size
+    high_lpm: NDArray[np.float64]
+    external_leak: NDArray[np.float64]  # probability of a leak past the rod seal
+    valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
+    sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
+    return_line: NDArray[np.float64]  # of raised tank pressure
+    outside: NDArray[np.float64]  # 1: unlike all that the head was trained on, its answer does not count; else 0
 
-    size = spool.abs()
-    rows = [
-        position,
-        pressure_a,
-        pressure_b,
-        spool,
-        command,
-        rate(position),
-        rate(pressure_a),
-        rate(pressure_b),
-        pressure_a - pressure_b,
-        spool * pressure_a,
-        spool * pressure_b,
-        size,
-        size * pressure_a,
-        size * pressure_b,
-        spool * torch.sqrt(pressure_a.clamp(min=0.0)),
-        spool * torch.sqrt(pressure_b.clamp(min=0.0)),
-        (size + 0.02).log(),
-        rate(spool),
-    ]
-    return torch.stack(rows, dim=1)
-
-
-class LeakageNetwork(nn.Module):
-    """Strided convolutions over time, pooled by mean and spread, then two outputs: logit and log10 of the flow."""
-
-    mean: Tensor
-    scale: Tensor
-
-    def __init__(self, width: int = 48) -> None:
-        super().__init__()
-        self.width = width
-        self.register_buffer("mean", torch.zeros(1, N_CHANNELS, 1))
-        self.register_buffer("scale", torch.ones(1, N_CHANNELS, 1))
-        self.convolutions = nn.Sequential(
-            nn.Conv1d(N_CHANNELS, width, 8, stride=4),
-            nn.ReLU(),
-            nn.Conv1d(width, width, 5, stride=2),
-            nn.ReLU(),
-            nn.Conv1d(width, 2 * width, 5, stride=2),
-            nn.ReLU(),
-        )
-        self.output = nn.Sequential(
-            nn.Linear(4 * width, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU(), nn.Linear(64, 2)
-        )
-
-    def forward(self, signals: Tensor) -> Tensor:
-        """(N, 2): logit of a leak, log10 of the flow in l/min at 100 bar, from SIGNALS (N, 5, T)."""
-        inputs = (channels(signals) - self.mean) * self.scale
-        hidden = self.convolutions(inputs)
-        pooled = torch.cat([hidden.mean(dim=2), (hidden.var(dim=2, correction=0) + 1e-6).sqrt()], dim=1)
-        result: Tensor = self.output(pooled)
+    @property
+    def none(self) -> NDArray[np.float64]:
+        """Probability that nothing is wrong, as if the five questions were independent."""
+        probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
+        result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
         return result
 
 
@@ -111,10 +73,16 @@ class LeakageNetwork(nn.Module):
 class HeadSettings:
     """Settings of inference besides the weights."""
 
-    layout: ObservationLayout
-    window: int  # observations
-    threshold: float  # probability above which a leak is flagged: 1 % false alarms on validation plants
+    task: TaskConfig  # its observations, and the data sheet of its axis
+    window: int  # observations of the shortest window, which ``predict`` reads
+    longest: int  # observations
+    threshold: float  # probability from which a leak is flagged: 1 % false alarms on validation plants
     training: dict[str, Any]
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The observations that the head reads."""
+        return ObservationLayout.of(self.task)
 
 
 class HeadState(NamedTuple):
@@ -126,27 +94,81 @@ class HeadState(NamedTuple):
     seen: NDArray[np.int64]
     """Observations since the start of each axis' episode, (N,)."""
 
+    answer: NDArray[np.float64]
+    """The last estimate (N, fields of LeakageEstimate)."""
 
-class _StoredHead(StoredLayout):
+
+class _StoredHead(Group):
     """The JSON beside the weights of a head."""
 
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    task: TaskConfig
     signals: tuple[str, ...]
+    features: tuple[str, ...]
     window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
+    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
     threshold: float = Field(ge=0.0, le=1.0)
-    width: int = Field(ge=1, le=LARGEST_WIDTH)
+    width: int = Field(ge=2, le=LARGEST_WIDTH)
     training: dict[str, Any]
+
+
+def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
+    """Zeros of the names, shapes and types of a head's tensors."""
+    sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
+    shapes: dict[str, tuple[int, ...]] = {
+        "mean": (len(FEATURES),),
+        "scale": (len(FEATURES),),
+        "whitener": (len(FEATURES), len(FEATURES)),
+        "limit": (1,),
+        "motion": (1,),
+        "widening": (GROUPS, 2),
+        "thresholds": (len(LABELS),),
+    }
+    for layer in range(LAYERS):
+        shapes |= {f"weight_{layer}": (sizes[layer + 1], sizes[layer]), f"bias_{layer}": (sizes[layer + 1],)}
+    return {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
+
+
+def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
+    """Inputs of the network, (N, F)."""
+    inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -FARTHEST, FARTHEST)
+    return inputs
+
+
+def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
+    middle, below, above = output[:, -3:].T
+    result: NDArray[np.float64] = np.column_stack(
+        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
+    )
+    return result
+
+
+def groups(
+    features: NDArray[np.float32], probability: NDArray[np.float64], threshold: float, motion: float
+) -> NDArray[np.int64]:
+    """Group of each window (N,), whose intervals are widened alike."""
+    result: NDArray[np.int64] = 2 * (probability >= threshold).astype(np.int64) + (features[:, MOTION] > motion)
+    return result
 
 
 class LeakageHead:
     """The trained network and its settings.
 
-    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows.
+    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows of
+    observations, ``estimate_windows`` those of recorded signals in SI units.
     """
 
-    def __init__(self, network: LeakageNetwork, settings: HeadSettings) -> None:
-        self.network = network.eval()
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
+        self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
         self.settings = settings
-        self.columns = np.array([settings.layout.index(name) for name in SIGNALS])
+        layout = settings.layout
+        self.names = layout.names
+        self.columns = np.array([layout.index(name) for name in SIGNALS])
+        self.scale = np.array([layout.scale[column] for column in self.columns])
+        self.sheet = sheet_of(settings.task)
+        self.interval = max(settings.window // UPDATES_PER_WINDOW, 1)
 
     def predict(
         self,
@@ -155,134 +177,151 @@ class LeakageHead:
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float64], HeadState]:
-        """Probability of a leak and its size in l/min at 100 bar, (2,) or (N, 2), and the memory for the next call.
+        """The fields of :class:`LeakageEstimate`, (9,) or (N, 9), and the memory for the next call.
 
-        NaN until a whole window of observations is known. The arguments are those of a controller
-        (:class:`~agents.controllers.base.Controller`).
+        NaN until a whole window of observations is known; then read :data:`UPDATES_PER_WINDOW` times per window. The
+        arguments are those of a controller (:class:`~agents.controllers.base.Controller`).
         """
         del deterministic
         batch, single = as_batch(observation)
         state = self.remember(batch, state, episode_start)
-        estimates = np.column_stack(self.estimate_remembered(state))
-        return (estimates[0] if single else estimates), state
+        late = state.seen - self.settings.window
+        due = (late >= 0) & (late % self.interval == 0)
+        if due.any():
+            answer = state.answer.copy()
+            answer[due] = np.column_stack(self._read(state, due))
+            state = state._replace(answer=answer)
+        return (state.answer[0] if single else state.answer), state
 
     def remember(
         self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
     ) -> HeadState:
-        """Add observations (N, n) to the memory without running the network."""
-        history, seen = state if state is not None else ((), np.zeros(len(observation), dtype=np.int64))
-        if episode_start is not None:
+        """Add observations (N, n) to the memory without reading an estimate."""
+        if state is None:
+            nothing = np.full((len(observation), len(LeakageEstimate._fields)), np.nan)
+            state = HeadState((), np.zeros(len(observation), dtype=np.int64), nothing)
+        history, seen, answer = state
+        if episode_start is not None and np.any(episode_start):
             seen = np.where(episode_start, 0, seen)
+            answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
         signals = np.asarray(observation[:, self.columns], dtype=np.float32)
-        return HeadState((*history, signals)[-self.settings.window :], seen + 1)
+        return HeadState((*history, signals)[-self.settings.window :], seen + 1, answer)
 
     def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
-        """Probability and size of a leak from the stored windows (N,); NaN for an incomplete window."""
-        window, count = self.settings.window, len(state.seen)
-        full = state.seen >= window
-        probability, flow = np.full(count, np.nan), np.full(count, np.nan)
+        """Estimate from the stored windows (N,); NaN for an incomplete window."""
+        full = state.seen >= self.settings.window
+        answer = np.full((len(state.seen), len(LeakageEstimate._fields)), np.nan)
         if full.any():
-            signals = np.concatenate(state.history).reshape(window, count, len(SIGNALS))
-            probability[full], flow[full] = self.estimate_signals(signals[:, full].transpose(1, 2, 0))
-        return LeakageEstimate(probability, flow)
+            answer[full] = np.column_stack(self._read(state, full))
+        return LeakageEstimate(*answer.T)
+
+    def _read(self, state: HeadState, axes: NDArray[np.bool_]) -> LeakageEstimate:
+        signals = np.concatenate(state.history).reshape(self.settings.window, len(axes), len(SIGNALS))
+        return self.estimate_signals(signals[:, axes].transpose(1, 2, 0))
 
     def estimate(self, history: Floats) -> LeakageEstimate:
-        """Probability and size of a leak.
+        """Estimate from windows of observations.
 
         Args:
-            history: observations (N, window, n) or (window, n), oldest first.
+            history: observations (N, T, n) or (T, n), oldest first.
 
         Raises:
-            ConfigurationError: the history has another shape.
+            ConfigurationError: the history has another shape, or its length is none that the head reads.
         """
         array = np.asarray(history)
         if array.ndim == 2:
             array = array[None]
-        wanted = (self.settings.window, len(self.settings.layout.names))
-        if array.ndim != 3 or array.shape[1:] != wanted:
+        if array.ndim != 3 or array.shape[2] != len(self.names):
             raise ConfigurationError(
-                f"leakage head: history has shape {np.shape(history)}: must be (N, {wanted[0]}, {wanted[1]})"
+                f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
             )
         return self.estimate_signals(array[:, :, self.columns].transpose(0, 2, 1))
 
-    def estimate_signals(self, signals: NDArray[Any], batch: int = 2048) -> LeakageEstimate:
-        """Probability and size of a leak from SIGNALS, (N, 5, window)."""
-        outputs = []
-        with torch.no_grad():
-            for first in range(0, len(signals), batch):
-                part = torch.from_numpy(np.ascontiguousarray(signals[first : first + batch], dtype=np.float32))
-                outputs.append(self.network(part).numpy())
-        values = np.concatenate(outputs).astype(np.float64)
-        return LeakageEstimate(1.0 / (1.0 + np.exp(-values[:, 0])), 10.0 ** np.clip(values[:, 1], -4.0, 2.0))
+    def estimate_signals(self, signals: NDArray[Any]) -> LeakageEstimate:
+        """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
+        return self.estimate_windows(np.asarray(signals, dtype=np.float64) * self.scale[:, None])
+
+    def estimate_windows(self, signals: NDArray[Any], batch: int = 512) -> LeakageEstimate:
+        """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
+
+        Of windows that are longer than any of the training the head reads the end.
+
+        Raises:
+            ConfigurationError: another shape, or windows that are too short.
+        """
+        shape = np.shape(signals)
+        if len(shape) != 3 or shape[1] != len(SIGNALS) or shape[2] < self.settings.window:
+            raise ConfigurationError(
+                f"leakage head: signals have shape {shape}: must be (N, {len(SIGNALS)}, T) with T of at least "
+                f"{self.settings.window}"
+            )
+        signals = signals[:, :, -self.settings.longest :]
+        parts = [
+            self.judge(features_of(signals[first : first + batch], self.sheet))
+            for first in range(0, len(signals), batch)
+        ]
+        return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
+
+    def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
+        t = self.tensors
+        inputs = standardised(features, t["mean"], t["scale"])
+        output, distance = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
+        probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
+        low, middle, high = quantiles(output).T
+        widening = t["widening"][groups(features, probability[:, 0], self.settings.threshold, float(t["motion"][0]))]
+        low = middle - (middle - low) * widening[:, 0]
+        high = middle + (high - middle) * widening[:, 1]
+        sizes = 10.0 ** np.clip(np.column_stack([middle, low, high]), np.log10(SMALLEST_FLOW), 2.0)
+        sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
+        outside = distance > t["limit"][0]
+        return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
+
+    def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Outputs of the network, (N, labels + 3), from standardised features."""
+        values = inputs
+        for layer in range(LAYERS):
+            values = values @ self.tensors[f"weight_{layer}"].T + self.tensors[f"bias_{layer}"]
+            if layer < LAYERS - 1:
+                values = np.maximum(values, 0.0)
+        return values.astype(np.float64)
 
     def save(self, path: str | Path) -> Path:
         """Write weights and settings; see :func:`agents.running.weights.save_weights`."""
         settings = {
-            **self.settings.layout.describe(),
+            "task": self.settings.task.model_dump(mode="json"),
             "signals": list(SIGNALS),
+            "features": list(FEATURES),
             "window": self.settings.window,
+            "longest": self.settings.longest,
             "threshold": self.settings.threshold,
-            "width": self.network.width,
+            "width": len(self.tensors["bias_0"]),
             "training": self.settings.training,
         }
-        tensors = {name: value.detach().cpu().numpy() for name, value in self.network.state_dict().items()}
-        return save_weights(path, KIND, tensors, settings)
+        return save_weights(path, KIND, self.tensors, settings)
 
     @classmethod
     def load(cls, path: str | Path) -> LeakageHead:
         """Read what ``save`` wrote.
 
         Raises:
-            ConfigurationError: missing, damaged or foreign files.
+            ConfigurationError: missing, damaged or foreign files, or weights of the first version.
         """
         tensors, settings = load_weights(path, KIND)
+        if "features" not in settings:
+            raise ConfigurationError(f"{path}: was made by an earlier version; train it again: hydro train head")
         stored = validate(_StoredHead, settings, str(path))
-        if stored.signals != SIGNALS:
-            raise ConfigurationError(f"{path}: was trained on other signals than this version reads")
-        bias = tensors.get("convolutions.0.bias")
-        if bias is None or bias.shape != (stored.width,):  # checked before a network of that width takes memory
+        if stored.signals != SIGNALS or stored.features != FEATURES:
+            raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
+        if stored.longest < stored.window:
+            raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
+        bias = tensors.get("bias_0")
+        if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
             raise ConfigurationError(f"{path}: width = {stored.width}: its tensors are of another network")
-        network = LeakageNetwork(stored.width)
-        require(tensors, {name: value.numpy() for name, value in network.state_dict().items()}, path)
-        network.load_state_dict({name: torch.from_numpy(tensors[name].copy()) for name in network.state_dict()})
+        like = tensors_like(stored.width)
+        require(tensors, like, path)
+        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
         try:
-            return cls(network, HeadSettings(stored.layout, stored.window, stored.threshold, stored.training))
+            return cls({name: tensors[name] for name in like}, described)
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-
-
-@dataclass
-class MonitorState:
-    """Memory of a monitored controller: the controller's own, and the head's."""
-
-    controller: Any
-    head: HeadState
-
-
-class MonitoredController:
-    """Any controller with the leakage head attached; its commands are those of the controller.
-
-    ``estimate(state)`` runs the head on the last window of observations of each axis.
-    """
-
-    def __init__(self, controller: Controller, head: LeakageHead) -> None:
-        self.controller = controller
-        self.head = head
-
-    def predict(
-        self,
-        observation: Floats,
-        state: MonitorState | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], MonitorState]:
-        """The controller's commands; the state also stores the observations for the head."""
-        batch, single = as_batch(observation)
-        inner, watching = (state.controller, state.head) if state is not None else (None, None)
-        action, inner = self.controller.predict(batch, inner, episode_start, deterministic)
-        watching = self.head.remember(batch, watching, episode_start)
-        return (action[0] if single else action), MonitorState(inner, watching)
-
-    def estimate(self, state: MonitorState) -> LeakageEstimate:
-        """Probability and size of a leak on each axis (N,); NaN until a whole window is known."""
-        return self.head.estimate_remembered(state.head)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from agents.leakage.head import SIGNALS
+from agents.leakage.features import SIGNALS
 from agents.recordings.units import UNITS, factor
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate

@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.head import SIGNALS
+from agents.leakage.features import SIGNALS
 from agents.recordings.columns import MEASURED
 from agents.recordings.units import factor
 from agents.running.cases import Cases, run_cases

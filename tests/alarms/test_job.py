@@ -9,8 +9,8 @@ from agents.alarms.calibration import scale_of
 from agents.alarms.detector import Activity, Cause, EstimatorDetector, HeadDetector
 from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job
 from agents.alarms.looks import Looks
-from agents.controllers import ObservationLayout
-from agents.leakage.head import SIGNALS, HeadSettings, LeakageHead, LeakageNetwork
+from agents.leakage.features import SIGNALS
+from agents.leakage.training import untrained_head
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()
@@ -94,20 +94,16 @@ def test_scale_counts_looks_that_stray_together_for_little():
         scale_of(looks(white), [], Activity.SLOW, 50)
 
 
-def test_the_head_is_a_detector_that_needs_all_samples():
-    layout = ObservationLayout.of(CONFIG)
-    head = LeakageHead(LeakageNetwork(width=8), HeadSettings(layout, 100, 0.5, {}))
+def test_the_head_is_a_detector_that_stands_lost_samples():
+    head = untrained_head(CONFIG)
     detector = HeadDetector(head)
-    scale = np.array([layout.scale[layout.index(name)] for name in SIGNALS])[:, None]
-    observed = np.random.default_rng(1).normal(0.0, 0.3, (3, len(SIGNALS), 100)).astype(np.float32)
-    signals = observed * scale
+    signals = np.random.default_rng(1).normal(0.0, 0.3, (3, len(SIGNALS), detector.window)) * head.scale[:, None]
     signals[2, 1, 50] = np.nan
-    found = detector(signals)
-    expected = head.estimate_signals(observed[:2])
-    np.testing.assert_allclose(1.0 / (1.0 + np.exp(-found.score[:2])), expected.probability, rtol=1e-4)
-    np.testing.assert_allclose(found.flow_lpm[:2], expected.flow_lpm, rtol=1e-4)
-    assert np.isnan(found.score[2])
-    assert detector(signals[2:]).cause.tolist() == [Cause.SEAL_OR_NOTHING]
+    found, expected = detector(signals), head.estimate_windows(signals)
+    np.testing.assert_allclose(1.0 / (1.0 + np.exp(-found.score)), expected.probability, rtol=1e-6)
+    np.testing.assert_array_equal(found.flow_lpm, expected.flow_lpm)
+    assert set(found.cause[expected.outside > 0.0]) <= {Cause.UNKNOWN}
+    assert set(found.cause[expected.outside == 0.0]) <= {Cause.SEAL_OR_NOTHING}
 
 
 def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():

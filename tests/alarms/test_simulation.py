@@ -9,7 +9,7 @@ from agents.alarms.operation import working_references
 from agents.alarms.simulation import Onset, Operation, simulate
 from agents.alarms.store import Bench
 from agents.controllers import PID, PIDGains
-from agents.leakage.head import SIGNALS
+from agents.leakage.features import SIGNALS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()

@@ -8,7 +8,7 @@ import pytest
 from agents.controllers.base import ObservationLayout
 from agents.controllers.registry import CONTROLLERS
 from agents.evaluation.opponents import SHIPPED_WEIGHTS, load_head, opponent
-from agents.leakage.head import MonitoredController
+from agents.leakage.monitor import MonitoredController
 from agents.learning.trainers import TRAINERS
 from hydro_env import TaskConfig
 

@@ -9,7 +9,7 @@ import agents
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.evaluation.detection import detection_cases
 from agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
-from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
+from agents.leakage.training import untrained_head
 from agents.running.cases import ControllerError, run_cases
 from agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -90,8 +90,7 @@ def test_impossible_settings_are_refused(values, message):
 
 @pytest.fixture  # one for each test: mutmut would count a shared one for the first alone
 def evaluation():
-    network = LeakageNetwork(4)
-    head = LeakageHead(network, HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    head = untrained_head(CONFIG)
     phases = []
     result = evaluate(CONFIG, {"strong": STRONG, "weak": WEAK}, head, SETTINGS, lambda *args: phases.append(args))
     return result, phases, head
@@ -193,7 +192,7 @@ def test_a_failing_controller_costs_only_its_own_results():
 
 
 def test_a_controller_that_fails_under_the_head_alone_has_no_results():
-    network = LeakageHead(LeakageNetwork(4), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    network = untrained_head(CONFIG)
 
     class Unlucky:
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
@@ -220,7 +219,7 @@ def test_the_next_controller_is_the_yardstick_where_the_first_fails():
 
 
 def test_what_cannot_take_part_is_refused_at_once():
-    head = LeakageHead(LeakageNetwork(4), HeadSettings(LAYOUT, CONFIG.steps + 1, 0.5, {}))
+    head = untrained_head(TaskConfig(episode_duration=0.405))
     for controllers, watching, message in (
         ({"PID": STRONG, "mine": lambda observation: 0.0}, None, "mine: function has no method predict"),
         ({"mine": PID}, None, "mine: PID is a class"),
@@ -228,7 +227,7 @@ def test_what_cannot_take_part_is_refused_at_once():
         ({"mine": "no_such_module:Thing"}, None, "mine: 'no_such_module:Thing': module 'no_such_module' cannot"),
         ({"mine": "model.zip"}, None, "mine: model.zip: a zip file of stable-baselines3 runs code"),
         ({}, None, "at least one controller"),
-        ({"PID": STRONG}, head, "leakage head: reads 81 observations, an episode has 80"),
+        ({"PID": STRONG}, head, "leakage head: reads at least 81 observations, an episode has 80"),
     ):
         with pytest.raises(ConfigurationError, match=message):
             evaluate(CONFIG, controllers, watching, SETTINGS)

@@ -18,7 +18,6 @@ from agents.evaluation.detection import (
 from agents.evaluation.metrics import METRICS
 from agents.evaluation.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
 from agents.evaluation.tables import per_plant, ratio_table, summary_table
-from agents.leakage.head import LeakageEstimate
 from agents.running.cases import Cases
 from hydro_env import TaskConfig
 
@@ -220,7 +219,7 @@ def test_one_row_per_episode():
         settings = SimpleNamespace(threshold=0.5)
 
         def estimate_signals(self, signals):
-            return LeakageEstimate(signals[:, 0, 0], 10.0 * signals[:, 0, 0])
+            return SimpleNamespace(probability=signals[:, 0, 0], flow_lpm=10.0 * signals[:, 0, 0])
 
     probability = np.array([0.2, 0.5, 0.7])
     cases = Cases(np.array([7, 8, 9]), np.array([0.01, 0.4, 3.0]))

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from agents.evaluation.statistics import Interval
-from agents.leakage.head import HeadSettings, LeakageHead, LeakageNetwork
+from agents.leakage.training import untrained_head
 from agents.report.canvas import COLOURS, controllers_of, looks_of
 from agents.report.findings import caution, failures, findings, interval_text, verdict
 from agents.report.leaks import LOOKS
@@ -61,7 +61,7 @@ def evaluation():
         "PID": PID(PIDGains(proportional=200.0), CONFIG),
         ODD_NAME: PID(PIDGains(proportional=60.0), CONFIG),
     }
-    head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    head = untrained_head(CONFIG)
     return evaluate(CONFIG, controllers, head, SETTINGS)
 
 
@@ -361,7 +361,7 @@ def test_bounds_come_from_the_task():
     leakage = {"class_bounds": (0.05, 0.6, 2.0), "healthy_range": (0.003, 0.05), "faulty_range": (0.2, 6.0)}
     config = TaskConfig(episode_duration=0.4, leakage=leakage)
     settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
-    head = LeakageHead(LeakageNetwork(8), HeadSettings(LAYOUT, CONFIG.steps, 0.5, {}))
+    head = untrained_head(CONFIG)
     evaluation = evaluate(config, {"PID": PID(PIDGains(), CONFIG)}, head, settings)
     page = render_report(evaluation, replace(record(), training_curve=NOTHING))
     found = Page(page)

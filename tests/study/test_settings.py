@@ -110,7 +110,7 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
         (PLAIN + "leakage_head: {highest_flow: 0.05}\n", r"highest_flow"),
         (
             PLAIN + "task: {episode_duration: 0.2}\n",
-            r"an episode of 40 control periods .* at least 56",
+            r"an episode of 40 control periods .* at least 50",
         ),
         (PLAIN + "evaluation: {plants: 2}\n", r"evaluation.plants = 2"),
         (PLAIN + "evaluation: {leak_levels: [-1]}\n", r"leak_levels: -1 l/min"),
