@@ -279,7 +279,9 @@ def _descend(
     for horizon in (max(round(length / interval), SHORTEST_FIT) for length in settings.horizons):
         if horizon < 0.8 * model.samples:
             limit = settings.horizon_iterations
-            scaled = fit(model, measured, window, scaled, belief, horizon, limit, settings.horizon_tolerance).scaled
+            scaled = fit(
+                model, measured, window, scaled, belief, horizon, limit, settings.horizon_tolerance, thorough=False
+            ).scaled
     found = fit(
         model, measured, window, scaled, belief, model.samples, settings.iterations, settings.tolerance, directions
     )

@@ -17,7 +17,7 @@ DAMPINGS = (0.1, 1.0, 10.0, 100.0)
 
 
 SMALL_DAMPING = 1e-2
-"""Damping up to which a step is that of Gauss and Newton: only then does a small gain mean that the search is over."""
+"""Damping up to which a step is nearly that of Gauss and Newton."""
 
 
 class Belief(NamedTuple):
@@ -52,6 +52,7 @@ def fit(
     iterations: int,
     tolerance: float,
     directions: Array | None = None,
+    thorough: bool = True,
 ) -> Fit:
     """Improve the unknowns of some windows until they change no more.
 
@@ -68,6 +69,7 @@ def fit(
         iterations: largest number of iterations.
         tolerance: stop a window when an iteration lowers its cost by less.
         directions: steps of the first differences, (B, S, S).
+        thorough: stop only after a step with little damping; a small gain by a damped one does not end the search.
     """
     count, unknowns = first.shape
     scaled = first.copy()
@@ -109,7 +111,8 @@ def fit(
         done[active] += 1
         gain = np.where(better, cost - costs[row, best], 0.0)
         lost = ~better & (level[active] > 1e4)
-        moving = ~lost & ((gain > tolerance) | ~better | (level[active] > SMALL_DAMPING))
+        damped = (level[active] > SMALL_DAMPING) & thorough
+        moving = ~lost & ((gain > tolerance) | ~better | damped)
         active = active[moving]
         if not len(active):
             break
