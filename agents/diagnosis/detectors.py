@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from agents.diagnosis.verdict import HALF_WIDTH, Reading
 from agents.diagnosis.windows import Windows
-from agents.estimation.estimate import Estimate, EstimationSettings, estimate
+from agents.estimation.estimate import Estimate, estimate
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from agents.estimation.priors import Prior
 from agents.estimation.unknowns import default_unknowns
@@ -23,7 +23,6 @@ from agents.leakage.head import LeakageHead
 from agents.report.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 
 Floats = NDArray[np.float64]
@@ -31,9 +30,6 @@ Progress = Callable[[int], None]
 
 SURE = 3.0
 """Standard deviations by which an estimate must lie beyond its healthy range to name a fault."""
-
-QUICK = EstimationSettings(restarts=1)
-"""For the question whether a model explains a window at all."""
 
 WIDE_BIAS = 3.0
 """Standard deviation of a sensor's offset, in parts of the largest one of its data sheet."""
@@ -216,26 +212,3 @@ def _in_words(found: Estimate, faults: list[list[str]]) -> list[str]:
             size = shown.factor * float(np.median(found.value(name)[rows]))
             words[name] = f"{shown.what} ({number(size)} {shown.unit})"
     return [" and ".join(words[name] for name in names) for names in faults]
-
-
-def missing_fault(windows: Windows, config: TaskConfig, misfits: NDArray[np.bool_], most: int = 3) -> str:
-    """The sensor whose offset or gain, if unknown, makes windows fit that the model does not explain; empty: none.
-
-    Each sensor is left out in turn: if the model explains the readings of all others, that sensor is at fault.
-    """
-    chosen = np.flatnonzero(misfits & windows.commanded)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(most, len(chosen))).astype(np.int64)]
-    if not len(chosen):
-        return ""
-    explained = []
-    for row, channel in enumerate(CHANNELS):
-        if not np.isfinite(windows.signals[chosen, row]).any():
-            continue
-        without = windows.signals[chosen].copy()
-        without[:, row] = np.nan
-        found = estimate(without, config, unknowns_of(config), priors=wear_priors(config), settings=QUICK)
-        if found.holds.mean() > 0.5:
-            explained.append((float(found.misfit.mean()), channel))
-    if not explained:
-        return ""
-    return f"fault of a sensor: without {min(explained)[1]} the model explains the readings"
