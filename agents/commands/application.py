@@ -19,6 +19,7 @@ from agents.commands.diagnose import diagnose
 from agents.commands.evaluate import evaluate
 from agents.commands.export import export
 from agents.commands.ladder import ladder
+from agents.commands.leak_bound import leak_bound
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.record import record
 from agents.commands.simulate import simulate
@@ -120,6 +121,7 @@ app.command("train")(train)
 app.command("evaluate")(evaluate)
 app.command("bound")(bound)
 app.command("alarms")(alarms)
+app.command("leak-bound")(leak_bound)
 app.command("study")(study)
 app.command("ladder")(ladder)
 app.command("export")(export)
