@@ -45,7 +45,7 @@ class MoveSettings(Group):
     travel: float | None = Field(
         None, gt=0.0, le=10.0, description="m, between the outermost positions; default: the task's largest step"
     )
-    speed: float | None = Field(None, gt=0.0, le=100.0, description="m/s; default: half of the rig's slower direction")
+    speed: float | None = Field(None, gt=0.0, le=100.0, description="m/s; default: that of the task's references")
     leak: float = Field(0.3, ge=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar, for which the move is designed")
     plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
     evaluations: int = Field(240, ge=1, le=1_000_000, description="moves tried")
@@ -112,7 +112,7 @@ def limits_of(config: TaskConfig, settings: MoveSettings) -> Limits:
     low, high = max(ranges[:, 0].max(), -largest), min(ranges[:, 1].min(), largest)
     fastest = config.references.speed_share * min(speed_limits(config.plant, config.plant.load.external_force))
     travel = settings.travel if settings.travel is not None else min(config.references.step_range[1], high - low)
-    speed = settings.speed if settings.speed is not None else 0.5 * min(speed_limits(config.plant))
+    speed = settings.speed if settings.speed is not None else fastest
     if not 0.0 < travel <= high - low:
         raise ConfigurationError(
             f"--travel {1e3 * travel:g} mm: must be above 0 and at most {1e3 * (high - low):.3g} mm: the plants reach "
@@ -155,7 +155,7 @@ class Design(NamedTuple):
 
     move: Move
     bound: float  # l/min; geometric mean of the bound over the plants of the design
-    first_bound: float  # of the move that the search began with: there and back twice
+    first_bound: float  # of the move that the search began with: there and back at mid-range
 
 
 def design(
@@ -192,7 +192,8 @@ def design(
             return _IMPOSSIBLE
         return float(np.log(sigma(information(config, windows, priors), widths=worn.widths)[:, -1]).mean())
 
-    first = np.concatenate([[0.5], np.arange(STROKES) % 2, np.ones(STROKES), np.full(STROKES + 1, 0.5)])
+    there_and_back = (np.arange(STROKES) == 1) | (np.arange(STROKES) == 2)
+    first = np.concatenate([[0.5], there_and_back, np.ones(STROKES), np.full(STROKES + 1, 0.5)])
     best, lowest = first, cost(first)
     begun = lowest
     optimiser = CMA(np.clip(first, 0.15, 0.85), 0.25, np.tile([0.0, 1.0], (NUMBERS, 1)), seed=settings.seed)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
 from agents.bound.comparison import markdown
@@ -80,7 +81,7 @@ def picture(table: pd.DataFrame) -> bytes:
     def paint(figure: Figure) -> None:
         left, centre, right = figure.subplots(1, 3, width_ratios=(1.0, 0.9, 1.0))
         _lines(left, table[ordinary & whole & level], "window_s", "unknowns")
-        left.set(xscale="log", xlabel="window, s", title=f"Unknown beside a leak of {leak:g} l/min")
+        left.set(xscale="log", xlabel="window, s", title=f"What is unknown (leak of {leak:g} l/min)")
         ticks(left.xaxis, sorted(table["window_s"].unique()))
         _rows_of_sensors(centre, table[ordinary & drawn & window & level])
         centre.set_title(f"Sensors, {length:g} s")
@@ -97,6 +98,7 @@ def _lines(axes: Axes, rows: pd.DataFrame, across: str, by: str) -> None:
     for name, look in looks_of(medians.columns).items():
         axes.plot(medians.index, medians[name], marker=look.marker, label=name, **look.stroke)
     axes.set(yscale="log", ylabel="smallest standard deviation, l/min")
+    decades(axes.yaxis, medians.min(axis=None), medians.max(axis=None))
     axes.legend(fontsize=7.5)
 
 
@@ -105,4 +107,13 @@ def _rows_of_sensors(axes: Axes, rows: pd.DataFrame) -> None:
     low, median, high = np.array([np.quantile(group, [0.1, 0.5, 0.9]) for group in groups]).T
     axes.errorbar(median, range(len(SENSORS)), xerr=[median - low, high - median], fmt="o", color="#0072b2")
     row_axis(axes, list(SENSORS))
-    axes.set(xscale="log", xlabel="l/min; 10 to 90 % of the plants")
+    axes.set(xscale="log", xlabel="smallest standard deviation, l/min; 10 to 90 % of the plants")
+    decades(axes.xaxis, low.min(), high.max())
+
+
+def decades(axis: Axis, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis as plain numbers: 1, 2 and 5 of each decade, or 1 alone where there are many."""
+    exponents = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    steps = (1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)
+    values = np.outer(10.0**exponents, steps).ravel()
+    ticks(axis, [float(value) for value in values if 0.8 * low <= value <= 1.25 * high])
