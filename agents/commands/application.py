@@ -24,7 +24,7 @@ from agents.commands.options import Output, Overwrite, Resume, Rig, command_line
 from agents.commands.record import record
 from agents.commands.simulate import simulate
 from agents.commands.study import study
-from agents.commands.test_move import test_move
+from agents.commands.test_move import design_test_move
 from agents.commands.train import train
 from agents.running.console import discard_output
 from hydro_env import HydroError, __version__
@@ -123,7 +123,7 @@ app.command("evaluate")(evaluate)
 app.command("bound")(bound)
 app.command("alarms")(alarms)
 app.command("leak-bound")(leak_bound)
-app.command("test-move")(test_move)
+app.command("test-move")(design_test_move)
 app.command("study")(study)
 app.command("ladder")(ladder)
 app.command("export")(export)

@@ -11,7 +11,7 @@ from agents.commands.leak_bound import MovingController
 from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
 
 
-def test_move(
+def design_test_move(
     output: Output = Path("results/test_move"),
     task: Task = None,
     rig: Rig = None,

@@ -81,11 +81,11 @@ def information(
             raise ConfigurationError(f"window = {length:g} s: must be within {period:g} to {whole:g} s")
     ends = [round(length / period) + 1 for length in given]
     matrices, units = [], []
-    for first in range(0, len(windows), WINDOWS_PER_BATCH):
+    for first in range(0, windows.count, WINDOWS_PER_BATCH):
         part = windows.part(first, first + WINDOWS_PER_BATCH)
         model, scaled = true_model(config, part, priors, threads)
         used = np.isfinite(usable_readings(part.signals, config, model))
-        jacobian = np.where(used[:, None], true_jacobian(model, scaled), 0.0)[:, :, :, : ends[-1]]
+        jacobian = np.where(used[:, None], jacobian_at(model, scaled), 0.0)[:, :, :, : ends[-1]]
         pieces = np.split(jacobian, ends[:-1], axis=3)
         steps = [np.einsum("bpct,bqct->bcpq", piece, piece, optimize=True) for piece in pieces]
         matrices.append(np.cumsum(np.stack(steps, axis=1), axis=1))
@@ -103,7 +103,7 @@ def true_model(
     return model, model.scaled(np.stack([windows.value(name) for name in priors], axis=1))
 
 
-def true_jacobian(model: Model, scaled: Array) -> Array:
+def jacobian_at(model: Model, scaled: Array) -> Array:
     """Derivatives of the readings over their noise, (B, P, channels, T), by central differences.
 
     A first, coarse derivative tells the steps: each changes the readings by about :data:`RESPONSE`.
@@ -169,7 +169,7 @@ class Ratio(NamedTuple):
     """Errors of a detector beside the bound at one level of the leak."""
 
     level: float  # l/min at 100 bar
-    count: int
+    windows: int
     error: float  # root mean square of the errors, l/min
     bound: float  # root mean square of the bound, l/min
     ratio: float  # error over bound

@@ -31,12 +31,14 @@ class KnownWindows(NamedTuple):
     bias: Array  # (B, channels), SI
     case: NDArray[np.int64]  # (B,), index of the case; cases that failed are left out
 
-    def __len__(self) -> int:
+    @property
+    def count(self) -> int:
+        """Number of windows."""
         return len(self.signals)
 
     def part(self, first: int, last: int) -> KnownWindows:
         """The windows from ``first`` to before ``last``."""
-        return KnownWindows(*(values[first:last] for values in self))
+        return KnownWindows(**{name: values[first:last] for name, values in self._asdict().items()})
 
     def value(self, name: str) -> Array:
         """True values (B,) of an unknown of :mod:`agents.estimation.unknowns`, in its unit."""
@@ -50,7 +52,7 @@ class KnownWindows(NamedTuple):
         if name in BIASES:
             return self.bias[:, BIASES.index(name)]
         if name in GAINS:
-            return np.ones(len(self))
+            return np.ones(self.count)
         if name in STARTS:
             return self.start[:, STARTS.index(name)]
         return self.physical[:, PARAMETER_PATHS.index(name)]

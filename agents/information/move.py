@@ -188,7 +188,7 @@ def design(
         if move is None:
             return _IMPOSSIBLE
         windows = moved(config, controller, move, TRAINING_SEEDS, settings.plants, settings.leak)
-        if len(windows) < settings.plants:
+        if windows.count < settings.plants:
             return _IMPOSSIBLE
         return float(np.log(sigma(information(config, windows, priors), widths=worn.widths)[:, -1]).mean())
 

@@ -141,7 +141,7 @@ def picture(move: Move, windows: KnownWindows, table: pd.DataFrame, period: floa
         time = period * np.arange(windows.signals.shape[2])
         left.plot(time, 1e3 * windows.signals[:, 0].T, color=GREY, linewidth=0.6, alpha=0.6)
         left.plot(time, 1e3 * move.reference(period), color=COLOURS[1], label="reference")
-        left.plot([], [], color=GREY, linewidth=0.6, label=f"{len(windows)} axes, measured")
+        left.plot([], [], color=GREY, linewidth=0.6, label=f"{windows.count} axes, measured")
         left.set(xlabel="time, s", ylabel="position, mm", title="The test move")
         left.legend()
         rows = table[table["leakage_flow_lpm"] == leak]
