@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +16,17 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
 
 
-class KnownWindows(NamedTuple):
+@dataclass(frozen=True)
+class KnownWindows:
     """B windows of T samples."""
 
-    signals: Array  # (B, 5, T), SI: the measured signals and the command that acts at each sample
+    signals: Array  # (B, 5, T), SI: the measured signals (NaN without sensor) and the command that acts at each sample
     leakage_flow_lpm: Array  # (B,), l/min at 100 bar
     physical: Array  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
     start: Array  # (B, N_STATES), true state at the first sample
@@ -38,7 +41,7 @@ class KnownWindows(NamedTuple):
 
     def part(self, first: int, last: int) -> KnownWindows:
         """The windows from ``first`` to before ``last``."""
-        return KnownWindows(**{name: values[first:last] for name, values in self._asdict().items()})
+        return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
 
     def value(self, name: str) -> Array:
         """True values (B,) of an unknown of :mod:`agents.estimation.unknowns`, in its unit."""
@@ -93,8 +96,10 @@ def known_windows(
     kept = np.flatnonzero((run.failed_at < 0) | (run.failed_at >= first + periods))
     if not len(kept):
         raise ConfigurationError(f"windows: all {len(cases)} axes failed before the end of their window")
+    signals = np.stack(watcher.columns, axis=2)[kept]
+    signals[:, [place for place, name in enumerate(CHANNELS) if not getattr(config.sensors, name).fitted]] = np.nan
     return KnownWindows(
-        signals=np.stack(watcher.columns, axis=2)[kept],
+        signals=signals,
         leakage_flow_lpm=run.leakage_flow_lpm[kept],
         case=kept,
         **{name: values[kept] for name, values in watcher.truth.items()},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pandas as pd
@@ -23,14 +23,6 @@ from hydro_env.task.sensors import CHANNELS
 Progress = Callable[[str, int, int], None]
 
 ALL_SENSORS = "all sensors"
-SENSORS: dict[str, tuple[str, ...]] = {
-    ALL_SENSORS: CHANNELS,
-    "without pressures": tuple(name for name in CHANNELS if not name.startswith("pressure")),
-    "without spool position": tuple(name for name in CHANNELS if name != "spool_position"),
-    "without position": tuple(name for name in CHANNELS if name != "position"),
-    **{f"{name.replace('_', ' ')} alone": (name,) for name in CHANNELS},
-}
-"""Choices of sensors; the command is always known."""
 
 COLUMNS = ("motion", "leakage_flow_lpm", "seed", "window_s", "unknowns", "sensors", "sigma_lpm")
 """Columns of the table."""
@@ -46,6 +38,19 @@ class SurveySettings(Group):
     plants: int = Field(24, ge=3, le=10_000, description="of the test seeds, per motion and leak")
     begin: float = Field(1.0, ge=0.0, le=1e4, description="s, start of the window after that of the episode")
     more_unknowns: tuple[str, ...] = Field((), description="beside those of the task, as a set of their own")
+
+
+def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
+    """Choices of the sensors that the rig has, by name; the command is always known."""
+    fitted = [name for name in CHANNELS if getattr(config.sensors, name).fitted]
+    choices = {
+        ALL_SENSORS: fitted,
+        "without pressures": [name for name in fitted if not name.startswith("pressure")],
+        "without spool position": [name for name in fitted if name != "spool_position"],
+        "without position": [name for name in fitted if name != "position"],
+        **{f"{name.replace('_', ' ')} alone": [name] for name in fitted},
+    }
+    return {name: tuple(sensors) for name, sensors in choices.items() if name == ALL_SENSORS or sensors != fitted}
 
 
 def checked(settings: SurveySettings, config: TaskConfig) -> UnknownSets:
@@ -92,21 +97,26 @@ def survey(
         cases = leak_cases(TEST_SEEDS, settings.plants, leak)
         windows = known_windows(task, controller, cases, settings.begin, max(settings.windows))
         known = information(task, windows, unknowns.priors, settings.windows)
-        frames.append(_rows(known, unknowns, motion, leak, cases.seeds[windows.case]))
+        frames.append(_rows(known, unknowns, sensor_choices(config), cases.seeds[windows.case], motion, leak))
     if progress is not None:
         progress("bound", len(jobs), len(jobs))
     return pd.concat(frames, ignore_index=True)
 
 
 def _rows(
-    known: Information, unknowns: UnknownSets, motion: str, leak: float, seeds: NDArray[np.int64]
+    known: Information,
+    unknowns: UnknownSets,
+    choices: Mapping[str, tuple[str, ...]],
+    seeds: NDArray[np.int64],
+    motion: str,
+    leak: float,
 ) -> pd.DataFrame:
     """Every set of unknowns with all sensors, and every choice of sensors with the unknowns of the task."""
-    pairs = [(name, ALL_SENSORS) for name in unknowns.sets] + [(TASK, name) for name in SENSORS if name != ALL_SENSORS]
+    pairs = [(name, ALL_SENSORS) for name in unknowns.sets] + [(TASK, name) for name in choices if name != ALL_SENSORS]
     frames = []
     for name, sensors in pairs:
         chosen = unknowns.sets[name]
-        values = sigma(known, unknowns=chosen.unknowns, sensors=SENSORS[sensors], widths=chosen.widths)
+        values = sigma(known, unknowns=chosen.unknowns, sensors=choices[sensors], widths=chosen.widths)
         frames += [
             pd.DataFrame({"seed": seeds, "window_s": length, "sigma_lpm": values[:, place]}).assign(
                 motion=motion, leakage_flow_lpm=leak, unknowns=name, sensors=sensors

@@ -9,11 +9,13 @@ from agents.estimation.information import covariance, information, jacobian_at, 
 from agents.estimation.known_windows import known_windows, leak_cases
 from agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 from agents.information.motions import MOTIONS, SMALLEST_STEP
+from agents.information.survey import sensor_choices
 from agents.information.unknown_sets import EVERYTHING, LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, unknown_sets
 from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_file
+from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS
 
 CONFIG = TaskConfig()
@@ -21,9 +23,13 @@ LEAK, LENGTHS = 0.3, (0.25, 0.5, 1.0)
 FEW = (LEAKAGE, "valve.rated_flow", *(name for name in default_unknowns(CONFIG) if name in STARTS))
 
 
+def make_pid(config):
+    return make_controller("pid", config, read_yaml(config_file("agents", "pid")))
+
+
 @pytest.fixture(scope="module")
 def pid():
-    return make_controller("pid", CONFIG, read_yaml(config_file("agents", "pid")))
+    return make_pid(CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +57,7 @@ def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
     """Without prior and with everything else known, σ is one over the root of the sum of squared derivatives."""
     priors = priors_of(CONFIG, (LEAKAGE,))
     told = information(CONFIG, windows, priors)
-    model, scaled = true_model(CONFIG, windows, priors)
+    model, _ = true_model(CONFIG, windows, priors)
     used = np.isfinite(usable_readings(windows.signals, CONFIG, model))
     change = 1e-3  # l/min
     above, below = (
@@ -133,6 +139,22 @@ def test_unknown_sets_grow_and_so_does_the_bound(windows):
         unknown_sets(CONFIG, ("load.mass",))
     with pytest.raises(ConfigurationError, match="nonsense"):
         unknown_sets(CONFIG, ("nonsense",))
+
+
+def test_a_rig_without_pressure_transducers_knows_less(pid, windows, known):
+    sensors = {"pressure_a": {"fitted": False}, "pressure_b": {"fitted": False}}
+    poor = task_config(CONFIG, sensors=sensors)
+    assert list(sensor_choices(poor)) == [
+        "all sensors",
+        "without spool position",
+        "without position",
+        "position alone",
+        "spool position alone",
+    ]
+    seen = known_windows(poor, make_pid(poor), leak_cases(VALIDATION_SEEDS, 3, LEAK), 0.4, LENGTHS[-1])
+    assert np.isnan(seen.signals[:, 1:3]).all()
+    leak = sigma(information(poor, seen, priors_of(poor)))[:, 0]
+    np.testing.assert_allclose(leak, sigma(known, sensors=("position", "spool_position"))[:, -1], rtol=0.05)
 
 
 def test_motions_are_slower_down_to_rest(pid):

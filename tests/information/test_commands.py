@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.information.survey import COLUMNS, SENSORS
+from agents.information.survey import COLUMNS, sensor_choices
 from agents.information.unknown_sets import TASK
+from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro
 
 
@@ -17,7 +18,7 @@ def test_leak_bound_writes_every_number_and_a_table(tmp_path):
     table = pd.read_csv(out / "leak_bound.csv")
     assert tuple(table.columns) == COLUMNS
     # motions, leaks, plants, windows; six sets of unknowns, and the choices of sensors with one of them
-    assert len(table) == 3 * 2 * 3 * 2 * (6 + len(SENSORS) - 1)
+    assert len(table) == 3 * 2 * 3 * 2 * (6 + len(sensor_choices(TaskConfig())) - 1)
     assert (table["sigma_lpm"] > 0.0).all()
     mine = table[
         (table["motion"] == "ordinary motion")
