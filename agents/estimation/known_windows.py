@@ -16,6 +16,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
+from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import flow_from_resistance
 
@@ -31,7 +32,8 @@ class KnownWindows:
     physical: Array  # (B, parameters), the true plants with their faults, in the order of PARAMETER_PATHS
     start: Array  # (B, N_STATES), true state at the first sample
     latency: Array  # (B,), s
-    bias: Array  # (B, channels), SI
+    gain: Array  # (B, channels), reading over true value; 1 for a sound sensor
+    bias: Array  # (B, channels), SI; a fault's offset included
     case: NDArray[np.int64]  # (B,), index of the case; cases that failed are left out
 
     @property
@@ -55,7 +57,7 @@ class KnownWindows:
         if name in BIASES:
             return self.bias[:, BIASES.index(name)]
         if name in GAINS:
-            return np.ones(self.count)
+            return self.gain[:, GAINS.index(name)]
         if name in STARTS:
             return self.start[:, STARTS.index(name)]
         return self.physical[:, PARAMETER_PATHS.index(name)]
@@ -129,7 +131,7 @@ class _Watcher:
                 "physical": np.array([_physical(axes, axis) for axis in range(axes.count)]),
                 "start": axes.state.copy(),
                 "latency": axes.column("latency").copy(),
-                "bias": axes.column("bias").copy(),
+                **_sensors(axes),
             }
         if self.first <= self._step < self.last:
             self.columns.append(np.column_stack([axes.column("measured"), axes.column("command")]))
@@ -142,6 +144,15 @@ def _physical(axes: Axes, axis: int) -> Array:
     vector = to_vector(axes.parameters(axis))
     vector[PARAMETER_PATHS.index("load.external_force")] = axes.external_force(axis)
     return vector
+
+
+def _sensors(axes: Axes) -> dict[str, Array]:
+    """Gain and bias of the sensors of all axes now, (N, channels) each, faults included."""
+    faults = axes.column("fault")
+    gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in CHANNELS]] for what in ("gain", "offset"))
+    sensors = [getattr(axes.config.sensors, name) for name in CHANNELS]
+    spans = np.array([sensor.high - sensor.low for sensor in sensors])
+    return {"gain": 1.0 + gain, "bias": axes.column("bias") + offset * spans}
 
 
 def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:

@@ -53,6 +53,18 @@ def test_windows_hold_the_truth(windows):
     np.testing.assert_allclose(windows.value(LEAKAGE), LEAK)
 
 
+def test_windows_hold_the_faults(pid):
+    faults = {"valve_null_shift": 0.01, "external_leak": 0.5, "position_gain": 0.02, "pressure_b_offset": 0.01}
+    seen = known_windows(CONFIG, pid, leak_cases(VALIDATION_SEEDS, 3, LEAK, faults), 0.2, 0.5)
+    priors = priors_of(CONFIG, (*default_unknowns(CONFIG), "valve.null_shift", "position_gain"))
+    model, scaled = true_model(CONFIG, seen, priors)
+    measured = usable_readings(seen.signals, CONFIG, model)
+    read, _ = model.readings(scaled, np.arange(seen.count))
+    assert np.nanmean((measured - read) ** 2) == pytest.approx(1.0, abs=0.08)
+    np.testing.assert_allclose(seen.value("valve.null_shift"), 0.01)
+    np.testing.assert_allclose(seen.value("position_gain"), 1.02)
+
+
 def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):
     """Without prior and with everything else known, σ is one over the root of the sum of squared derivatives."""
     priors = priors_of(CONFIG, (LEAKAGE,))
