@@ -39,7 +39,7 @@ def design_test_move(
     """
     from agents.evaluation.opponents import opponent
     from agents.information.move import MoveSettings, design, limits_of
-    from agents.information.move_trial import move_table, picture, trial, trial_markdown
+    from agents.information.move_trial import gain, move_table, picture, trial, trial_markdown
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole
@@ -64,7 +64,7 @@ def design_test_move(
         write_text(output / "move.csv", "\n".join(["time_s,reference_m", *lines]) + "\n")
         leaks = (0.0, leak) if leak > 0.0 else (0.0,)
         table, windows = trial(config, moving, best.move, leaks, plants, display.update)
-        text = f"{move_table(best.move)}\n\n{trial_markdown(table)}"
+        text = f"{move_table(best.move)}\n\n{gain(best)}\n\n{trial_markdown(table)}"
         write_text(output / "trial.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "test_move.md", f"`{command_line()}`\n\n{text}\n")
         write_whole(output / "test_move.png", picture(best.move, windows, table, config.control_period))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
 from agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
-from agents.running.cases import Cases, run_cases
+from agents.running.cases import Cases, Insider, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -120,6 +120,8 @@ class _Watcher:
     def begin(self, axes: Axes) -> None:
         """Take the axes whose episodes begin."""
         self._axes = axes
+        if isinstance(self.controller, Insider):
+            self.controller.begin(axes)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True

@@ -155,7 +155,7 @@ class Design(NamedTuple):
 
     move: Move
     bound: float  # l/min; geometric mean of the bound over the plants of the design
-    first_bound: float  # of the move that the search began with: there and back at mid-range
+    first_bound: float  # of the move that the search began with: once there and back at mid-range; NaN if impossible
 
 
 def design(

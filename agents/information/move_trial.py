@@ -16,7 +16,7 @@ from agents.estimation.information import information, ratios_to_bound, sigma
 from agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from agents.estimation.unknowns import LEAKAGE
 from agents.information.motions import MOTIONS
-from agents.information.move import Move, moved
+from agents.information.move import Design, Move, moved
 from agents.information.tables import decades
 from agents.information.unknown_sets import WORN_VALVE, unknown_sets
 from agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis
@@ -125,6 +125,15 @@ def move_table(move: Move) -> str:
     frame = pd.DataFrame([*rows, last], columns=["hold at, mm", "for, s", "then move to, mm", "in, s"])
     frame.index = pd.Index(range(1, len(frame) + 1), name="")
     return markdown(frame)
+
+
+def gain(best: Design) -> str:
+    """What the search gained on the plants of the design, as a sentence."""
+    first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
+    return (
+        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of the move that goes once there and "
+        f"back, at mid-range: {first}."
+    )
 
 
 def trial_markdown(table: pd.DataFrame) -> str:
