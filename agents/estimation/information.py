@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from agents.estimation.estimate import usable_readings
 from agents.estimation.known_windows import KnownWindows
 from agents.estimation.model import Model
-from agents.estimation.unknowns import LEAKAGE, Prior
+from agents.estimation.names import LEAKAGE
+from agents.estimation.priors import Prior
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS

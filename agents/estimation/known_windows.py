@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
-from agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
+from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
 from agents.running.cases import Cases, Insider, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -46,7 +46,7 @@ class KnownWindows:
         return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
 
     def value(self, name: str) -> Array:
-        """True values (B,) of an unknown of :mod:`agents.estimation.unknowns`, in its unit."""
+        """True values (B,) of an unknown of :mod:`agents.estimation.names`, in its unit."""
         if name == LEAKAGE:
             return self.leakage_flow_lpm
         if name == EXTERNAL_LEAKAGE:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 
@@ -37,12 +34,6 @@ def slow(config: TaskConfig) -> TaskConfig:
 def at_rest(config: TaskConfig) -> TaskConfig:
     """The task with references that stand still wherever the episode begins."""
     return task_config(config, references={"weights": {"step": 1.0}, "step_range": (SMALLEST_STEP, SMALLEST_STEP)})
-
-
-def following(config: TaskConfig, reference: NDArray[np.float64]) -> TaskConfig:
-    """The task with a reference of its own, one position in m per control period from the start."""
-    values = [float(value) for value in reference]
-    return task_config(config, references={"user": values, "weights": {"user": 1.0}})
 
 
 MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {

@@ -14,9 +14,9 @@ from pydantic import Field
 from agents.controllers.base import Controller
 from agents.estimation.information import information, sigma
 from agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from agents.information.motions import following
 from agents.information.unknown_sets import WORN_VALVE, unknown_sets
 from agents.running.seeds import TRAINING_SEEDS
+from agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import reachable_range, speed_limits
@@ -223,7 +223,7 @@ def moved(
     config: TaskConfig, controller: Controller, move: Move, seeds: range, plants: int, leak: float
 ) -> KnownWindows:
     """The first plants of some seeds with a leak (l/min at 100 bar) while they follow the move."""
-    task = following(config, move.reference(config.control_period))
+    task = own_reference(config, move.reference(config.control_period))
     return known_windows(task, controller, leak_cases(seeds, plants, leak), 0.0, move.duration)
 
 

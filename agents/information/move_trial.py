@@ -14,7 +14,7 @@ from agents.controllers.base import Controller
 from agents.estimation.estimate import estimate
 from agents.estimation.information import information, ratios_to_bound, sigma
 from agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from agents.estimation.unknowns import LEAKAGE
+from agents.estimation.names import LEAKAGE
 from agents.information.motions import MOTIONS
 from agents.information.move import Design, Move, moved
 from agents.information.tables import decades
@@ -131,8 +131,8 @@ def gain(best: Design) -> str:
     """What the search gained on the plants of the design, as a sentence."""
     first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
     return (
-        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of the move that goes once there and "
-        f"back, at mid-range: {first}."
+        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of a move once there and back, at "
+        f"mid-range: {first}."
     )
 
 

@@ -5,16 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from agents.estimation.unknowns import (
-    BIASES,
-    GAINS,
-    LEAKAGE,
-    STARTS,
-    Prior,
-    default_unknowns,
-    prior_of,
-    priors_of,
-)
+from agents.estimation.names import BIASES, GAINS, LEAKAGE, STARTS
+from agents.estimation.priors import Prior, prior_of
+from agents.estimation.unknowns import default_unknowns, priors_of
 from hydro_env import ConfigurationError, TaskConfig
 
 LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (

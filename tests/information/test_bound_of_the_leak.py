@@ -7,7 +7,9 @@ from agents.controllers.registry import make_controller
 from agents.estimation.estimate import EstimationSettings, estimate, usable_readings
 from agents.estimation.information import covariance, information, jacobian_at, ratios_to_bound, sigma, true_model
 from agents.estimation.known_windows import known_windows, leak_cases
-from agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
+from agents.estimation.names import BIASES, LEAKAGE, STARTS
+from agents.estimation.priors import Prior
+from agents.estimation.unknowns import default_unknowns, priors_of
 from agents.information.motions import MOTIONS, SMALLEST_STEP
 from agents.information.survey import sensor_choices
 from agents.information.unknown_sets import EVERYTHING, LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, unknown_sets
