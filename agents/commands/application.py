@@ -19,10 +19,12 @@ from agents.commands.diagnose import diagnose
 from agents.commands.evaluate import evaluate
 from agents.commands.export import export
 from agents.commands.ladder import ladder
+from agents.commands.leak_bound import leak_bound
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.record import record
 from agents.commands.simulate import simulate
 from agents.commands.study import study
+from agents.commands.test_move import design_test_move
 from agents.commands.train import train
 from agents.running.console import discard_output
 from hydro_env import HydroError, __version__
@@ -120,6 +122,8 @@ app.command("train")(train)
 app.command("evaluate")(evaluate)
 app.command("bound")(bound)
 app.command("alarms")(alarms)
+app.command("leak-bound")(leak_bound)
+app.command("test-move")(design_test_move)
 app.command("study")(study)
 app.command("ladder")(ladder)
 app.command("export")(export)

@@ -41,7 +41,7 @@ def evaluate(
     protocol: Annotated[
         str | None,
         typer.Option(
-            "--protocol", help="Run a protocol instead: robustness, quick (in `configs/protocols`), or a YAML file."
+            "--protocol", help="Run a protocol instead: robustness, leakage (in `configs/protocols`), or a YAML file."
         ),
     ] = None,
     jobs: Annotated[
@@ -63,6 +63,10 @@ def evaluate(
     protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…` and `NAME#1=…` give
     training seeds of one controller, `--agent NAME@CONDITION=…` one that was made for this condition. `--task` and
     `--rig` replace those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
+
+    With `--protocol leakage` the leakage head (that of `--head`, or the shipped one) and the estimator read windows of
+    healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
+    for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay
@@ -73,12 +77,21 @@ def evaluate(
     from hydro_env.files import validate, write_yaml
 
     if protocol is not None:
+        from agents.commands.leak_protocol import evaluate_leak_protocol
         from agents.commands.robustness import Place, evaluate_protocol
+        from agents.leak_protocol.protocol import is_leak_protocol
+        from hydro_env.folders import config_file
 
-        for option, value in {"--head": head, "--plants": plants}.items():
+        file, place = config_file("protocols", protocol), Place(task, rig, output)
+        about_leaks = is_leak_protocol(file)
+        # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
+        foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
+        for option, value in {**foreign, "--plants": plants}.items():
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
-        place = Place(task, rig, output)
+        if about_leaks:
+            evaluate_leak_protocol(file, head, place, jobs, resume, overwrite, command_line())
+            return
         evaluate_protocol(protocol, named_agents(agent), config, place, jobs, resume, overwrite, command_line())
         return
     if resume or jobs is not None:

@@ -23,11 +23,12 @@ from agents.robustness.participants import (
     shipped_controllers,
     split_name,
 )
-from agents.robustness.running import JOBS_FOLDER, NOT_APPLICABLE, default_jobs, replay, run_protocol
+from agents.robustness.running import NOT_APPLICABLE, replay, run_protocol
 from agents.robustness.tables import Tables, make_tables
 from agents.robustness_report.page import PAGE_FILE, write_robustness_report
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
+from agents.running.jobs import JOBS_FOLDER, default_jobs
 from agents.running.machine import machine_description, package_versions
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError

@@ -17,14 +17,12 @@ from agents.running.cases import Cases
 from agents.running.folders import pretrained_folder
 from agents.running.seeds import TEST_SEEDS
 from agents.running.settings_files import read_settings, read_task
+from agents.running.surroundings import Factor, Surroundings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
-from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
 from hydro_env.task.rig import merged
-from hydro_env.task.sensors import CHANNELS
 
 FIRST_SEED = TEST_SEEDS.start + 200_000
 """The first of 100 000 seeds that the protocol alone uses; the ordinary evaluation has others."""
@@ -32,7 +30,6 @@ FIRST_SEED = TEST_SEEDS.start + 200_000
 SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
-Factor = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 class ControllerChoice(Group):
@@ -45,7 +42,7 @@ class ControllerChoice(Group):
     )
 
 
-class Condition(Group):
+class Condition(Surroundings):
     """One condition: what differs from the task of the protocol. Only the plant and the sensors know of it."""
 
     group: str = Field("other", description="conditions that belong together in tables and pictures")
@@ -54,12 +51,6 @@ class Condition(Group):
     leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
     families: tuple[str, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
-    task: dict[str, Any] = Field(default_factory=dict, description="changes of the task, as in its YAML")
-    parameters: dict[str, float | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
-    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters in parts of the nominal rig's")
-    noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
-    bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
-    rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
     controllers: dict[str, ControllerChoice] = Field(
         default_factory=dict, description="by name; controllers that were tuned or trained for this condition"
     )
@@ -67,14 +58,6 @@ class Condition(Group):
     @model_validator(mode="after")
     def _possible(self) -> Condition:
         check_grid(self.leak_levels or (), self.families or ())
-        for name in ("parameters", "factors"):
-            for path in getattr(self, name):
-                if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
-                    raise ValueError(f"{name}: '{path}' is no parameter that a condition may set")
-                if name == "factors" and path in MODEL_CODES:
-                    raise ValueError(f"factors: '{path}' is a name, not a number")
-                if name == "factors" and path in self.parameters:
-                    raise ValueError(f"factors: '{path}' stands in parameters as well")
         return self
 
 
@@ -216,35 +199,14 @@ class Protocol(Group):
 
     def _task(self, name: str) -> TaskConfig:
         condition = self.conditions[name]
-        where = f"conditions.{name}"
-        changes = dict(condition.task)
         if condition.families == ("user",):
-            changes = merged(changes, {"references": {"weights": {"user": 1.0}}})
-        try:
-            task = task_config(self.task, rig=condition.rig, **changes)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{where}: {error}") from None
-        sensors = {
-            channel: {
-                "noise": condition.noise_factor * getattr(task.sensors, channel).noise,
-                "bias": condition.bias_factor * getattr(task.sensors, channel).bias,
-            }
-            for channel in CHANNELS
-        }
-        return validate(TaskConfig, merged(task.model_dump(), {"sensors": sensors}), f"{where}: task")
+            alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
+            condition = condition.model_copy(update={"task": alone})
+        return condition.task_on(self.task, f"conditions.{name}")
 
     def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
         """Parameters of every plant that a condition fixes, as the option ``parameters`` of ``reset``."""
-        condition, plant = self.conditions[name], self.task_in(name).plant
-        fixed: dict[str, float | str] = dict(condition.parameters)
-        for path, factor in condition.factors.items():
-            group, field = path.split(".")
-            fixed[path] = factor * float(getattr(getattr(plant, group), field))
-        groups: dict[str, dict[str, float | str]] = {}
-        for path, value in fixed.items():
-            group, field = path.split(".")
-            groups.setdefault(group, {})[field] = value
-        return groups
+        return self.conditions[name].parameters_on(self.task_in(name))
 
     def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of a condition, and a table with leak, family, plant and seed of each.

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from multiprocessing import parent_process
 from pathlib import Path
-from signal import SIG_IGN, SIGINT, signal
-from threading import current_thread, main_thread
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed, effective_n_jobs
 from numpy.typing import NDArray
 
 from agents.evaluation.limit_cycles import standstill_task
 from agents.robustness.conditions import Protocol
-from agents.robustness.jobs import BestFound, Job, JobResult, Kind, load_result, run_job, save_result
+from agents.robustness.jobs import BestFound, Job, Kind
 from agents.robustness.participants import Participants, fingerprint, split_name
 from agents.running.cases import Cases, ControllerError, Rollout, run_cases
+from agents.running.jobs import Report, run_jobs
 from hydro_env import TaskConfig
 
-JOBS_FOLDER = "jobs"
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
 BEST_FOUND = "best found"
-_JOBS_PER_ROUND = 4
-
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -64,9 +56,7 @@ def run_protocol(
 ) -> ProtocolRun:
     """Run all jobs of a protocol; finished ones in the folder are read instead.
 
-    Every job is a pure function of protocol, condition and controller: neither their order nor the place where they
-    run changes a bit of the results. The backend is the one of ``joblib.parallel_config``, by default one process per
-    job. Interrupted, it keeps the finished jobs.
+    Interrupted, it keeps the finished jobs (:mod:`agents.running.jobs`).
 
     Args:
         protocol: the conditions.
@@ -85,24 +75,7 @@ def run_protocol(
         cells += _bound_plan(protocol, best_found)
     # Conditions that differ in their references alone share the search for limit cycles.
     listed = {job.key: job for _, _, parts in cells for job in parts}
-    results: dict[str, JobResult] = {}
-    for key, job in listed.items() if folder is not None else ():
-        found = load_result(folder / JOBS_FOLDER / job.file, job) if folder is not None and job.digest else None
-        if found is not None:
-            results[key] = found
-    reused = len(results)
-
-    def report() -> None:
-        if progress is not None:
-            progress("jobs", len(results), len(listed))
-
-    report()
-    for key, result in _answers({key: job for key, job in listed.items() if key not in results}, jobs):
-        results[key] = result
-        job = listed[key]
-        if folder is not None and job.digest and not result.error:
-            save_result(folder / JOBS_FOLDER / job.file, result)
-        report()
+    results, reused = run_jobs(listed, folder, jobs, progress)
     frames: dict[Kind, list[pd.DataFrame]] = {"tracking": [], "standstill": [], "bound": []}
     for name, table, parts in cells:
         answers = [results[job.key] for job in parts]
@@ -176,41 +149,6 @@ def _cell(protocol: Protocol, whole: Job, table: pd.DataFrame) -> _Cell:
         for first in range(0, len(whole.cases), size)
     ]
     return whole.name, table.assign(condition=whole.condition, group=group), parts
-
-
-def _named(key: str, job: Job) -> tuple[str, JobResult]:
-    return key, run_job(job)
-
-
-def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
-    """Run a job in a process of the pool: there Ctrl-C is left to the process that waits."""
-    if parent_process() is not None and current_thread() is main_thread():
-        signal(SIGINT, SIG_IGN)
-    return _named(key, job)
-
-
-def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str, JobResult]]:
-    """Results of jobs as they are ready, each with its key."""
-    if not waiting:
-        return
-    first, *others = waiting.items()
-    yield _named(*first)  # here: what it compiles, the other processes read from the disk
-    calls = [delayed(_in_worker)(key, job) for key, job in others]
-    pool: Any
-    try:
-        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
-    except ValueError:  # a backend that returns results only all at once
-        pool = Parallel(n_jobs=jobs, batch_size=1)
-        size = _JOBS_PER_ROUND * effective_n_jobs(jobs)
-        for start in range(0, len(calls), size):
-            yield from pool(calls[start : start + size])
-        return
-    yield from pool(calls)
-
-
-def default_jobs() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def replay(protocol: Protocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:

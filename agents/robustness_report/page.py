@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
-from markupsafe import Markup
 
 from agents.controllers.base import Controller
 from agents.experiments.series import run_experiments
@@ -116,7 +115,6 @@ def render_page(record: Record) -> str:
             sees=sees_table(record),
             facts=Table("", ("Fact", "Value"), list(facts.items())),
             conditions=conditions_table(record),
-            svg=lambda plot: Markup(plot.svg),
         )
     )
 

@@ -5,7 +5,6 @@ import pytest
 
 from agents.estimation.estimate import EstimationSettings, estimate
 from agents.estimation.following import Follower, estimate_run
-from agents.estimation.information import information
 from agents.estimation.model import Model
 from agents.estimation.names import LEAKAGE, NAMES
 from agents.estimation.priors import Prior, prior_of
@@ -286,15 +285,6 @@ def test_a_run_is_followed_window_by_window(memory):
     follower = Follower(config, window=101, memory=memory)
     live = [answer for sample in range(201) if (answer := follower.update(signals[:, :, sample])) is not None]
     np.testing.assert_array_equal([answer.value(LEAKAGE)[0] for answer in live], run.value(LEAKAGE)[:2])
-
-
-def test_information_is_what_the_estimate_leaves(moving, found):
-    _, signals, *_ = moving
-    model = Model(CONFIG, priors_of(CONFIG), signals[:, -1])
-    told = information(model, found.values)
-    np.testing.assert_allclose(told.deviations[:, 0], found.deviation(LEAKAGE), rtol=0.3)
-    without = information(model, found.values, np.array([True, False, False, True]))
-    assert (without.deviations[:, 0] > 2.0 * told.deviations[:, 0]).all()
 
 
 def test_batches_threads_and_neighbours_change_nothing(moving, found):

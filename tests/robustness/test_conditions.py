@@ -189,5 +189,5 @@ def test_a_protocol_moves_to_another_task_and_rig():
 
 
 def test_an_unknown_protocol_names_the_known_ones():
-    with pytest.raises(ConfigurationError, match="'robust': unknown; known: quick, robustness"):
+    with pytest.raises(ConfigurationError, match="'robust': unknown; known: leakage, leakage_quick, quick, robustness"):
         protocol_named("robust")

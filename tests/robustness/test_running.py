@@ -8,11 +8,12 @@ from joblib import parallel_config
 from small_protocol import Broken, Proportional, small
 
 from agents.evaluation.metrics import METRICS
-from agents.robustness.jobs import Job, load_result, run_job, save_result
+from agents.robustness.jobs import Job
 from agents.robustness.participants import Participants, fingerprint, participants, sees, split_name
-from agents.robustness.running import DONE, FAILED, JOBS_FOLDER, NOT_APPLICABLE, replay, run_protocol
+from agents.robustness.running import DONE, FAILED, NOT_APPLICABLE, replay, run_protocol
 from agents.robustness.tables import make_tables
 from agents.running.cases import ControllerError, run_cases
+from agents.running.jobs import JOBS_FOLDER, load_result, save_result
 from hydro_env import ConfigurationError, TaskConfig
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
@@ -98,7 +99,7 @@ def test_a_result_is_read_as_it_was_written(tmp_path):
     cases, table = protocol.cases_in("plain")
     families = table["family"].to_numpy().astype(str)
     job = Job("P", "plain", Proportional(), protocol.task, cases, families, digest="d")
-    result = run_job(job)
+    result = job.run()
     save_result(tmp_path / job.file, result)
     stored = load_result(tmp_path / job.file, job)
     assert list(stored.metrics) == list(METRICS)

@@ -1,0 +1,74 @@
+"""What the protocol needs of a detector, and the two of this project behind it: leakage head and estimator."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hydro_env import TaskConfig
+from hydro_env.files import Group
+
+Floats = NDArray[np.float64]
+
+VERDICTS = ("none", "internal leak", "external leak", "valve fault", "sensor fault", "return line", "cannot tell")
+"""What a detector may say of a window."""
+
+NONE, INTERNAL, EXTERNAL, VALVE, SENSOR, RETURN, UNKNOWN = range(len(VERDICTS))
+
+
+class Reading(NamedTuple):
+    """What a detector says of N windows, each (N,); NaN: it does not say."""
+
+    score: Floats  # rises with the evidence of a leak past the piston; NaN: it cannot tell
+    probability: Floats  # of a leak past the piston, 0 to 1
+    flow_lpm: Floats  # estimated leak, l/min at 100 bar
+    low_lpm: Floats  # 90 % interval of the leak
+    high_lpm: Floats
+    otherwise: Floats  # number of the verdict if the score is below the threshold
+
+
+class Detector(Protocol):
+    """Anything that judges windows of measured signals."""
+
+    threshold: float | None
+    """Score from which it reports a leak; ``None``: the protocol finds it on validation windows."""
+
+    def refuses(self, config: TaskConfig, samples: int) -> str:
+        """The reason why it cannot judge windows of so many samples of a task; empty if it can."""
+        ...
+
+    def read(self, signals: NDArray[Any], config: TaskConfig) -> Reading:
+        """Judge windows.
+
+        Args:
+            signals: (N, 5, T) in SI units, in the order of :data:`~agents.leakage.head.SIGNALS`.
+            config: the task as the detector knows it: rig, ranges and sensors, not the drawn plants.
+        """
+        ...
+
+
+class DetectorChoice(Group):
+    """A detector of a protocol, and how many windows it reads."""
+
+    kind: Literal["head", "estimator"]
+    weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
+    task: dict[str, Any] = Field(
+        default_factory=dict,
+        description="of an estimator: changes of the task, such as faults; its unknowns and priors follow from it",
+    )
+    unknowns: tuple[str, ...] = Field((), description="of an estimator: besides those that follow from the task")
+    groups: tuple[str, ...] = Field((), description="of the conditions that it reads; default: all")
+    windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
+    validation_windows: int = Field(
+        4000, ge=20, le=100_000, description="healthy windows for the threshold at 1 % false alarms"
+    )
+    batch: int = Field(500, ge=1, le=10_000, description="windows of a job; fixed: no result depends on the machine")
+
+
+def logit(probability: NDArray[Any]) -> Floats:
+    """Logarithm of the odds, finite for 0 and 1."""
+    inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
+    return np.asarray(np.log(inside / (1.0 - inside)))

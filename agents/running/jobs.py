@@ -1,0 +1,179 @@
+"""Independent jobs of a study: they run side by side through joblib, and each finished result is one file.
+
+A job is a pure function of its fields: neither the order of the jobs nor the place where they run changes a bit of the
+results. The backend is the one of ``joblib.parallel_config``, by default one process per job.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import sys
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from multiprocessing import parent_process
+from pathlib import Path
+from signal import SIG_IGN, SIGINT, signal
+from threading import current_thread, main_thread
+from typing import Any, Protocol
+
+import numpy as np
+from joblib import Parallel, delayed, effective_n_jobs
+from numpy.typing import NDArray
+
+from hydro_env.compiling import SOURCES
+from hydro_env.files import write_whole
+
+JOBS_FOLDER = "jobs"
+_JOBS_PER_ROUND = 4
+
+Report = Callable[[str, int, int], None]
+"""Is told the name of the phase, the number of finished jobs, and their total."""
+
+
+@dataclass(frozen=True)
+class JobResult:
+    """Columns of a job's cases, each (N,); or the reason why there are none."""
+
+    metrics: dict[str, NDArray[np.float64]]
+    error: str = ""
+
+
+class Job(Protocol):
+    """What can run by itself."""
+
+    @property
+    def digest(self) -> str:
+        """Of what acts in the job; empty: its result is not used again."""
+        ...
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its result; another job or version of the code has another name."""
+        ...
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of its result."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """Number of its cases N."""
+        ...
+
+    def run(self) -> JobResult:
+        """Run it; an error of what acts in it becomes the result."""
+        ...
+
+
+def run_jobs(
+    listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None
+) -> tuple[dict[str, JobResult], int]:
+    """Run jobs, or read the results that a folder holds already; interrupted, the finished ones stay there.
+
+    Args:
+        listed: each :class:`Job` by a key of its own.
+        folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
+        jobs: number of jobs side by side; ``None``: one per core, or as the active ``parallel_config`` says.
+        progress: is told how far the jobs are.
+
+    Returns:
+        The results by the same keys, and the number of those that were read.
+
+    Raises:
+        ConfigurationError: a file cannot be written.
+    """
+    results: dict[str, JobResult] = {}
+    for key, job in listed.items() if folder is not None else ():
+        found = load_result(folder / JOBS_FOLDER / job.file, job) if folder is not None and job.digest else None
+        if found is not None:
+            results[key] = found
+    reused = len(results)
+
+    def report() -> None:
+        if progress is not None:
+            progress("jobs", len(results), len(listed))
+
+    report()
+    for key, result in _answers({key: job for key, job in listed.items() if key not in results}, jobs):
+        results[key] = result
+        job = listed[key]
+        if folder is not None and job.digest and not result.error:
+            save_result(folder / JOBS_FOLDER / job.file, result)
+        report()
+    return results, reused
+
+
+def save_result(path: Path, result: JobResult) -> None:
+    """Write a result, whole or not at all.
+
+    Raises:
+        ConfigurationError: the file cannot be written.
+    """
+    content = io.BytesIO()
+    np.savez(content, allow_pickle=False, **result.metrics)
+    write_whole(path, content.getvalue())
+
+
+def load_result(path: Path, job: Job) -> JobResult | None:
+    """Read the result of a job; ``None`` if there is none, or the file is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            metrics = {name: stored[name] for name in stored.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+    whole = set(metrics) == set(job.columns) and all(
+        values.shape == (job.count,) and values.dtype == np.float64 for values in metrics.values()
+    )
+    return JobResult({name: metrics[name] for name in job.columns}) if whole else None
+
+
+@cache
+def digest_of_code(*rooms: str) -> str:
+    """Digest of the compiled plant and of some rooms of ``agents``: the code that results depend on."""
+    digest = hashlib.sha256(str(SOURCES).encode())
+    for room in rooms:
+        for file in sorted((Path(__file__).resolve().parents[1] / room).glob("*.py")):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def default_jobs() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _named(key: str, job: Job) -> tuple[str, JobResult]:
+    if "torch" in sys.modules:  # as many jobs as cores run side by side
+        sys.modules["torch"].set_num_threads(1)
+    return key, job.run()
+
+
+def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
+    """Run a job in a process of the pool: there Ctrl-C is left to the process that waits."""
+    if parent_process() is not None and current_thread() is main_thread():
+        signal(SIGINT, SIG_IGN)
+    return _named(key, job)
+
+
+def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str, JobResult]]:
+    """Results of jobs as they are ready, each with its key."""
+    if not waiting:
+        return
+    first, *others = waiting.items()
+    yield _named(*first)  # here: what it compiles, the other processes read from the disk
+    calls = [delayed(_in_worker)(key, job) for key, job in others]
+    pool: Any
+    try:
+        pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
+    except ValueError:  # a backend that returns results only all at once
+        pool = Parallel(n_jobs=jobs, batch_size=1)
+        size = _JOBS_PER_ROUND * effective_n_jobs(jobs)
+        for start in range(0, len(calls), size):
+            yield from pool(calls[start : start + size])
+        return
+    yield from pool(calls)

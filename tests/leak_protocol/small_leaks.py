@@ -1,0 +1,40 @@
+"""A small leakage protocol and a detector for its tests."""
+
+import numpy as np
+
+from agents.leak_protocol.detectors import NONE, VALVE, Reading
+from agents.leak_protocol.protocol import LeakProtocol
+
+SMALL = {
+    "task": {"episode_duration": 0.3},
+    "levels": [0.0, 1.0],
+    "detectors": {"D": {"kind": "head", "windows": 10, "validation_windows": 20, "batch": 6}},
+    "base": "plain",
+    "conditions": {
+        "plain": {"group": "levels", "duration": 0.3, "levels": [0.0, 1.0, -1.0]},
+        "null": {"group": "fault", "duration": 0.3, "faults": {"valve_null_shift": 0.02}},
+    },
+}
+
+
+def small(**changes):
+    return LeakProtocol(**{**SMALL, **changes})
+
+
+class Spread:
+    """Scores the spread of the spool; silent where the spool stands far out, and never on windows of another length."""
+
+    threshold = None
+
+    def __init__(self, factor=1.0, samples=60):
+        self.factor, self.samples = factor, samples
+
+    def refuses(self, config, samples):
+        return "" if samples == self.samples else f"reads {self.samples} samples"
+
+    def read(self, signals, config):
+        score = self.factor * signals[:, 3].std(axis=1)
+        score = np.where(np.abs(signals[:, 3]).max(axis=1) > 0.9, np.nan, score)
+        nothing = np.full(len(score), np.nan)
+        otherwise = np.where(np.abs(signals[:, 3].mean(axis=1)) > 0.01, VALVE, NONE).astype(float)
+        return Reading(score, nothing, nothing, nothing, nothing, otherwise)

@@ -1,0 +1,87 @@
+"""The page of the leakage protocol: what it says, what it colours, and what it leaves out."""
+
+import re
+
+import pandas as pd
+import pytest
+from made_up_run import tables
+
+from agents.leak_report.findings import findings
+from agents.leak_report.page import render_page
+from agents.leak_report.record import Record
+from agents.leak_report.tables import confusions, right_verdicts
+
+
+@pytest.fixture(scope="module")
+def record():
+    return Record(tables().by_name(), "plain")
+
+
+@pytest.fixture(scope="module")
+def page(record):
+    return render_page(record)
+
+
+def plain(text):
+    return text.replace("\u00a0", " ")
+
+
+def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be_said(record):
+    small, early, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings(record))
+    assert small[0] == "A leak of 0.2 l/min is found within 2 s of ordinary motion."
+    assert early[0] == "A new leak of 1 l/min raises the alarm after 3 s."
+    assert "0.1 l/min after 30 s, 2.0 % missed" in early[1]
+    assert "2.0 per 100 h (0.2 to 7.2)" in early[1]
+    assert sure[0] == "The head alone raises 18 false alarms an hour: let an alarm sum up its windows."
+    assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
+    assert "Worst motion or controller: head 4.0 % (ADRC)" in sure[1]
+    assert confused[0] == "Some other faults are taken for a worn seal."
+    assert "head: valve null −1 % 60 %" in confused[1]
+    assert "estimator: none" in confused[1]
+    assert "estimator: valve null −1 %" in silent[1]
+
+
+def test_without_confusions_and_silence_the_findings_say_so():
+    made = tables().by_name()
+    made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
+    leads = [item.lead for item in findings(Record(made, "plain"))]
+    assert "No other fault is taken for a worn seal." in leads
+    assert "No detector stays silent." in leads
+    assert not any("alarm after" in lead for lead in leads)
+
+
+def test_right_verdicts_are_blue_and_wrong_ones_orange(record):
+    assert right_verdicts(record, "plain", 0.0) == ("none",)
+    assert right_verdicts(record, "null", 0.0) == ("valve fault",)
+    assert right_verdicts(record, "null", 0.3) == ("internal leak",)
+    tables_ = {confusion.caption.split(";")[0]: confusion for confusion in confusions(record)}
+    head = dict(tables_["head: healthy seal"].rows)["valve null −1 %"]
+    leak = head[tables_["head: healthy seal"].verdicts.index("internal leak")]
+    assert leak.text == "60"
+    red, _, blue = map(int, re.findall(r"\d+", leak.background))
+    assert red > blue  # orange
+    told = dict(tables_["estimator: healthy seal"].rows)["valve null −1 %"]
+    right = told[tables_["estimator: healthy seal"].verdicts.index("valve fault")]
+    red, _, blue = map(int, re.findall(r"\d+", right.background))
+    assert right.text == "20"
+    assert blue > red
+
+
+def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
+    assert page.startswith("<!doctype html>")
+    assert not re.search(r'(src|href)="(?!#)', page)
+    assert "0.06 ml/min" in page
+    assert "500 times" in page
+    for text in ("Measured against floors and aims", "Does better control hide the leak?", "valve null −1 %"):
+        assert text in page
+    assert "estimator did not read ADRC: reads no ADRC." in page
+    assert page.count("<svg") >= 8
+
+
+def test_sections_without_figures_are_left_out():
+    made = tables().by_name()
+    made = {name: table for name, table in made.items() if name not in ("alarms", "floors", "masking", "reliability")}
+    page = render_page(Record(made, "plain"))
+    assert 'id="early"' not in page
+    assert 'id="floors"' not in page
+    assert 'id="masking"' not in page

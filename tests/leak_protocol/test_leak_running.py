@@ -1,0 +1,99 @@
+"""Jobs: side by side as alone, bit for bit; interrupted work goes on; thresholds, verdicts and failures."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from joblib import parallel_config
+from small_leaks import SMALL, Spread, small
+
+from agents.leak_protocol.detectors import INTERNAL, UNKNOWN, VALVE
+from agents.leak_protocol.running import judged, run_leak_protocol
+from agents.running.jobs import JOBS_FOLDER
+from hydro_env import ConfigurationError
+
+DIGESTS = {"D": "1"}
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return run_leak_protocol(small(), {"D": Spread()}, DIGESTS, jobs=1)
+
+
+def assert_same(run, other):
+    pd.testing.assert_frame_equal(run.windows, other.windows, check_exact=True)
+    pd.testing.assert_frame_equal(run.thresholds, other.thresholds, check_exact=True)
+    pd.testing.assert_frame_equal(run.status, other.status)
+
+
+def test_every_window_has_its_row(alone):
+    assert len(alone.windows) == 10 * (3 + 2)
+    assert (alone.status["status"] == "done").all()
+    plain = alone.windows[alone.windows["condition"] == "plain"]
+    np.testing.assert_allclose(plain.loc[plain["level"] == 1.0, "leak_lpm"], 1.0, rtol=1e-6)
+    assert (alone.windows["error_mm"] > 0.0).all()
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_jobs_side_by_side_give_the_same_bits(alone, backend):
+    with parallel_config(backend=backend, n_jobs=2):
+        assert_same(run_leak_protocol(small(), {"D": Spread()}, DIGESTS), alone)
+
+
+def test_an_interrupted_run_goes_on_and_another_detector_begins_anew(alone, tmp_path):
+    class StopError(Exception):
+        pass
+
+    def stop(phase, done, total):
+        if done == 3:
+            raise StopError
+
+    with pytest.raises(StopError):
+        run_leak_protocol(small(), {"D": Spread()}, DIGESTS, folder=tmp_path, jobs=1, progress=stop)
+    assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
+    run = run_leak_protocol(small(), {"D": Spread()}, DIGESTS, folder=tmp_path, jobs=1)
+    assert run.reused == 3
+    assert_same(run, alone)
+    assert run_leak_protocol(small(), {"D": Spread(2.0)}, {"D": "2"}, folder=tmp_path, jobs=1).reused == 0
+
+
+def test_the_threshold_comes_from_validation_windows_unless_the_detector_has_one(alone):
+    row = alone.thresholds.iloc[0]
+    assert row["windows"] == 20
+    assert row["used"] == row["at_1_percent"] > 0.0
+    own = Spread()
+    own.threshold = 0.5
+    other = run_leak_protocol(small(), {"D": own}, DIGESTS, jobs=1).thresholds.iloc[0]
+    assert other["used"] == 0.5
+    assert other["at_1_percent"] == row["at_1_percent"]
+
+
+def test_verdicts_follow_from_score_threshold_and_what_the_detector_says_otherwise():
+    windows = pd.DataFrame(
+        {
+            "detector": "D",
+            "failed": [0.0, 0.0, 0.0, 1.0],
+            "score": [2.0, 0.0, np.nan, 2.0],
+            "otherwise": [VALVE, VALVE, VALVE, VALVE],
+            "leak_lpm": [1.0, 0.01, 1.0, 1.0],
+        }
+    )
+    thresholds = pd.DataFrame({"detector": ["D"], "used": [1.0], "at_1_percent": [3.0]})
+    found = judged(windows, thresholds, 0.05)
+    assert found["verdict"].tolist() == [INTERNAL, VALVE, UNKNOWN]
+    assert found["flagged"].tolist() == [True, False, False]
+    assert found["at_1_percent"].tolist() == [False, False, False]
+    assert found["leaking"].tolist() == [True, False, True]
+
+
+def test_what_cannot_run_is_told_and_the_rest_stays():
+    conditions = {**SMALL["conditions"], "long": {"duration": 0.5}}
+    run = run_leak_protocol(small(conditions=conditions), {"D": Spread()}, DIGESTS, jobs=1)
+    status = run.status.set_index("condition")
+    assert status.loc["long", "status"] == "not applicable"
+    assert status.loc["long", "message"] == "reads 60 samples"
+    assert set(run.windows["condition"]) == {"plain", "null"}
+
+
+def test_no_detector_for_any_window_is_an_error():
+    with pytest.raises(ConfigurationError, match="no detector read any window"):
+        run_leak_protocol(small(), {"D": Spread(samples=1)}, DIGESTS, jobs=1)

@@ -1,0 +1,105 @@
+"""The tables on a made-up run whose figures are known."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from made_up_run import tables
+
+from agents.leak_protocol.alarm_jobs import ACTIVITIES, LEVELS, _name, alarm_table
+from agents.leak_protocol.detectors import VERDICTS
+from agents.running.jobs import JobResult
+
+
+@pytest.fixture(scope="module")
+def made():
+    return tables()
+
+
+def row(table, **wanted):
+    for name, value in wanted.items():
+        table = table[table[name] == value]
+    assert len(table) == 1
+    return table.iloc[0]
+
+
+def test_detection_per_window_and_per_hour(made):
+    healthy = row(made.detection, detector="head", condition="plain", level=0.0)
+    assert healthy["flagged"] == 0.01
+    assert healthy["per_hour"] == pytest.approx(0.01 * 1800)  # windows of 2 s, one after the other
+    assert healthy["flagged_low"] < 0.01 < healthy["flagged_high"]
+    assert row(made.detection, detector="estimator", condition="null", level=0.0)["cannot_tell"] == 0.8
+
+
+def test_verdicts_are_shares_of_all_windows(made):
+    found = row(made.verdicts, detector="estimator", condition="null", level=0.0)
+    assert found["valve fault"] == 0.2
+    assert found["cannot tell"] == 0.8
+    np.testing.assert_allclose(made.verdicts[list(VERDICTS)].sum(axis=1), 1.0)
+
+
+def test_sizes_over_windows_in_which_the_detector_tells(made):
+    plain = row(made.sizes, detector="head", condition="plain", level=0.3)
+    assert plain["rms_log10"] == pytest.approx(np.log10(1.1))
+    assert plain["coverage"] == 1.0  # 10 % beside the truth, intervals of 20 %
+    assert plain["bound_lpm"] == pytest.approx(0.02)  # the median
+    assert plain["ratio_to_bound"] == pytest.approx(np.log10(1.1) / (0.02 / 0.3 / np.log(10.0)))
+    beside = row(made.sizes, detector="head", condition="null", level=0.3)
+    assert beside["coverage"] == 0.0
+    assert beside["unnoticed_minimum"] == 1.0  # twice the truth, 16 standard deviations away
+    silent = row(made.sizes, detector="estimator", condition="null", level=0.3)
+    assert silent["told"] == 0
+    assert np.isnan(silent["rms_log10"])
+
+
+def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made):
+    mine = made.reliability[made.reliability["detector"] == "head"].sort_values("probability")
+    assert mine["probability"].tolist() == pytest.approx([0.2, 0.8])
+    assert mine["frequency"].tolist() == [0.0, 1.0]
+    assert mine["error"].iloc[0] == pytest.approx(0.2)
+
+
+def test_masking_sets_detection_beside_the_position_error(made):
+    mine = made.masking[(made.masking["detector"] == "head") & (made.masking["level"] == 0.1)].set_index("acting")
+    assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
+    assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
+
+
+def test_floors_stand_beside_what_was_measured(made):
+    found = {(r["detector"], r["figure"]): r for r in made.floors.to_dict("records")}
+    head = found["head", "0.1 l/min found at 1 % false alarms"]
+    assert (head["measured"], head["floor"], head["aim"], head["reaches"]) == (70.0, 60.0, 85.0, "floor")
+    assert found["head", "0.2 l/min found at 1 % false alarms"]["reaches"] == "floor"
+    assert found["head", "0.3 l/min found at 1 % false alarms"]["reaches"] == "aim"
+    assert found["estimator", "0.05 l/min found at 1 % false alarms"]["reaches"] == "below the floor"
+    size = found["estimator", "size error from 0.3 l/min"]
+    assert size["measured"] == pytest.approx(np.log10(1.1))
+    assert size["reaches"] == "below the floor"
+    unseen = found["head", "false alarms, worst unseen controller"]
+    assert (unseen["measured"], unseen["note"], unseen["reaches"]) == (4.0, "ADRC", "floor")
+    confused = found["head", "worst fault taken for a seal leak"]
+    assert (confused["measured"], confused["note"]) == (60.0, "valve null −1 %")
+    assert found["head", "one update"]["measured"] == pytest.approx(0.1)  # ms
+    assert found["head", "one update"]["reaches"] == "floor"
+    assert found["head", "alarm: 1 l/min, median delay"]["reaches"] == "floor"
+    assert found["head", "false alarms of the alarm stage"]["measured"] == 2.0
+    assert ("head", "0.3 l/min found: continuous running") not in found  # this protocol has no such condition
+
+
+def test_alarms_are_counted_over_axes_and_hours():
+    names = [_name(level, then) for level in LEVELS for then in ACTIVITIES]
+    healthy = [JobResult({"alarms": np.array([0.0, 3.0]), "hours": np.array([10.0, 10.0])})]
+    delays = {name: np.array([2.0, 4.0, 100.0, 1.0]) for name in names}
+    leaking = [JobResult({"early": np.array([0.0, 0.0, 0.0, 1.0]), **delays})]
+    table = alarm_table("head", {False: healthy, True: leaking})
+    first = table.iloc[0]
+    assert (first["alarms"], first["hours"], first["per_100_h"]) == (3, 20.0, 15.0)
+    assert first["per_100_h_low"] < 15.0 < first["per_100_h_high"]
+    one = row(table, leak_lpm=1.0, then="all")
+    assert (one["axes"], one["median_s"]) == (3, 4.0)  # the axis with an alarm before the onset does not count
+    assert one["missed"] == pytest.approx(1 / 3)  # 100 s are longer than a minute
+
+
+def test_every_table_is_written(made, tmp_path):
+    made.write(tmp_path)
+    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made.by_name())
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made.masking.reset_index(drop=True))
