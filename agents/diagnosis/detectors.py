@@ -12,32 +12,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.controllers.base import ObservationLayout
 from agents.diagnosis.verdict import HALF_WIDTH, Reading
 from agents.diagnosis.windows import Windows
-from agents.estimation.estimate import Estimate, EstimationSettings, estimate
+from agents.estimation.estimate import Estimate, estimate
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from agents.estimation.priors import Prior
 from agents.estimation.unknowns import default_unknowns
-from agents.leakage.features import SIGNALS
+from agents.leakage.features import LABELS
 from agents.leakage.head import LeakageHead
 from agents.report.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 
 Floats = NDArray[np.float64]
 Progress = Callable[[int], None]
 
-HEAD_SPREAD = 1.5
-"""Factor on either side of the head's size that makes its interval: nine in ten leaks above 0.3 l/min lie within."""
-
 SURE = 3.0
 """Standard deviations by which an estimate must lie beyond its healthy range to name a fault."""
-
-QUICK = EstimationSettings(restarts=1)
-"""For the question whether a model explains a window at all."""
 
 WIDE_BIAS = 3.0
 """Standard deviation of a sensor's offset, in parts of the largest one of its data sheet."""
@@ -46,30 +38,45 @@ DETERMINED = 0.05
 """Largest standard deviation in l/min at 100 bar, or share of the leak, of a reading that counts."""
 
 
+HEAD_FAULTS = {
+    "external_leak": "external leak past the rod seal",
+    "valve_fault": "fault of the valve",
+    "sensor_fault": "fault of a sensor",
+    "return_line": "raised pressure in the return line",
+}
+"""Faults that the leakage head tells from a leak past the piston, in words."""
+
+
 def read_head(windows: Windows, head: LeakageHead) -> Reading:
-    """Readings of the leakage head; it needs windows without a missing reading."""
-    layout, count = head.settings.layout, len(windows.begin)
-    leak, whole = np.full(count, np.nan), windows.whole
-    if whole.any():
-        scale = np.array([layout.scale[layout.index(name)] for name in SIGNALS])[:, None]
-        leak[whole] = head.estimate_signals(windows.signals[whole] / scale).flow_lpm
-    why = tuple("" if good else "readings are missing in the window" for good in whole)
-    return Reading(
-        leak, leak / HEAD_SPREAD, leak * HEAD_SPREAD, whole, ("",) * count, why, np.zeros(count, dtype=np.bool_)
-    )
+    """Readings of the leakage head; it needs all commands, and does not count where it has seen nothing alike."""
+    count, chosen = len(windows.begin), np.flatnonzero(windows.commanded)
+    leak, low, high = (np.full(count, np.nan) for _ in range(3))
+    holds, misfits = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
+    fault, why = np.full(count, "", dtype=object), np.full(count, NO_COMMANDS, dtype=object)
+    if len(chosen):
+        found = head.estimate_windows(windows.signals[chosen])
+        leak[chosen], low[chosen], high[chosen] = found.flow_lpm, found.low_lpm, found.high_lpm
+        misfits[chosen] = found.outside > 0.0
+        holds[chosen] = ~misfits[chosen] & np.isfinite(found.flow_lpm)
+        why[chosen] = np.where(holds[chosen], "", OUTSIDE)
+        limits = dict(zip(LABELS, head.tensors["thresholds"], strict=True))
+        shown = {name: getattr(found, name) > limits[name] for name in HEAD_FAULTS}
+        fault[chosen] = [
+            " and ".join(words for name, words in HEAD_FAULTS.items() if shown[name][place])
+            for place in range(len(chosen))
+        ]
+    return Reading(leak, low, high, holds, tuple(fault.tolist()), tuple(why.tolist()), misfits)
 
 
 def head_misfit(head: LeakageHead, config: TaskConfig, windows: Windows) -> str:
     """Why a head cannot read these windows; empty if it can."""
-    mine, other = head.settings.layout, ObservationLayout.of(config)
-    if any(name not in other.names for name in SIGNALS):
-        return "The leakage head needs sensors that this rig lacks."
-    if [mine.scale[mine.index(name)] for name in SIGNALS] != [other.scale[other.index(name)] for name in SIGNALS]:
+    task = head.settings.task
+    if task.plant != config.plant:
         return "The leakage head was trained for another rig."
-    if mine.control_period != other.control_period:
-        return f"The leakage head was trained for a control period of {1e3 * mine.control_period:g} ms."
-    if windows.signals.shape[2] != head.settings.window:
-        return f"The leakage head reads windows of {head.settings.window * mine.control_period:g} s."
+    if task.control_period != config.control_period:
+        return f"The leakage head was trained for a control period of {1e3 * task.control_period:g} ms."
+    if windows.signals.shape[2] < head.settings.window:
+        return f"The leakage head reads windows of at least {head.settings.window * task.control_period:g} s."
     return ""
 
 
@@ -137,6 +144,7 @@ def read_estimator(windows: Windows, config: TaskConfig, progress: Progress | No
 
 NO_COMMANDS = "commands are missing in the window"
 MISFIT = "the model does not explain the readings"
+OUTSIDE = "unlike all that the leakage head was trained on"
 UNDETERMINED = "the window does not determine the leak; more motion is needed"
 
 
@@ -204,26 +212,3 @@ def _in_words(found: Estimate, faults: list[list[str]]) -> list[str]:
             size = shown.factor * float(np.median(found.value(name)[rows]))
             words[name] = f"{shown.what} ({number(size)} {shown.unit})"
     return [" and ".join(words[name] for name in names) for names in faults]
-
-
-def missing_fault(windows: Windows, config: TaskConfig, misfits: NDArray[np.bool_], most: int = 3) -> str:
-    """The sensor whose offset or gain, if unknown, makes windows fit that the model does not explain; empty: none.
-
-    Each sensor is left out in turn: if the model explains the readings of all others, that sensor is at fault.
-    """
-    chosen = np.flatnonzero(misfits & windows.commanded)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(most, len(chosen))).astype(np.int64)]
-    if not len(chosen):
-        return ""
-    explained = []
-    for row, channel in enumerate(CHANNELS):
-        if not np.isfinite(windows.signals[chosen, row]).any():
-            continue
-        without = windows.signals[chosen].copy()
-        without[:, row] = np.nan
-        found = estimate(without, config, unknowns_of(config), priors=wear_priors(config), settings=QUICK)
-        if found.holds.mean() > 0.5:
-            explained.append((float(found.misfit.mean()), channel))
-    if not explained:
-        return ""
-    return f"fault of a sensor: without {min(explained)[1]} the model explains the readings"

@@ -11,7 +11,7 @@ import pandas as pd
 
 from agents.alarms.alarm import AlarmSettings
 from agents.diagnosis.alarms import Watched, watch
-from agents.diagnosis.detectors import head_misfit, missing_fault, read_estimator, read_head
+from agents.diagnosis.detectors import head_misfit, read_estimator, read_head
 from agents.diagnosis.page import write_page
 from agents.diagnosis.picture import paint
 from agents.diagnosis.verdict import Limits, Reading, Verdict, judge
@@ -74,7 +74,7 @@ def diagnose(
     checked = check_recording(recording, config)
     windows = cut(checked.samples, max(round(window / config.control_period), 2))
     limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
-    estimator, reading, watched, missing = None, None, None, ""
+    estimator, reading, watched = None, None, None
     note = head_misfit(head, config, windows)
     if not checked.severe and len(windows.begin):
         fits = 2 * int(windows.commanded.sum())
@@ -85,12 +85,10 @@ def diagnose(
 
         done(0)
         estimator = read_estimator(windows, config, done)
-        if estimator.misfits.mean() > 0.5:
-            missing = missing_fault(windows, config, estimator.misfits)
         if not note:
             reading = read_head(windows, head)
             watched = watch(checked.samples, head, alarm) if alarm is not None else None
-    verdict = judge(checked.findings, estimator, reading, limits, missing)
+    verdict = judge(checked.findings, estimator, reading, limits)
     return Diagnosis(recording, checked, windows, estimator, reading, limits, verdict, watched, note)
 
 

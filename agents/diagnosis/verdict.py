@@ -3,9 +3,9 @@
 They hold in this order; the first one that applies decides:
 
 1. A severe finding about the recording → **cannot tell**: what was found.
-2. The estimator was at work, and its model explains less than half of the windows. If it explains them without one of
-   the sensors → **something else**: that sensor; otherwise → **cannot tell**: the model does not describe this rig.
-3. A sensor sticks or loses readings, and no detector has read a window → **something else**: that sensor.
+2. A sensor sticks or loses readings, and the estimator's model explains less than half of the windows, or no detector
+   has read a window → **something else**: that sensor.
+3. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this rig.
 4. No detector has read a window → **cannot tell**: why not.
 5. The interval of the leak lies above what a healthy seal lets through → **internal leak** of so much; a fault
    besides it is named.
@@ -102,9 +102,7 @@ class Verdict(NamedTuple):
         return f"{self.kind.value}: {self.why}{seal}"
 
 
-def judge(
-    findings: Sequence[Finding], estimator: Reading | None, head: Reading | None, limits: Limits, missing: str = ""
-) -> Verdict:
+def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading | None, limits: Limits) -> Verdict:
     """The verdict on a recording, by the rules above.
 
     Args:
@@ -112,7 +110,6 @@ def judge(
         estimator: readings of the estimator in the order of time; ``None``: it was not used.
         head: readings of the leakage head in the order of time; ``None``: it was not used.
         limits: of leaks.
-        missing: the sensor without which the model explains the windows, in words; empty: there is none.
     """
     readings = {"estimator": estimator, "leakage head": head}
     leader = next((name for name, reading in readings.items() if reading is not None and reading.holds.any()), "")
@@ -124,8 +121,8 @@ def judge(
     sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
     besides = f"sensor fault: {sensors[0].line()}" if sensors else ""
     if estimator is not None and _share(estimator.misfits) > MOST:
-        if missing or besides:
-            return Verdict(Kind.OTHER, besides or missing, None, "estimator")
+        if besides:
+            return Verdict(Kind.OTHER, besides, None, "estimator")
         share = number(100.0 * _share(estimator.misfits), 0)
         why = f"the model does not describe this rig: it explains too little in {share} % of the windows"
         return Verdict(Kind.UNKNOWN, why, None, "estimator")
