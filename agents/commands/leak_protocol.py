@@ -54,6 +54,14 @@ def evaluate_leak_protocol(
     own = LeakageHead.load(head) if head is not None else None
     detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
     digests = {name: str(joblib.hash(detector)) for name, detector in detectors.items()}
+    facts = {
+        "file": str(file),
+        "file_sha256": file_sha256(file),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "command": command,
+        "machine": machine_description(),
+        **package_versions(),
+    }
     output = place.output if place.output is not None else Path("results") / file.stem
     writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
@@ -68,14 +76,6 @@ def evaluate_leak_protocol(
                 chosen = AlarmSettings.load(settings)
                 alarms += alarm_plan(name, watching, chosen, protocol.task, protocol.alarm_hours, digests[name])
         run = run_leak_protocol(protocol, detectors, digests, alarms, output, jobs or default_jobs(), display.update)
-        facts = {
-            "file": str(file),
-            "file_sha256": file_sha256(file),
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            "command": command,
-            "machine": machine_description(),
-            **package_versions(),
-        }
         tables = make_tables(protocol, run, list(facts.items()), timings=timings_table(protocol, detectors))
         tables.write(output / "tables")
         write_leak_report(output, tables.by_name(), protocol)

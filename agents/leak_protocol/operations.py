@@ -108,7 +108,7 @@ class SweptSine(_Unseen):
 
 ACTING: dict[str, Acting] = {
     "PID": Acting(_shipped("pid"), True),
-    "PPO": Acting(_shipped("ppo"), False),
+    "PPO": Acting(_shipped("ppo"), True),
     "flow-linearising": Acting(_shipped("flow_linearising"), True),
     **{name: Acting(_manner(name), True) for name in MANNERS},
     "ADRC": Acting(_shipped("adrc"), False),

@@ -98,7 +98,7 @@ def test_the_shipped_protocols_are_valid_and_known_by_their_kind():
     assert not is_leak_protocol(ROOT / "configs" / "protocols" / "quick.yaml")
 
 
-@pytest.mark.parametrize("name", [name for name, acting in ACTING.items() if not acting.trained and name != "PPO"])
+@pytest.mark.parametrize("name", [name for name, acting in ACTING.items() if not acting.trained])
 def test_operations_that_no_training_holds_move_the_axes_and_keep_their_memory(name):
     protocol = small()
     config, cases = protocol.task_in("plain"), protocol.cases_in("plain", HEALTHY, 4)
