@@ -307,9 +307,12 @@ def assess(
     covariance = np.linalg.inv(precision)
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
-    misfit = misfit_of(residual, jacobian, covariance, known)
+    variance = np.einsum("bii->bi", covariance)
+    # A search that ended far off may leave a singular information: such a window says nothing.
+    solvable = np.all(variance > 0.0, axis=1)
+    misfit = np.where(solvable, misfit_of(residual, jacobian, covariance, known), np.inf)
     scale = model.derivative(scaled)
-    deviation = np.sqrt(np.einsum("bii->bi", covariance))
+    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return Estimate(
         names=model.names,
         values=model.values(scaled),
