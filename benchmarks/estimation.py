@@ -102,15 +102,17 @@ def _mean(values: NDArray[np.bool_]) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
 
 
-def motion(config: TaskConfig, windows: int, validation: int, name: str) -> None:
+def motion(config: TaskConfig, windows: int, validation: int, name: str, levels: list[float], begin: list[str]) -> None:
     """Detection and size in ordinary motion, from rest and later."""
     leak = healthy_leaks(validation)
     signals = record(config, VALIDATION_SEEDS[:validation], leak)
     tested = {0.0: record(config, TEST_SEEDS[:windows], healthy_leaks(windows))}
-    for place, level in enumerate(LEVELS):
+    for level in levels:
+        place = LEVELS.index(level)
         seeds = TEST_SEEDS[(place + 1) * windows : (place + 2) * windows]
         tested[level] = record(config, seeds, np.full(windows, level))
-    for begin, first in (("from rest", 0), ("later", LATER)):
+    for place_in_run in begin:
+        first = 0 if place_in_run == "rest" else LATER
         part = slice(first, first + SAMPLES)
         before = time.process_time()
         reference = estimate(signals[:, :, part], config)
@@ -118,8 +120,8 @@ def motion(config: TaskConfig, windows: int, validation: int, name: str) -> None
         trusted = reference.value(LEAKAGE)[reference.holds]
         threshold = float(np.quantile(trusted, 0.99))
         print(
-            f"\n{name}, windows {begin}: threshold {threshold:.4f} l/min from {validation} validation windows, "
-            f"{100 * np.mean(~reference.holds):.1f} % flagged; {cost:.3f} s of one core per window"
+            f"\n{name}, windows from {place_in_run}: threshold {threshold:.4f} l/min from {validation} validation "
+            f"windows, {100 * np.mean(~reference.holds):.1f} % flagged; {cost:.3f} s of one core per window"
         )
         for level, recorded in tested.items():
             found = estimate(recorded[:, :, part], config)
@@ -195,12 +197,19 @@ def main() -> None:
     parser.add_argument("--windows", type=int, default=64, help="test windows per level")
     parser.add_argument("--validation", type=int, default=200, help="windows that set the threshold")
     parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "run"])
+    parser.add_argument(
+        "--levels", nargs="+", type=float, choices=LEVELS, default=list(LEVELS), help="l/min at 100 bar"
+    )
+    parser.add_argument(
+        "--begin", nargs="+", choices=["rest", "later"], default=["rest", "later"], help="of the windows"
+    )
     arguments = parser.parse_args()
+    sizes = (arguments.windows, arguments.validation)
     print(f"{os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}")
     if "motion" in arguments.only:
-        motion(CONFIG, arguments.windows, arguments.validation, "ordinary plants")
+        motion(CONFIG, *sizes, "ordinary plants", arguments.levels, arguments.begin)
     if "worn" in arguments.only:
-        motion(WORN, arguments.windows, arguments.validation, "worn valves, unknown")
+        motion(WORN, *sizes, "worn valves, unknown", arguments.levels, arguments.begin)
     if "structure" in arguments.only:
         structure(arguments.windows)
     if "run" in arguments.only:
