@@ -77,7 +77,11 @@ def run_leak_protocol(
     if not frames or not healthy:
         raise ConfigurationError(f"no detector read any window; the first reason: {next(iter(status.values()))[1]}")
     thresholds = _thresholds(pd.concat(healthy), detectors)
-    windows = judged(pd.concat(frames, ignore_index=True), thresholds, protocol.task.leakage.class_bounds[0])
+    without = thresholds.loc[thresholds["used"].isna(), "detector"]
+    for name in without:  # it would seem to find nothing
+        status[str(name), protocol.base] = ("failed", "no threshold: it read no healthy validation windows")
+    read = pd.concat(frames, ignore_index=True)
+    windows = judged(read[~read["detector"].isin(without)], thresholds, protocol.task.leakage.class_bounds[0])
     tables = [_alarm_table(reader, lasting, results, status) for reader in dict.fromkeys(job.reader for job in alarms)]
     for key, bound in bounds.items():
         if results[key].error:

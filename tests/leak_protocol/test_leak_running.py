@@ -97,3 +97,12 @@ def test_what_cannot_run_is_told_and_the_rest_stays():
 def test_no_detector_for_any_window_is_an_error():
     with pytest.raises(ConfigurationError, match="no detector read any window"):
         run_leak_protocol(small(), {"D": Spread(samples=1)}, DIGESTS, jobs=1)
+
+
+def test_a_detector_without_threshold_has_no_figures():
+    conditions = {**SMALL["conditions"], "short": {"duration": 0.2}}
+    detectors = dict.fromkeys(("D", "E"), SMALL["detectors"]["D"])
+    both = {"D": Spread(), "E": Spread(samples=40)}
+    run = run_leak_protocol(small(conditions=conditions, detectors=detectors), both, {"D": "1", "E": "1"}, jobs=1)
+    assert set(run.windows["detector"]) == {"D"}
+    assert "no threshold" in run.status.set_index(["detector", "condition"]).loc[("E", "plain"), "message"]
