@@ -78,7 +78,8 @@ class ObservationLayout:
     def si(self, observation: Floats, name: str) -> NDArray[np.float64]:
         """A signal in SI units from a batch of observations (N, n)."""
         column = self.index(name)
-        return np.asarray(observation[:, column], dtype=np.float64) * self.scale[column]
+        values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
+        return values
 
     @property
     def preview_times(self) -> tuple[float, ...]:
@@ -92,13 +93,22 @@ class ObservationLayout:
         """Future reference minus present reference, m, shape (N, previews)."""
         columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
         scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
-        return np.asarray(observation[:, columns], dtype=np.float64) * scale
+        values: NDArray[np.float64] = observation[:, columns].astype(np.float64) * scale
+        return values
 
 
 def as_batch(observation: Floats) -> tuple[Floats, bool]:
     """Observation as a batch (N, n), and whether it was a single one."""
-    array = np.asarray(observation)
+    array = observation if hasattr(observation, "ndim") else np.asarray(observation)
     return (array[None], True) if array.ndim == 1 else (array, False)
+
+
+def surely_zero(array: Any) -> bool:
+    """Whether all elements are zero, for shortcuts that change no result.
+
+    Never while an export records the operations: a recorded shortcut would hold for these data only.
+    """
+    return isinstance(array, np.ndarray) and not array.any()
 
 
 # Classical controllers: a class of gains, and a class made from gains and task ---------------------------------------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.controllers.base import surely_zero
 from agents.controllers.flow_model import FlowModel
 
 Array = NDArray[np.float64]
@@ -42,7 +43,7 @@ class Jumps:
             force: of the oil on the piston, N, (N,).
             supply: pressure, Pa, (N,).
         """
-        if not jumps.any():
+        if surely_zero(jumps):
             return np.zeros(len(jumps))
         ahead = jumps[:, 1:]
         out, back = self._model.full_speeds(force, supply)

@@ -106,7 +106,7 @@ class LQG(ObserverFeedback):
 
     def at_rest(self, measured: Array, command: Array) -> Array:
         """See :meth:`ObserverFeedback.at_rest`."""
-        estimate = np.zeros((len(measured), 9))
+        estimate = np.zeros_like(measured, shape=(len(measured), 9))
         estimate[:, POSITION] = measured[:, 0]
         estimate[:, VALVE] = command[:, None] * self._valve_at_rest
         estimate[:, FLOW] = -command

@@ -37,9 +37,9 @@ class MotionFilter:
 
     def start(self, position: Array, offset: Array) -> tuple[Array, Array]:
         """Estimate and covariance at the start from measured positions (m) and known offsets (m/s), each (N,)."""
-        zeros = np.zeros(len(position))
+        zeros = np.zeros_like(position)
         estimate = np.stack([position, zeros, zeros, offset], axis=1)
-        return estimate, np.tile(self._spread, (len(position), 1, 1))
+        return estimate, zeros[:, None, None] + self._spread
 
     def advanced(
         self, estimate: Array, covariance: Array, way: Array, leak_way: Array, other: Array, measured: Array

@@ -64,6 +64,11 @@ class FeatureState(NamedTuple):
     reference: NDArray[np.float64]
     """The reference from one period ago to the farthest preview, m, (N, samples)."""
 
+    def aligned(self) -> FeatureState:
+        """The same memory with the oldest signals at place 0 of the ring."""
+        ring = np.concatenate([self.ring[:, self.slot :], self.ring[:, : self.slot]], axis=1)
+        return self._replace(ring=ring, slot=0)
+
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
         base = rows(self.base, axes) if self.base is not None else None
@@ -128,7 +133,7 @@ class PolicyFeatures:
         The history consists of the changes since each past sample. The first observation of an episode stands for the
         time before it.
         """
-        inputs = np.asarray(observation, dtype=np.float32)
+        inputs = observation.astype(np.float32, copy=False)
         signals = inputs[:, self._columns]
         zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
@@ -193,7 +198,7 @@ class PolicyFeatures:
 
     def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
         """Command in [−1, 1] for the outputs of the policy (N, 1)."""
-        bounded = np.clip(np.asarray(output, dtype=np.float32), -1.0, 1.0)
+        bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
         if self.base is None:
             return bounded
         command: NDArray[np.float32] = np.clip(

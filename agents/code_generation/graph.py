@@ -1,0 +1,174 @@
+"""A graph of plain array operations: what a traced NumPy function computes, for the writers of C and ONNX.
+
+Every array is flat. Operations:
+
+* ``input``, ``constant``;
+* the functions of :data:`ELEMENTWISE`, element by element; an operand with one element serves all;
+* ``cast`` to another type; ``where``: condition, value if true, value otherwise;
+* ``collect``: elements of its operands, one operand after the other, at constant places. It takes the place of every
+  slice, join, transposition and assignment to a part of an array;
+* ``matmul`` and ``sum``, with the three sizes in ``sizes``: rows, inner, columns; or outer, summed, inner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+ELEMENTWISE = {
+    np.add: "add",
+    np.subtract: "subtract",
+    np.multiply: "multiply",
+    np.divide: "divide",
+    np.negative: "negative",
+    np.absolute: "absolute",
+    np.sqrt: "sqrt",
+    np.exp: "exp",
+    np.tanh: "tanh",
+    np.arcsinh: "arcsinh",
+    np.sign: "sign",
+    np.copysign: "copysign",
+    np.maximum: "maximum",
+    np.minimum: "minimum",
+    np.greater: "greater",
+    np.greater_equal: "greater_equal",
+    np.less: "less",
+    np.less_equal: "less_equal",
+    np.logical_and: "and",
+    np.logical_or: "or",
+    np.logical_not: "not",
+}
+"""Name of the operation of each NumPy function that works element by element."""
+
+KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.bool_))
+"""Types of numbers that a graph knows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """One operation and its result, a flat array."""
+
+    operation: str
+    operands: tuple[Node, ...]
+    size: int
+    kind: np.dtype[Any]
+    table: NDArray[Any] | None = None  # values of a constant, places of a collect
+    sizes: tuple[int, int, int] = (1, 1, 1)  # of matmul and sum
+    name: str = ""
+    origin: str = ""  # the line of Python that made it
+
+    def piece(self, place: int) -> tuple[Node, int]:
+        """The operand of a ``collect`` from which an element comes, and its place there."""
+        assert self.table is not None
+        offset = int(self.table[place])
+        for source in self.operands:
+            if offset < source.size:
+                return source, offset
+            offset -= source.size
+        raise AssertionError("a place beyond the operands")
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Named inputs and outputs; everything between follows from the outputs."""
+
+    inputs: dict[str, Node]
+    outputs: dict[str, Node]
+
+    def nodes(self, outputs: Sequence[Node] | None = None) -> list[Node]:
+        """The operations that some outputs need (default: all), operands first; no inputs, no constants."""
+        found: dict[int, Node] = {}
+        waiting = list(reversed([*(self.outputs.values() if outputs is None else outputs)]))
+        while waiting:
+            node = waiting[-1]
+            missing = [one for one in node.operands if id(one) not in found]
+            if id(node) in found or not missing:
+                waiting.pop()
+                found[id(node)] = node
+            else:
+                waiting += reversed(missing)
+        return [node for node in found.values() if node.operation not in ("input", "constant")]
+
+    def used(self, outputs: Sequence[Node]) -> dict[str, NDArray[np.bool_]]:
+        """Which elements of each input some outputs depend on, (size,) each."""
+        wanted = {id(node): np.ones(node.size, dtype=np.bool_) for node in outputs}
+
+        def want(node: Node, elements: NDArray[np.bool_]) -> None:
+            before = wanted.setdefault(id(node), np.zeros(node.size, dtype=np.bool_))
+            before |= elements if node.size == elements.size else elements.any()
+
+        for node in reversed(self.nodes(outputs)):
+            elements = wanted[id(node)]
+            if node.operation == "collect":
+                joined = np.zeros(sum(one.size for one in node.operands), dtype=np.bool_)
+                joined[node.table[elements]] = True  # type: ignore[index]
+                ends = np.cumsum([one.size for one in node.operands])[:-1]
+                for one, part in zip(node.operands, np.split(joined, ends), strict=True):
+                    want(one, part)
+            elif node.operation == "sum":
+                outer, length, inner = node.sizes
+                want(node.operands[0], elements.reshape(outer, 1, inner).repeat(length, axis=1).reshape(-1))
+            else:
+                for one in node.operands:
+                    want(one, np.array([elements.any()]) if node.operation == "matmul" else elements)
+        return {name: wanted.get(id(node), np.zeros(node.size, dtype=np.bool_)) for name, node in self.inputs.items()}
+
+
+@dataclass
+class Builder:
+    """Makes nodes: computes what is constant, joins ``collect`` with ``collect``, and keeps equal nodes only once."""
+
+    inputs: dict[str, Node] = field(default_factory=dict)
+    _known: dict[Any, Node] = field(default_factory=dict)
+
+    def input(self, name: str, size: int, kind: np.dtype[Any]) -> Node:
+        """A new input."""
+        self.inputs[name] = Node("input", (), size, kind, name=name)
+        return self.inputs[name]
+
+    def constant(self, values: Any, name: str = "constant") -> Node:
+        """A constant; its shape is forgotten."""
+        table = np.ascontiguousarray(values).reshape(-1)
+        return self._once(Node("constant", (), table.size, table.dtype, table, name=name))
+
+    def node(self, operation: str, operands: Sequence[Node], value: NDArray[Any], **details: Any) -> Node:
+        """An operation whose result, for the values of the trace, is ``value``."""
+        if all(one.operation == "constant" for one in operands):
+            return self.constant(value, details.get("name", "constant"))
+        return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
+
+    def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
+        """Elements of the operands, joined one after the other, at ``places``, (size,)."""
+        starts = np.cumsum([0, *(one.size for one in operands)])
+        which = np.searchsorted(starts, places, side="right") - 1
+        offsets = places - starts[which]
+        sources: dict[int, Node] = {}
+        pieces: list[tuple[int, int]] = []  # of each element: source, place in it
+        for number, offset in zip(which.tolist(), offsets.tolist(), strict=True):
+            source = operands[number]
+            if source.operation == "collect":
+                source, offset = source.piece(offset)
+            sources[id(source)] = source
+            pieces.append((id(source), offset))
+        first = dict(zip(sources, np.cumsum([0, *(one.size for one in sources.values())]).tolist(), strict=False))
+        table = np.array([first[number] + offset for number, offset in pieces], dtype=np.int64)
+        joined = tuple(sources.values())
+        if len(joined) == 1 and np.array_equal(table, np.arange(joined[0].size)):
+            return joined[0]
+        if all(one.operation == "constant" for one in joined):
+            values = np.concatenate([one.table for one in joined if one.table is not None])
+            return self.constant(values[table], details.get("name", "constant"))
+        return self._once(Node("collect", joined, table.size, joined[0].kind, table, **details))
+
+    def _once(self, node: Node) -> Node:
+        table = None if node.table is None else (node.table.tobytes(), node.table.dtype.str)
+        key = (node.operation, tuple(id(one) for one in node.operands), node.kind.str, table, node.sizes)
+        return self._known.setdefault(key, node)
+
+    def graph(self, outputs: Mapping[str, Node]) -> Graph:
+        """The graph of some outputs."""
+        return Graph(dict(self.inputs), dict(outputs))
