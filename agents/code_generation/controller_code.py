@@ -90,8 +90,8 @@ def code_of(controller: ControllerGraph, name: str = "controller") -> Controller
         "type": "".join(word.capitalize() for word in name.split("_")) + "Memory",
         "title": f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})",
         "version": __version__,
-        "sample_time": controller.measured.config.control_period,
-        "signals": controller.measured.signals,
+        "sample_time": controller.signals.config.control_period,
+        "signals": controller.signals.signals,
         "parts": [
             {"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory
         ],

@@ -9,6 +9,7 @@ import numpy as np
 
 from agents.code_generation.graph import Builder, Graph, Node
 from agents.code_generation.measured import MeasuredController, aligned
+from agents.code_generation.measured_signals import MeasuredSignals
 from agents.code_generation.tracing import TraceError, trace
 from agents.controllers.base import Controller
 from hydro_env import TaskConfig
@@ -39,6 +40,11 @@ class ControllerGraph:
     measured: MeasuredController
 
     @property
+    def signals(self) -> MeasuredSignals:
+        """What it reads."""
+        return self.measured.signals
+
+    @property
     def twice(self) -> tuple[str, ...]:
         """The outputs that depend on whether the controller starts."""
         return tuple(name.removeprefix(STARTED) for name in self.graph.outputs if name.startswith(STARTED))
@@ -63,7 +69,7 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         ConfigurationError: an observation that cannot be computed from measured signals.
     """
     who = type(controller).__name__
-    measured = MeasuredController(controller, config, entries_read(controller, config))
+    measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
     empty = measured.empty()
     everything = leaves_of(empty)
     leaves = {name: leaf for name, leaf in everything.items() if hasattr(leaf, "dtype")}
@@ -72,9 +78,8 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     def step(signals: Any, start: Any, **values: Any) -> dict[str, Any]:
         found = measured.step(signals, start, with_leaves(empty, values))
         outputs: dict[str, Any] = {"begins": found.begins, "lost": found.lost, **leaves_of(found.common)}
-        for prefix, (voltage, memory) in ((STARTED, found.started), (CONTINUED, found.continued)):
-            outputs[f"{prefix}voltage"] = voltage
-            for name, leaf in leaves_of(memory, "controller").items():
+        for prefix, way in ((STARTED, found.started), (CONTINUED, found.continued)):
+            for name, leaf in leaves_of(way).items():
                 if hasattr(leaf, "dtype"):
                     outputs[prefix + name] = leaf
                 elif name in leaves or leaf != everything.get(name):
@@ -98,8 +103,8 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
     Raises:
         TraceError: as :func:`controller_graph`.
     """
-    measured = MeasuredController(controller, config)
-    empty = measured.empty().controller
+    signals = MeasuredSignals(config)
+    empty = MeasuredController(controller, signals).empty().controller
     leaves = {name: leaf for name, leaf in leaves_of(empty, "memory").items() if hasattr(leaf, "dtype")}
 
     def predict(observation: Any, **values: Any) -> dict[str, Any]:
@@ -110,7 +115,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
             outputs[f"{prefix}command"] = command
         return outputs
 
-    observation = np.zeros((1, len(measured.layout.names)), dtype=np.float32)
+    observation = np.zeros((1, len(signals.layout.names)), dtype=np.float32)
     graph = trace(predict, {"observation": observation, **leaves})
     wanted, found = {"command"}, set[str]()
     while wanted != found:
@@ -118,7 +123,7 @@ def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
         outputs = [graph.outputs[prefix + name] for prefix in (STARTED, CONTINUED) for name in found]
         used = graph.used(outputs)
         wanted = found | {name for name in leaves if used[name].any()}
-    return {name for name, read in zip(measured.layout.names, used["observation"], strict=True) if read}
+    return {name for name, read in zip(signals.layout.names, used["observation"], strict=True) if read}
 
 
 def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:

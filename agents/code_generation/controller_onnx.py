@@ -24,7 +24,7 @@ def controller_model(controller: ControllerGraph) -> Any:
         HydroError: the model is wrong.
     """
     parts = controller.memory
-    signals, size = len(controller.measured.signals), sum(part.size for part in parts)
+    signals, size = len(controller.signals.signals), sum(part.size for part in parts)
     inputs = {"signals": (signals, DOUBLE), "state": (size, DOUBLE), "start": (1, np.dtype(np.bool_))}
     writer = OnnxWriter(inputs, OUTPUTS)
     first = 0
@@ -50,7 +50,7 @@ def controller_model(controller: ControllerGraph) -> Any:
         )
     }
     title = f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})"
-    names = ", ".join(f"{signal.name} ({signal.unit})" for signal in controller.measured.signals)
+    names = ", ".join(f"{signal.name} ({signal.unit})" for signal in controller.signals.signals)
     return writer.model(
-        outputs, title, {"signals": names, "sample_time": repr(controller.measured.config.control_period)}
+        outputs, title, {"signals": names, "sample_time": repr(controller.signals.config.control_period)}
     )

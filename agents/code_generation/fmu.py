@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import platform
-import shutil
-import subprocess
 import sys
 import tempfile
 import uuid
@@ -19,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args, get_type_hints
 
+from agents.code_generation.compiler import compile_c
 from agents.code_generation.plant_code import plant_code, render
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
 from hydro_env.plant.analysis import leak_at_test_pressure
@@ -171,16 +170,9 @@ def compile_library(sources: dict[str, str]) -> bytes:
     Raises:
         HydroError: there is none, or it failed; with its first message.
     """
-    compiler = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
-    if compiler is None:
-        raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
         units = [name for name in sources if name.endswith(".c")]
-        flags = ["-std=c99", "-O2", "-shared", "-fPIC", "-fvisibility=hidden"]
-        command = [compiler, *flags, "-o", "library", *units, "-lm"]
-        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if result.returncode != 0:
-            raise HydroError(f"{compiler}: {(result.stderr.splitlines() or ['failed'])[0]}")
+        compile_c(Path(folder), ["-shared", "-fPIC", "-fvisibility=hidden", "-o", "library", *units])
         return (Path(folder) / "library").read_bytes()

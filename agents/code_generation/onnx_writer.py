@@ -157,6 +157,10 @@ class OnnxWriter:
             return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
         if node.operation == "copysign":
             return self._copysign(node, tensors)
+        if node.operation == "where" and node.kind == np.bool_:  # onnxruntime has no Where of truth values
+            test, yes, no = tensors
+            other = self.add("And", [self.add("Not", [test], f"not_{name}"), no], name)
+            return self.add("Or", [self.add("And", [test, yes], name), other], name, origin)
         if node.operation == "sum":
             outer, length, inner = node.sizes
             shaped = tensors[0] if node.size == 1 else self._shaped(tensors[0], (outer, length, inner), name)
