@@ -18,6 +18,7 @@ FLOORS = (
     ("agents/running/", 5),
     ("agents/learning/", 6),
     ("agents/estimation/", 6),
+    ("agents/code_generation/", 7),
     ("agents/leakage/", 7),
     ("agents/alarms/", 8),
     ("agents/experiments/", 8),

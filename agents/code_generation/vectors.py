@@ -49,11 +49,11 @@ def test_vectors(measured: MeasuredController) -> Vectors:
     test that the signals in SI units give the same observations.
     """
     config, signals = measured.signals.config, measured.signals
-    families = [name for name in FAMILIES if config.references.weights.get(name, 0.0) > 0.0] or [None]
+    families: list[str | None] = [name for name in FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
     length = min(LONGEST, config.steps)
     env = ServoHydraulicVectorEnv(1, config, info=False)
     episodes: list[tuple[NDArray[np.float64], list[float]]] = []
-    for number, family in enumerate(families):
+    for number, family in enumerate(families or [None]):
         options = {"reference": [family]} if family is not None else None
         observation, _ = env.reset(seed=[SEED + number], options=options)
         samples, voltages, memory = [], [], None

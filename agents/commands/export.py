@@ -1,42 +1,102 @@
-"""``hydro export``: the plant for other tools."""
+"""``hydro export``: the plant, or a controller, for other tools and machines."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
-from hydro_env import ConfigurationError
+
+if TYPE_CHECKING:
+    from agents.controllers.base import Controller
+    from hydro_env import TaskConfig
 
 FMU_FILE = "hydro_axis.fmu"
 SOURCES = ("plant.h", "plant.c")
+JOB = "export"
 
 
 def export(
-    what: Annotated[str, typer.Argument(help="plant: the axis as an FMU and as C sources.", show_default=False)],
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="plant: the axis as an FMU and as C sources. Or a controller: pid, flow_linearising, adrc, lqg, ppo, "
+            "the path of weights, or module:attribute.",
+            show_default=False,
+        ),
+    ],
     output: Output = Path("results/export"),
     task: Task = None,
     rig: Rig = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the plant for Simulink, Amesim, OpenModelica and others, or for your own C program.
+    """Write the plant or a controller for other tools, or for your own C program.
 
-    `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation, with the binary of this platform and its
-    sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library but the mathematical one). Its inputs are
-    the voltage of the valve, an external force, the leak and the faults. With `--rig` the parameters are those of your
-    rig.
+    `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
+    with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
+    but the mathematical one). Its inputs are the voltage of the valve, an external force, the leak and the faults. With
+    `--rig` the parameters are those of your rig.
+
+    `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
+    signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
+    and `contract.json`, which says what goes in and out. It is compared with the controller in Python before it is
+    written. `hydro evaluate --agent exported=FOLDER` runs it again. It needs `pip install 'hydro_env[export]'`.
     """
+    from hydro_env.task.configuration import task_config
+
+    if what == "plant":
+        _export_plant(task_config(task, rig=rig), output, overwrite)
+    else:
+        _export_controller(what, task, rig, output, overwrite)
+
+
+def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
     from agents.code_generation.fmu import make_fmu
     from agents.code_generation.plant_code import plant_code
     from agents.running.folders import output_folder
-    from hydro_env.task.configuration import task_config
 
-    if what != "plant":
-        raise ConfigurationError(f"export '{what}': unknown; known: plant")
-    config = task_config(task, rig=rig)
-    with output_folder(output, command_line(), [FMU_FILE, *SOURCES], overwrite=overwrite):
+    with output_folder(output, JOB, [FMU_FILE, *SOURCES], overwrite=overwrite):
         plant_code(config.plant).write(output)
         (output / FMU_FILE).write_bytes(make_fmu(config))
     say(*(f"written: {output / name}" for name in (FMU_FILE, *SOURCES)))
+
+
+def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
+    from agents.code_generation.controller_folder import FILES, exported_files
+    from agents.code_generation.onnx_writer import onnx_package
+    from agents.evaluation.opponents import trained_for
+    from agents.running.folders import output_folder
+    from hydro_env.files import write_whole
+
+    onnx_package()  # a missing package shows at once
+    controller, config = _controller_and_task(what, task, rig)
+    made_for = trained_for(controller)
+    if made_for is not None and made_for != config.plant:
+        print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    with output_folder(output, JOB, FILES, overwrite=overwrite):
+        files, report = exported_files(controller, config, command_line())
+        for name, content in files.items():
+            write_whole(output / name, content)
+    say(*report, *(f"written: {output / name}" for name in FILES))
+
+
+def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
+    """The controller and the task for which it is exported: that of its training, unless the user gives one."""
+    from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
+    from agents.learning.policy import PolicyController
+    from agents.running.weights import weight_files
+    from hydro_env.task.configuration import task_config
+
+    config = task_config(task, rig=rig)
+    if task is None and rig is None:
+        controller: Controller | None = None
+        if what in SHIPPED_WEIGHTS:
+            controller = shipped(what, config)
+        elif ":" not in what and weight_files(what)[0].is_file():
+            controller = PolicyController.load(what)
+        if isinstance(controller, PolicyController):
+            return controller, controller.features.config
+    return opponent(what, config, what), config

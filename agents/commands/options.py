@@ -29,7 +29,8 @@ Agents = Annotated[
         "--agent",
         metavar="NAME=WHAT",
         help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
-        "task), or the path of weights. A name of the study replaces that controller. Repeat the option for several.",
+        "task), the path of weights, or a folder of `hydro export`. A name of the study replaces that controller. "
+        "Repeat the option for several.",
     ),
 ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from agents.code_generation.exported import ExportedController
 from agents.controllers.base import Controller, ObservationLayout
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
@@ -41,7 +42,8 @@ def opponent(
 
     Args:
         what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
-            :func:`~agents.controllers.registry.make_controller`), or the path of weights.
+            :func:`~agents.controllers.registry.make_controller`), the path of weights, or a folder of
+            ``hydro export``.
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
@@ -61,6 +63,8 @@ def opponent(
                 f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in a module of your own "
                 "and give module:attribute"
             )
+        elif Path(what).is_dir():
+            controller = ExportedController.load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
         else:
@@ -75,8 +79,8 @@ def opponent(
 
 
 def trained_for(controller: Controller) -> PlantParameters | None:
-    """The nominal rig of the task for which a policy was trained; ``None`` for any other controller."""
-    task = getattr(getattr(controller, "features", None), "config", None)
+    """The nominal rig of the task of a policy's training or of an export; ``None`` for any other controller."""
+    task = getattr(getattr(controller, "features", None), "config", getattr(controller, "made_for", None))
     return task.plant if isinstance(task, TaskConfig) else None
 
 
