@@ -21,6 +21,8 @@ _INFIX = {
     "greater_equal": ">=",
     "less": "<",
     "less_equal": "<=",
+    "equal": "==",
+    "not_equal": "!=",
     "and": "&&",
     "or": "||",
 }

@@ -21,7 +21,7 @@ from agents.code_generation.controller_graph import ControllerGraph, controller_
 from agents.code_generation.controller_onnx import controller_model
 from agents.code_generation.exported import MODEL_FILE, TASK_FILE, onnx_session
 from agents.code_generation.plant_code import render
-from agents.code_generation.vectors import Vectors, test_vectors
+from agents.code_generation.vectors import Vectors, make_vectors
 from agents.controllers.base import Controller
 from agents.controllers.registry import CONTROLLERS
 from agents.learning.validation import validation_cases, validation_errors
@@ -60,7 +60,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
     """
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
-    vectors, code = test_vectors(graph.measured), code_of(graph, CODE)
+    vectors, code = make_vectors(graph.measured), code_of(graph, CODE)
     allowed = LARGEST_DIFFERENCE * FULL_VOLTAGE
     values = {
         "title": f"Controller of a hydraulic servo axis ({type(controller).__name__})",

@@ -87,6 +87,9 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
         return outputs
 
     graph = trace(step, {"signals": signals, "start": np.array(False), **leaves})
+    after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
+    if not isinstance(after, np.ndarray):
+        raise TraceError(f"{who}: keeps its memory to itself rather than in its state: cannot be exported")
     parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in leaves)
     found = ControllerGraph(graph, parts, measured)
     for name in leaves:

@@ -41,6 +41,11 @@ ELEMENTWISE = {
     np.logical_and: "and",
     np.logical_or: "or",
     np.logical_not: "not",
+    np.bitwise_and: "and",
+    np.bitwise_or: "or",
+    np.invert: "not",
+    np.equal: "equal",
+    np.not_equal: "not_equal",
 }
 """Name of the operation of each NumPy function that works element by element."""
 

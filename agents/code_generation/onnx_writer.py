@@ -32,6 +32,7 @@ _OPERATORS = {
     "greater_equal": "GreaterOrEqual",
     "less": "Less",
     "less_equal": "LessOrEqual",
+    "equal": "Equal",
     "and": "And",
     "or": "Or",
     "not": "Not",
@@ -155,6 +156,8 @@ class OnnxWriter:
             return joined if np.array_equal(node.table, np.arange(whole)) else self._gathered(joined, node.table, name)
         if node.operation == "cast":
             return self.add("Cast", tensors, name, origin, to=self._type(node.kind))
+        if node.operation == "not_equal":
+            return self.add("Not", [self.add("Equal", tensors, name)], name, origin)
         if node.operation == "copysign":
             return self._copysign(node, tensors)
         if node.operation == "where" and node.kind == np.bool_:  # onnxruntime has no Where of truth values

@@ -150,6 +150,8 @@ class Traced(NDArrayOperatorsMixin):
     # NumPy's functions --------------------------------------------------------------------------------------------
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, out: Any = None, **options: Any) -> Any:
+        if ufunc is np.square or (ufunc is np.power and isinstance(operands[1], int) and operands[1] == 2):
+            ufunc, operands = np.multiply, (operands[0], operands[0])
         if method != "__call__" or options or not (ufunc in ELEMENTWISE or ufunc is np.matmul):
             raise _refusal(f"np.{ufunc.__name__}" + (f".{method}" if method != "__call__" else ""))
         result = self._product(*operands) if ufunc is np.matmul else self._elementwise(ufunc, *operands)
@@ -165,7 +167,8 @@ class Traced(NDArrayOperatorsMixin):
         operands = tuple(np.asarray(one) if isinstance(one, list | tuple) else one for one in operands)
         kinds = [one.dtype if isinstance(one, Traced | np.ndarray | np.generic) else type(one) for one in operands]
         wanted = ufunc.resolve_dtypes((*kinds, None))
-        arrays = [self._of(one, kind) for one, kind in zip(operands, wanted, strict=False)]
+        logical = ELEMENTWISE[ufunc] in ("and", "or", "not")
+        arrays = [self._of(one, np.bool_ if logical else kind) for one, kind in zip(operands, wanted, strict=False)]
         value = ufunc(*(one._value for one in arrays))
         nodes = [one._spread(value.shape)._node for one in arrays]
         return Traced(self._builder, self._builder.node(ELEMENTWISE[ufunc], nodes, value, **_where()), value)

@@ -42,7 +42,7 @@ class Vectors:
         return file.getvalue()
 
 
-def test_vectors(measured: MeasuredController) -> Vectors:
+def make_vectors(measured: MeasuredController) -> Vectors:
     """Closed-loop episodes as the controller itself commands them, and one with lost samples and values out of range.
 
     The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
