@@ -171,11 +171,14 @@ class CWriter:
         lines = [f"{kind} {name}[{node.size}];", f"{_loop('i', node.size)} {name}[i] = 0;"]
         if rows > 1:
             lines.append(_loop("k", rows))
+        # A zero adds nothing to finite weights, and half of the outputs of a rectified layer are zero.
+        finite = right.table is not None and bool(np.isfinite(right.table).all())
+        skip = "if (factor != 0) " if finite and columns >= 16 else ""
         return [
             *lines,
             f"{_loop('i', inner)} {{",
             f"    const {kind} factor = {self.element(left, at if left.size > 1 else 0)};",
-            f"    {_loop('j', columns)} {name}[{to}] += factor * {self.element(right, from_right)};",
+            f"    {skip}{_loop('j', columns)} {name}[{to}] += factor * {self.element(right, from_right)};",
             "}",
         ]
 

@@ -354,11 +354,9 @@ def test_a_folder_for_another_task_is_refused(folders):
 @pytest.mark.parametrize("package", ["onnx", "onnxruntime"])
 def test_a_missing_package_is_one_clear_line(package, folders, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(ConfigurationError, match=rf"package {package}: pip install 'hydro_env\[export\]'"):
-        if package == "onnx":
-            exported_files(opponent("pid", TASK, "pid"), TASK, "hydro export")
-        else:
-            ExportedController.load(folders["pid"][0])
+    controller, message = opponent("pid", TASK, "pid"), rf"package {package}: pip install 'hydro_env\[export\]'"
+    with pytest.raises(ConfigurationError, match=message):
+        _ = exported_files(controller, TASK, "") if package == "onnx" else ExportedController.load(folders["pid"][0])
 
 
 def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tmp_path):
