@@ -1,1 +1,1 @@
-"""C99 code of the plant, generated from the Python functions that the fast kernel compiles."""
+"""Code for other tools: C99 and FMU of the plant, ONNX and C99 of the controllers, generated from their Python."""

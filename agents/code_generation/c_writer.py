@@ -172,7 +172,7 @@ class CWriter:
         if rows > 1:
             lines.append(_loop("k", rows))
         # A zero adds nothing to finite weights, and half of the outputs of a rectified layer are zero.
-        finite = right.table is not None and bool(np.isfinite(right.table).all())
+        finite = right.operation == "constant" and right.table is not None and np.isfinite(right.table).all()
         skip = "if (factor != 0) " if finite and columns >= 16 else ""
         return [
             *lines,
