@@ -28,6 +28,7 @@ COMMANDS = (
     "alarms",
     "study",
     "ladder",
+    "export",
 )
 
 

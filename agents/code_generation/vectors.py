@@ -66,7 +66,7 @@ def make_vectors(measured: MeasuredController) -> Vectors:
                 break
         episodes.append((np.array(samples), voltages))
     env.close()
-    disturbed = _disturbed(episodes[0][0][:120])
+    disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))
     state: MeasuredMemory | None = None
     voltages = []
     for row in disturbed:

@@ -66,13 +66,17 @@ def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
     from agents.code_generation.controller_folder import FILES, exported_files
+    from agents.code_generation.exported import ExportedController
     from agents.code_generation.onnx_writer import onnx_package
     from agents.evaluation.opponents import trained_for
     from agents.running.folders import output_folder
+    from hydro_env import ConfigurationError
     from hydro_env.files import write_whole
 
     onnx_package()  # a missing package shows at once
     controller, config = _controller_and_task(what, task, rig)
+    if isinstance(controller, ExportedController):
+        raise ConfigurationError(f"{what}: is an exported controller already")
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)

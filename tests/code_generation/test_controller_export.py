@@ -6,6 +6,7 @@ import json
 import pickle
 import subprocess
 import sys
+from itertools import pairwise
 
 import numpy as np
 import onnx
@@ -23,6 +24,7 @@ from agents.code_generation.measured_signals import MeasuredSignals
 from agents.code_generation.tracing import TraceError
 from agents.controllers.base import ObservationLayout
 from agents.evaluation.opponents import opponent, trained_for
+from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.running.cases import Cases, run_cases
 from agents.running.folders import pretrained_folder
@@ -258,6 +260,24 @@ def test_a_policy_of_another_period_and_a_rig_without_spool_sensor():
     assert names == ["reference", "position", "previous_voltage"]
 
 
+@pytest.mark.parametrize(
+    ("base", "correction", "preview", "estimates", "activation", "output"),
+    [(None, False, False, False, "tanh", "tanh"), ("flow_linearising", True, True, True, "relu", "linear")],
+)
+def test_every_form_of_a_policy_can_be_exported(base, correction, preview, estimates, activation, output):
+    corrected = opponent(base, TASK, base) if base else None
+    features = PolicyFeatures(TASK, corrected, 0.2, correction, preview, estimates)
+    generator, sizes = np.random.default_rng(0), [features.size, 24, 1]
+    layers = [
+        (0.1 * generator.normal(size=(after, before)).astype(np.float32), np.zeros(after, np.float32))
+        for before, after in pairwise(sizes)
+    ]
+    policy = PolicyController(features, layers, activation=activation, output=output)
+    files, _ = exported_files(policy, TASK, "hydro export")  # it fails if ONNX or C differ
+    settings = json.loads(files["contract.json"])["controller"]
+    assert settings["layers"] == [[features.size, 24], [24, 1]]
+
+
 def test_signals_follow_from_observations_almost_exactly():
     env = ServoHydraulicVectorEnv(50, TASK)
     observation, _ = env.reset(seed=list(range(SEED, SEED + 50)))
@@ -367,6 +387,10 @@ def test_the_command_writes_the_folder_once_and_refuses_what_it_does_not_know(tm
     assert read_contract(folder).controller["kind"] == "pid"
     assert json.loads((folder / "contract.json").read_text())["sample_time"] == 0.005
     assert_one_clear_line(hydro("export", "pid", "--output", folder), "holds results already")
+    assert_one_clear_line(hydro("export", folder, "--output", tmp_path / "x"), "is an exported controller already")
+    answer = hydro("export", "adrc", "--output", folder, "--overwrite")
+    assert answer.returncode == 0, answer.stderr
+    assert read_contract(folder).controller["kind"] == "adrc"
     assert_one_clear_line(hydro("export", "nonsense", "--output", tmp_path / "x"), "nonsense")
     assert not (tmp_path / "x").exists()
 
