@@ -48,7 +48,7 @@ def test_a_failed_axis_stays_and_the_film_goes_on():
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.ones((1,), dtype=np.float32), None
 
-    config = TaskConfig(episode_duration=1.0, failure={"pressure_rating": 90e5})
+    config = TaskConfig(episode_duration=1.0, failure={"pressure_rating": 60e5})
     pictures = list(panel_frames(config, Panel("runs away", Runaway(), None), 0, {"reference": "step"}, 50))
     assert len(pictures) == 5
     assert np.array_equal(pictures[-1], pictures[-2])
