@@ -57,7 +57,9 @@ def record(
     faults = named_faults(fault or [])
     if minari is not None:
         check_dataset(minari)
-        config = task_config(task, rig=rig, **({} if duration is None else {"episode_duration": duration}))
+        config = task_config(task, rig=rig)
+        if duration is not None:
+            config = task_config(task, rig=rig, episode_duration=duration)
         mover = opponent(controller, config, "--controller")
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
         options = {name: value for name, value in given.items() if value is not None}

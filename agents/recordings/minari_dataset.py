@@ -84,7 +84,9 @@ def record_dataset(
             seed = first_seed + number
             observation, info = env.reset(seed=seed, options=dict(options))
             rows: dict[str, list[Any]] = {"observations": [observation], "actions": [], "rewards": []}
-            infos, failed, ended, memory = [info], [], [], None
+            infos, memory = [info], None
+            failed: list[bool] = []
+            ended: list[bool] = []
             while not (failed and (failed[-1] or ended[-1])):
                 action, memory = controller.predict(observation, memory)
                 observation, reward, terminated, truncated, info = env.step(action)
