@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hydro_env.arguments import info_kind, numbers, shown, whole_number
 from hydro_env.axes import COLUMN, Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
+from hydro_env.pacing import Pace
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.states import State
 from hydro_env.specification import PlainSpec
@@ -99,8 +100,9 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     ``gym.make("ServoHydraulic-v0", control_period=0.002, leakage={"healthy_share": 0.5})``.
     ``task``: name in ``configs/tasks`` or YAML file. ``rig``: name in ``configs/rigs`` or YAML file of a rig;
     references, sensors, randomisation and reward then follow from it.
-    ``render_mode``: ``"rgb_array"`` or ``"human"``. ``info``: ``True``; ``False`` for none; ``"flat"`` for numbers
-    only, as array libraries need them: indices of family and failure, reward terms as ``reward_tracking`` and so on.
+    ``render_mode``: ``"rgb_array"``, or ``"human"`` for a window in real time. ``info``: ``True``; ``False`` for none;
+    ``"flat"`` for numbers only, as array libraries need them: indices of family and failure, reward terms as
+    ``reward_tracking`` and so on.
 
     ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
     (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
@@ -151,6 +153,9 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._begun = False
         self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
+        self._pace = Pace()
+        # Wrappers that record or show each step take this rate: in real time, as the window is.
+        self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -169,6 +174,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._axes.begin(_FIRST)
         self._begun = True
         self._history = []
+        self._pace.begin()
         self._record_frame()
         return self._axes.observation[0].copy(), self._info(self._axes.numbers[0].tolist())
 
@@ -269,12 +275,12 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         return info
 
     def _record_frame(self) -> None:
-        """Add the present position to the drawn curve; in a window, draw at once."""
+        """Add the present position to the drawn curve; a window draws it when its time has come."""
         if self.render_mode is None:
             return
         row = self._axes.numbers[0]
         self._history.append((row[_POSITION], row[_REFERENCE]))
-        if self.render_mode == "human":
+        if self.render_mode == "human" and self._pace.due(row[_STEP] * self.config.control_period):
             self.render()
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -287,7 +293,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         if self._renderer is None:
             from hydro_env.rendering import AxisRenderer
 
-            self._renderer = AxisRenderer(self.render_mode, self.metadata["render_fps"])
+            self._renderer = AxisRenderer(self.render_mode)
         return self._renderer.draw(self._view())
 
     def _view(self) -> View:

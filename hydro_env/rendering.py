@@ -44,14 +44,12 @@ PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM, PLOT_POINTS = 66.0, 936.0, 384.0, 
 class AxisRenderer:
     """Draws the axis as an array (``rgb_array``) or in a window (``human``)."""
 
-    def __init__(self, render_mode: str, frames_per_second: float) -> None:
+    def __init__(self, render_mode: str) -> None:
         if render_mode not in ("rgb_array", "human"):
             raise ValueError(f"render_mode must be 'rgb_array' or 'human', not {render_mode!r}")
         self._render_mode = render_mode
-        self._frames_per_second = frames_per_second
         self._picture = _Picture()
         self._window: pygame.Surface | None = None
-        self._clock: pygame.time.Clock | None = None
         self._closed = False
 
     def draw(self, view: View) -> NDArray[np.uint8] | None:
@@ -77,16 +75,15 @@ class AxisRenderer:
     def _show(self, surface: pygame.Surface) -> None:
         import pygame
 
-        if self._window is None or self._clock is None:
+        if self._window is None:
             pygame.display.init()
             pygame.display.set_caption("Hydraulic servo axis")
-            self._window, self._clock = pygame.display.set_mode((WIDTH, HEIGHT)), pygame.time.Clock()
+            self._window = pygame.display.set_mode((WIDTH, HEIGHT))
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
             return
         self._window.blit(surface, (0, 0))
         pygame.display.flip()
-        self._clock.tick(self._frames_per_second)
 
 
 class _Picture(Canvas):

@@ -43,7 +43,7 @@ def make_view(**changes):
 
 
 def draw(**changes):
-    return AxisRenderer("rgb_array", 50).draw(make_view(**changes))
+    return AxisRenderer("rgb_array").draw(make_view(**changes))
 
 
 def where(picture, color):
@@ -58,7 +58,7 @@ def center(picture, row, color):
 
 
 def test_frame_is_a_plain_array_of_its_own():
-    renderer = AxisRenderer("rgb_array", 50)
+    renderer = AxisRenderer("rgb_array")
     first = renderer.draw(make_view())
     kept = first.copy()
     second = renderer.draw(make_view(position=-0.05))
@@ -174,7 +174,7 @@ def test_array_mode_opens_no_display(monkeypatch):
 
     monkeypatch.setattr(pygame.display, "init", refuse)
     monkeypatch.setattr(pygame.display, "set_mode", refuse)
-    renderer = AxisRenderer("rgb_array", 50)
+    renderer = AxisRenderer("rgb_array")
     assert renderer.draw(make_view()) is not None
     assert not pygame.display.get_init()
     renderer.close()
@@ -206,7 +206,7 @@ def dummy_video(monkeypatch):
 
 @pytest.mark.usefixtures("dummy_video")
 def test_window_shows_the_same_picture_and_closes_once():
-    renderer = AxisRenderer("human", 1000)
+    renderer = AxisRenderer("human")
     assert not pygame.display.get_init()
     assert renderer.draw(make_view()) is None
     shown = np.swapaxes(pygame.surfarray.array3d(pygame.display.get_surface()), 0, 1)
@@ -218,7 +218,7 @@ def test_window_shows_the_same_picture_and_closes_once():
 
 @pytest.mark.usefixtures("dummy_video")
 def test_window_closed_by_its_user_stays_closed():
-    renderer = AxisRenderer("human", 1000)
+    renderer = AxisRenderer("human")
     renderer.draw(make_view())
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     assert renderer.draw(make_view()) is None
@@ -228,25 +228,12 @@ def test_window_closed_by_its_user_stays_closed():
     renderer.close()
 
 
-@pytest.mark.usefixtures("dummy_video")
-def test_window_keeps_the_frame_rate():
-    renderer = AxisRenderer("human", 20)
-    clock = pygame.time.get_ticks
-    renderer.draw(make_view())
-    start = clock()
-    for _ in range(4):
-        renderer.draw(make_view())
-    elapsed = clock() - start
-    renderer.close()
-    assert elapsed >= 150
-
-
 def test_missing_pygame_is_named_with_its_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
     with pytest.raises(DependencyNotInstalled, match=r'pip install "hydro_env\[render\]"'):
-        AxisRenderer("rgb_array", 50)
+        AxisRenderer("rgb_array")
 
 
 def test_unknown_mode_is_refused():
     with pytest.raises(ValueError, match="ansi"):
-        AxisRenderer("ansi", 50)
+        AxisRenderer("ansi")

@@ -4,8 +4,9 @@ import csv
 import math
 
 import pytest
-from command_line import ROOT, assert_one_clear_line, hydro
+from command_line import ROOT, assert_one_clear_line, hydro, hydro_process
 
+from agents.rigs.brief import assumed, brief
 from agents.rigs.check import check_rig
 from agents.rigs.check_table import check_csv, check_markdown
 from hydro_env import PlantParameters
@@ -149,3 +150,39 @@ def test_rigs_that_cannot_work(tmp_path, content, parts):
         assert_one_clear_line(result, *parts)
         assert result.stdout == ""
     assert not (tmp_path / "run").exists()
+
+
+def test_six_lines_say_the_main_figures_in_units_of_the_workshop():
+    lines = dict(brief(ROWS, PlantParameters()))
+    assert list(lines) == ["speeds", "forces", "natural frequency", "damping ratio", "largest stable gain", "verdict"]
+    assert lines["speeds"].startswith("176 mm/s out, 124 mm/s in")
+    assert lines["forces"].startswith("8.73 kN out, 4.36 kN in; it reaches -49 to 98.1 mm")
+    worst = next(row.value for row in ROWS if row.quantity == "largest stable gain" and "0.01 l/min" in row.at)
+    mean_speed = 0.5e-3 * (figure("no-load speed out", "fully open") + figure("no-load speed in", "fully open"))
+    assert f"{worst * 10 / 1000:.3g} V/mm (K_v = {worst * mean_speed:.3g} 1/s)" in lines["largest stable gain"]
+    assert "the pump alone sustains only 171 mm/s out" in lines["verdict"]
+    assert "the axis rings" in lines["verdict"]
+
+
+def test_a_damped_axis_with_a_strong_pump_simply_works():
+    rig = PlantParameters().replace(load={"viscous_damping": 2e4}, supply={"model": "constant"})
+    assert dict(brief(check_rig(rig), rig))["verdict"] == "it works"
+
+
+def test_the_values_that_a_file_leaves_open_are_told():
+    rig = PlantParameters()
+    values = {"cylinder": rig.model_dump()["cylinder"], "valve": {"rated_flow": 1e-4}}
+    groups = dict(assumed(values, rig))
+    assert "cylinder" not in groups
+    assert "rated_pressure_drop = 7e+06" in groups["valve"]
+    assert not any(entry.startswith("rated_flow") for entry in groups["valve"])
+    assert "mass = 60" in groups["load"]
+
+
+def test_the_console_fits_80_columns(tmp_path):
+    answer = hydro_process("check-rig", "--rig", "symmetric_eha", COLUMNS="80")
+    assert answer.returncode == 0
+    lines = answer.stdout.splitlines()
+    assert max(map(len, lines[1:])) <= 80
+    assert any(line.startswith("verdict") for line in lines[:12])
+    assert "Not in the file, taken from the paper's rig (SI units):" in lines

@@ -22,6 +22,7 @@ from agents.commands.ladder import ladder
 from agents.commands.leak_bound import leak_bound
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.record import record
+from agents.commands.render import render
 from agents.commands.simulate import simulate
 from agents.commands.study import study
 from agents.commands.test_move import design_test_move
@@ -116,6 +117,7 @@ def benchmark(
 
 app.command("simulate")(simulate)
 app.command("record")(record)
+app.command("render")(render)
 app.command("diagnose")(diagnose)
 app.command("check-rig")(check_rig)
 app.command("train")(train)

@@ -11,7 +11,14 @@ from agents.commands.options import Rig, command_line, say
 
 
 def record(
-    output: Annotated[Path, typer.Option("--output", "-o", help="CSV file to write.")],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME-v0", help="Data set of Minari to write instead of a CSV file, for offline learning."
+        ),
+    ] = None,
+    episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
     task: Annotated[
         str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
     ] = None,
@@ -26,7 +33,7 @@ def record(
         list[str] | None,
         typer.Option("--fault", metavar="NAME=VALUE", help="Such as valve_null_shift=0.01; repeat it for several."),
     ] = None,
-    duration: Annotated[float, typer.Option(help="s")] = 20.0,
+    duration: Annotated[float | None, typer.Option(help="s; default: 20, of a data set the task's own.")] = None,
     family: Annotated[
         str | None, typer.Option(help="Family of references, such as point_to_point; default: drawn.")
     ] = None,
@@ -35,19 +42,42 @@ def record(
 ) -> None:
     """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
 
-    `hydro diagnose` reads the file. The first line is a comment with this command; it tells the leak.
+    `hydro diagnose` reads the file. The first line is a comment with this command; it tells the leak. `--minari` writes
+    episodes with observations, actions, rewards and the hidden leak instead.
     """
     from agents.evaluation.opponents import opponent
+    from agents.recordings.minari_dataset import check_dataset, record_dataset
     from agents.recordings.simulated import named_faults, record_axis
+    from agents.running.console import ProgressDisplay
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
 
+    if (output is None) == (minari is None):
+        raise ConfigurationError("record: needs --output FILE or --minari NAME, one of them")
+    faults = named_faults(fault or [])
+    if minari is not None:
+        check_dataset(minari)
+        config = task_config(task, rig=rig)
+        if duration is not None:
+            config = task_config(task, rig=rig, episode_duration=duration)
+        mover = opponent(controller, config, "--controller")
+        given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
+        options = {name: value for name, value in given.items() if value is not None}
+        with ProgressDisplay() as shown:
+
+            def progress(finished: int) -> None:
+                shown.update("episodes", finished, episodes)
+
+            data = record_dataset(minari, config, mover, controller, episodes, seed, options, command_line(), progress)
+        say(f"{minari}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
+        return
+    assert output is not None
     if output.exists() and not overwrite:
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
     if output.is_dir():
         raise ConfigurationError(f"{output}: is a folder; --output needs a file")
-    config = task_config(task, rig=rig, episode_duration=duration)
+    config = task_config(task, rig=rig, episode_duration=20.0 if duration is None else duration)
     mover = opponent(controller, config, "--controller")
-    done = record_axis(output, config, mover, seed, leakage, family, named_faults(fault or []), command_line())
+    done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     say(f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar{end}")

@@ -175,7 +175,9 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
         rows.append(Row("oil column", "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
     for leak in LEAKS:
         damping = _figure(_damping, _leaking(parameters, leak), place)
-        rows.append(Row("oil column", "damping ratio, linearised", f"{_position(place)}, {_leak(leak)}", damping, "1"))
+        rows.append(
+            Row("oil column", "damping ratio, linearised", f"{_position(place)}, {leak_text(leak)}", damping, "1")
+        )
     return rows
 
 
@@ -186,11 +188,11 @@ def _loop(parameters: PlantParameters, place: float) -> list[Row]:
     thumb, stable = "gain 2 ζ ω / speed (no sampling)", f"largest stable gain {timing}"
     rows, sampled = [], []
     for leak in LEAKS:
-        plant, at = _leaking(parameters, leak), f"{_position(place)}, {_leak(leak)}"
+        plant, at = _leaking(parameters, leak), f"{_position(place)}, {leak_text(leak)}"
         rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
         sampled.append(Row("position loop", stable, at, _figure(_largest_gain, plant, place), "1/m"))
         worst = _worst_gain(plant, places)
-        sampled.append(Row("position loop", "largest stable gain", f"{span}, {_leak(leak)}", worst, "1/m"))
+        sampled.append(Row("position loop", "largest stable gain", f"{span}, {leak_text(leak)}", worst, "1/m"))
         if isinstance(worst, float) and worst > 0.0:
             stiffness = _figure(partial(_static_stiffness, 0.5 * worst), plant, place)
             sampled.append(Row("position loop", "static stiffness", f"half of it, {at}", stiffness, "kN/mm"))
@@ -280,5 +282,6 @@ def _position(position: float) -> str:
     return "mid-stroke" if abs(position) < 5e-7 else f"x = {position / MILLIMETRE:+.1f} mm"
 
 
-def _leak(leak: float) -> str:
+def leak_text(leak: float) -> str:
+    """A leak in words."""
     return f"{leak:g} l/min"

@@ -5,13 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.padding import Padding
 from rich.table import Table
+from rich.text import Text
 
+from agents.rigs.brief import assumed, brief
 from agents.rigs.check import BAR, Row, check_rig
 from agents.running.console import PlainConsole
 from agents.running.folders import output_folder
 from hydro_env import PlantParameters
-from hydro_env.files import write_text
+from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure
 
 CSV_FILE = "check.csv"
@@ -38,7 +42,12 @@ def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> 
             write_text(folder / CSV_FILE, check_csv(rows))
             write_text(folder / TABLE_FILE, check_markdown(rows, title))
         files = [folder / CSV_FILE, folder / TABLE_FILE]
-    PlainConsole().print(_table(rows, title))
+    console = PlainConsole()
+    console.print(title, soft_wrap=True)
+    console.print(_brief(rows, parameters))
+    for line in _assumed(rig, parameters):
+        console.print(line)
+    console.print(_table(rows))
     return files
 
 
@@ -54,15 +63,34 @@ def _summary(parameters: PlantParameters) -> str:
     )
 
 
-def _table(rows: list[Row], title: str) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold")
-    for heading in HEADINGS:
+def _brief(rows: list[Row], parameters: PlantParameters) -> Table:
+    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
+    for name, text in brief(rows, parameters):
+        table.add_row(name, text)
+    return table
+
+
+def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | str]:
+    if rig is None:
+        return []
+    groups = assumed(read_yaml(rig), parameters)
+    if not groups:
+        return ["", "The file gives every value."]
+    lines: list[Padding | str] = ["", "Not in the file, taken from the paper's rig (SI units):"]
+    return [*lines, *(Padding(f"{group}: {', '.join(entries)}", (0, 0, 0, 2)) for group, entries in groups)]
+
+
+def _table(rows: list[Row]) -> Table:
+    """The table, narrow enough for a terminal of 80 columns."""
+    table = Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
+    for heading in HEADINGS[1:]:
         table.add_column(heading, justify="right" if heading == "value" else "left")
     group = ""
     for row in rows:
-        if group and row.group != group:
+        if row.group != group:
             table.add_section()
-        table.add_row(row.group if row.group != group else "", row.quantity, row.at, row.text(4), row.unit)
+            table.add_row(Text(row.group, style="bold"))
+        table.add_row(row.quantity, row.at, row.text(4), row.unit)
         group = row.group
     return table
 

@@ -19,12 +19,15 @@ from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
 from agents.running.machine import machine_description, package_versions
 from agents.running.seeds import TEST_SEEDS
+from agents.study.model_cards import card_file, controller_card, head_card
 from agents.study.phases import Phases
 from agents.study.settings import StudySettings
 from hydro_env import TaskConfig
+from hydro_env.files import write_text
 
 REPORT_FILE = "report.html"
-REPORT_FILES = (REPORT_FILE, "tables/*.csv")
+CARDS = "model_cards"
+REPORT_FILES = (REPORT_FILE, "tables/*.csv", f"{CARDS}/*.md")
 MOST_COLUMNS = 3
 """Controllers that stand beside each other in a table on the console; more get a row each."""
 
@@ -72,6 +75,12 @@ def evaluate_study(
         corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
     )
     write_report(folder / REPORT_FILE, evaluation, record)
+    cards = {name: controller_card(name, controller, evaluation, command) for name, controller in working.items()}
+    if head is not None:
+        cards["leakage_head"] = head_card(head, evaluation, command)
+    for name, card in cards.items():
+        if card is not None:
+            write_text(folder / CARDS / card_file(name), card)
     display.say(f"report: {(folder / REPORT_FILE).resolve()}")
     for error in evaluation.errors.values():
         print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)
