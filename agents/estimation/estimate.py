@@ -52,7 +52,7 @@ class EstimationSettings(Group):
     )
     horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each rough fit")
     horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="as tolerance, of each rough fit")
-    iterations: int = Field(60, ge=1, le=1000, description="largest number of iterations of the last fit")
+    iterations: int = Field(100, ge=1, le=1000, description="largest number of iterations of the last fit")
     tolerance: Number = Field(
         0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
     )

@@ -20,7 +20,7 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gai
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-LONG_STEP, SHORT_STEP = 2.0, 0.2
+LONG_STEP, SHORT_STEP = 2.0, 0.05
 """Steps of the differences, in standard deviations of the uncertainty along each of its axes.
 
 Long ones find the way where friction that sticks makes the readings rough. Short ones follow a narrow, curved valley to
