@@ -1,9 +1,9 @@
-"""What the estimator finds: leaks at 1 % false alarms, size errors, intervals, local minima, wrong structures.
+"""What the estimator finds: leaks at 1 % false alarms, size errors, intervals, local minima, wrong structures, rest.
 
-Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion worn structure run]
+Run: python benchmarks/estimation.py [--windows 64] [--validation 200] [--only motion worn structure run rest]
 
-The PID of configs/agents/pid.yaml moves the axes; windows last 2 s. The threshold of the detection comes from
-validation seeds, all figures from test seeds.
+The PID of configs/agents/pid.yaml moves the axes, other controllers too at rest; windows last 2 s. The threshold of the
+detection comes from validation seeds, all figures from test seeds.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from agents.estimation.estimate import Estimate, estimate
 from agents.estimation.following import estimate_run
 from agents.estimation.names import LEAKAGE
 from agents.estimation.unknowns import default_unknowns
-from agents.evaluation.opponents import shipped
+from agents.leak_protocol.operations import ACTING, MOTIONS
 from agents.running.cases import Cases, run_cases
 from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
@@ -38,6 +38,13 @@ LEVELS = (0.05, 0.1, 0.3, 1.0, 3.0)
 
 CONFIG = TaskConfig(episode_duration=3.6)
 
+REST = (
+    *(("standing still", name, 0.0) for name in ("PID", "ADRC", "LQG", "PPO", "flow-linearising")),
+    *(("standing still", name, 0.3) for name in ("PID", "ADRC", "PPO")),
+    *(("slow", "PID", leak) for leak in (0.0, 0.3)),
+)
+"""Motion, controller and leak (0: healthy) of the rows about rest."""
+
 WORN = TaskConfig(
     episode_duration=3.6,
     randomisation={
@@ -50,14 +57,21 @@ WORN = TaskConfig(
 """Plants whose valve may be worn: the estimator knows the ranges and takes all of it for unknown."""
 
 
-def record(config: TaskConfig, seeds: range, leak: Array, faults: Mapping[str, float] | None = None) -> Array:
-    """Signals (N, 5, T), SI, of one episode per seed under the shipped PID."""
+def record(
+    config: TaskConfig,
+    seeds: range,
+    leak: Array,
+    faults: Mapping[str, float] | None = None,
+    controller: str = "PID",
+) -> Array:
+    """Signals (N, 5, T), SI, of one episode per seed under a shipped controller."""
     names, _, scale, _ = observation_layout(config)
     columns = [names.index(name) for name in (*CHANNELS, "previous_command")]
     cases = Cases(
         np.array(seeds), leak, faults={name: np.full(len(seeds), size) for name, size in (faults or {}).items()}
     )
-    rollout = run_cases(config, shipped("pid", config), cases, columns, states=False)
+    acting = ACTING[controller].make(config, len(seeds), int(seeds[0]))
+    rollout = run_cases(config, acting, cases, columns, states=False)
     assert rollout.signals is not None
     signals = rollout.signals * scale[columns][:, None]
     signals[:, -1] = np.clip(signals[:, -1], -1.0, 1.0)
@@ -191,12 +205,28 @@ def run(axes: int) -> None:
             )
 
 
+def rest(windows: int, seeds: range) -> None:
+    """Axes that stand still or move slowly, each controller on plants of its own; windows begin 3 s after the start."""
+    print(f"\nAt rest and slowly, {windows} windows per row:")
+    for place, (motion, controller, leak) in enumerate(REST):
+        task = MOTIONS[motion].change(TaskConfig(episode_duration=5.1))
+        own = seeds[place * windows : (place + 1) * windows]
+        truth = np.full(windows, leak) if leak else healthy_leaks(windows)
+        signals = record(task, own, truth, controller=controller)[:, :, 600 : 600 + SAMPLES]
+        before = time.process_time()
+        found = estimate(signals, task)
+        cost = (time.process_time() - before) / windows
+        describe(f"{motion}, {controller}, {leak:g} l/min" if leak else f"{motion}, {controller}", found, truth, 0.1)
+        surely = found.holds & (found.probability_above(LEAKAGE, CONFIG.leakage.class_bounds[0]) > 0.99)
+        print(f"{'':34} surely leaking {100 * np.mean(surely):.1f} %; {cost:.2f} s of one core per window", flush=True)
+
+
 def main() -> None:
     """Run the parts that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--windows", type=int, default=64, help="test windows per level")
     parser.add_argument("--validation", type=int, default=200, help="windows that set the threshold")
-    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "run"])
+    parser.add_argument("--only", nargs="+", default=["motion", "worn", "structure", "run", "rest"])
     parser.add_argument(
         "--levels", nargs="+", type=float, choices=LEVELS, default=list(LEVELS), help="l/min at 100 bar"
     )
@@ -212,6 +242,8 @@ def main() -> None:
         motion(WORN, *sizes, "worn valves, unknown", arguments.levels, arguments.begin)
     if "structure" in arguments.only:
         structure(arguments.windows)
+    if "rest" in arguments.only:
+        rest(arguments.windows, TEST_SEEDS[42_000:])
     if "run" in arguments.only:
         run(max(arguments.windows // 4, 1))
 

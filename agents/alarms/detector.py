@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.estimation.following import Follower
+from agents.estimation.names import LEAKAGE
 from agents.leakage.features import SIGNALS
 from agents.leakage.head import LeakageHead
+from hydro_env import TaskConfig
 
 Floats = NDArray[np.float64]
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
@@ -40,7 +42,7 @@ class Evidence(NamedTuple):
 
 
 class Detector(Protocol):
-    """Anything that judges windows of measured signals."""
+    """Anything that judges windows of measured signals. It may remember the windows before; `deepcopy` copies it."""
 
     window: int
     """Control periods of a window."""
@@ -71,40 +73,28 @@ def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8
     return np.asarray((speed >= STANDING_BELOW).astype(np.int8) + (speed >= MOVING_FROM), dtype=np.int8)
 
 
-class Estimated(Protocol):
-    """What an estimator with the simulator as model finds, :class:`agents.estimation.estimate.Estimate`."""
-
-    @property
-    def holds(self) -> NDArray[np.bool_]:
-        """Whether the model explains each window, (N,)."""
-        ...
-
-    def value(self, name: str) -> Floats:
-        """Values of an unknown, (N,)."""
-        ...
-
-    def deviation(self, name: str) -> Floats:
-        """Standard deviations of an unknown, (N,)."""
-        ...
-
-
 class EstimatorDetector:
-    """An estimator as a detector: its score is the leak itself, in l/min at 100 bar.
+    """The estimator with the simulator as model: its score is the leak itself, in l/min at 100 bar.
 
-    A window that the model does not explain has the cause "unknown" and counts for nothing.
+    A window that begins with the last sample of the one before is searched from what was found there, any other anew.
+    A window that the model does not explain has the cause "unknown".
     """
 
-    def __init__(
-        self, estimate: Callable[[NDArray[Any]], Estimated], window: int, name: str = "leakage_flow_lpm"
-    ) -> None:
-        self.estimate, self.window, self.name = estimate, window, name
+    def __init__(self, config: TaskConfig, window: int = 401, threads: int | None = None) -> None:
+        self.window = window
+        self._follower = Follower(config, window=window, threads=threads)
+
+    @property
+    def interval(self) -> float:
+        """From look to look, s."""
+        return self._follower.hop * self._follower.config.control_period
 
     def __call__(self, signals: NDArray[Any]) -> Evidence:
         """Evidence of windows (N, 5, window)."""
-        found = self.estimate(signals)
-        flow = found.value("leakage_flow_lpm")
+        found = self._follower.window_of(signals)
+        flow = found.value(LEAKAGE)
         cause = np.where(found.holds, Cause.SEAL_OR_NOTHING, Cause.UNKNOWN).astype(np.int8)
-        return Evidence(flow, found.deviation("leakage_flow_lpm"), flow, cause)
+        return Evidence(flow, found.deviation(LEAKAGE), flow, cause)
 
 
 class HeadDetector:

@@ -53,6 +53,13 @@ class AlarmJob(Group):
     learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
 
 
+SIZES = {
+    "head": AlarmJob(),
+    "estimator": AlarmJob(hours=2.0, shift=120.0, past=60.0, axes=16, interval=2.0, learning=8),
+}
+"""Default sizes by detector: the estimator takes a thousand times as long for a look as the head."""
+
+
 class Result(NamedTuple):
     """Settings of the best candidate, how the candidates compared, and the tables of the proof by name."""
 

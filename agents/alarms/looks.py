@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,6 +61,7 @@ def looks_at(signals: NDArray[Any], control_period: float, detector: Detector, i
             f"alarm: a recording of {signals.shape[2] * control_period:g} s is shorter than a window of "
             f"{detector.window * control_period:g} s"
         )
+    detector = deepcopy(detector)  # it may remember
     every = max(round(interval / control_period), 1)
     ends = np.arange(detector.window, signals.shape[2] + 1, every)
     windows = [signals[:, :, end - detector.window : end] for end in ends]

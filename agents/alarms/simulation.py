@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,7 +85,7 @@ class _Work:
     """Axes that work; it goes back to a memory of its own to try something else."""
 
     def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
-        self.controller, self.detector, self.operation = controller, detector, operation
+        self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
         self.period = config.control_period
         self.every = max(round(operation.interval / self.period), 1)
         self.change = round(operation.duration / self.period)
@@ -122,13 +123,14 @@ class _Work:
 
     def memory(self) -> tuple[Any, ...]:
         """All that what follows depends on."""
-        state = self.env.get_state()
-        return state, self.observation.copy(), self.window.copy(), self.alive.copy(), self.controller_memory, self.step
+        numbers = self.observation.copy(), self.window.copy(), self.alive.copy()
+        return self.env.get_state(), *numbers, self.controller_memory, self.step, deepcopy(self.detector)
 
     def recall(self, memory: tuple[Any, ...]) -> None:
         """Go back to a memory."""
-        state, observation, window, alive, self.controller_memory, self.step = memory
+        state, observation, window, alive, self.controller_memory, self.step, detector = memory
         self.env.set_state(state)
+        self.detector = deepcopy(detector)
         self.observation, self.window, self.alive = observation, window.copy(), alive
 
     def begin(self, onset: Onset) -> None:

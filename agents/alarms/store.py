@@ -21,8 +21,6 @@ from hydro_env import ConfigurationError, TaskConfig
 
 KIND = "looks at simulated axes"
 PATTERN = "looks_*.safetensors"
-AXES_TOGETHER = 128
-"""Largest number of axes of a part."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +32,7 @@ class Bench:
     detector: Detector
     detector_name: str
     folder: Path  # for the files
+    together: int = 128  # largest number of axes of a part; Ctrl-C loses the part that is under way
 
     def looks(
         self,
@@ -51,7 +50,7 @@ class Bench:
         """
         parts = []
         fair = math.ceil(operation.axes / len(self.controllers))
-        size = AXES_TOGETHER if operation.axes > AXES_TOGETHER else fair  # each controller gets a part
+        size = self.together if operation.axes > self.together else fair  # each controller gets a part
         for number, first in enumerate(range(0, operation.axes, size)):
             if progress is not None:
                 progress(name, first, operation.axes)

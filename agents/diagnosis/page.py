@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from markupsafe import Markup
 
 from agents.diagnosis.picture import paint
-from agents.diagnosis.verdict import Kind, Reading
+from agents.diagnosis.verdict import Kind, Reading, combined, named_fault
 from agents.recordings.findings import Weight
 from agents.report.canvas import WIDE, inline, render
 from agents.report.text import Table, number, templates
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 
 ADVICE = {
-    Kind.HEALTHY: "The piston seal is as tight as that of a new cylinder, as far as this recording shows.",
+    Kind.HEALTHY: "The piston seal leaks too little to matter for the axis. Record again after some time.",
     Kind.LEAK: "The piston seal leaks. Plan its replacement by the size and by how fast it grows; record again after "
     "some time under the same conditions.",
     Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check what the verdict names "
@@ -74,6 +74,7 @@ def render_page(diagnosis: Diagnosis, command: str) -> str:
             more=max(len(diagnosis.windows.begin) - MOST_ROWS, 0),
             limits=diagnosis.limits,
             alarm=diagnosis.alarm.line() if diagnosis.alarm is not None else "",
+            head=head_line(diagnosis.head),
             note=diagnosis.note,
             facts=Table("", ("Fact", "Value"), facts),
         )
@@ -83,6 +84,17 @@ def render_page(diagnosis: Diagnosis, command: str) -> str:
 def sentence(text: str) -> str:
     """The text with a capital at its beginning."""
     return text[:1].upper() + text[1:]
+
+
+def head_line(reading: Reading | None) -> str:
+    """What the leakage head says of the whole recording, to compare; empty if it was not used."""
+    if reading is None:
+        return ""
+    if not reading.holds.any():
+        return "The leakage head gives no reading that counts."
+    leak, _ = combined(reading)
+    fault = named_fault(reading)
+    return f"The leakage head reads {leak.text()}; other faults that it names: {fault or 'none'}."
 
 
 def _counts(diagnosis: Diagnosis) -> str:

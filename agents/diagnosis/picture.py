@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -150,4 +151,4 @@ def _title(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict.kind is Kind.UNKNOWN:
         line = line.split(";")[0]
     line = line[:1].upper() + line[1:]
-    return line if len(line) <= 110 else f"{line[:107]} …"
+    return fill(line, 105, max_lines=2, placeholder=" …")

@@ -129,9 +129,7 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
     if reading is None:
         return Verdict(*(Kind.OTHER, besides) if besides else (Kind.UNKNOWN, _why_nothing(estimator, head)), None, "")
     leak, change = combined(reading)
-    named = Counter(fault for fault, holds in zip(reading.fault, reading.holds, strict=True) if holds and fault)
-    if not besides and named.total() >= MOST * reading.holds.sum():
-        besides = named.most_common(1)[0][0]
+    besides = besides or named_fault(reading)
     if leak.low > limits.healthy:
         return Verdict(
             Kind.LEAK, "; ".join(part for part in (change, besides and f"besides, {besides}") if part), leak, leader
@@ -142,6 +140,12 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         return Verdict(Kind.HEALTHY, "", leak, leader)
     why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
     return Verdict(Kind.UNKNOWN, why, leak, leader)
+
+
+def named_fault(reading: Reading) -> str:
+    """The fault besides the piston seal that most windows which count show; empty if they show none."""
+    named = Counter(fault for fault, holds in zip(reading.fault, reading.holds, strict=True) if holds and fault)
+    return named.most_common(1)[0][0] if named and named.total() >= MOST * reading.holds.sum() else ""
 
 
 def combined(reading: Reading) -> tuple[Leak, str]:

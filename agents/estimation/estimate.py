@@ -14,7 +14,7 @@ from pydantic import Field
 
 from agents.estimation.first_guess import first_values
 from agents.estimation.goodness import misfit_of
-from agents.estimation.model import Model
+from agents.estimation.model import SHORT_STEP, Model
 from agents.estimation.names import STARTS
 from agents.estimation.priors import Prior
 from agents.estimation.solver import Belief, fit, masked, prior_belief
@@ -48,12 +48,14 @@ class EstimationSettings(Group):
 
     horizons: tuple[Number, ...] = Field(
         (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8),
-        description="s; lengths of the first, short fits; each begins where the one before ended",
+        description="s; lengths of the first, rough fits, up to the whole window; each begins where the last ended",
     )
-    horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each short fit")
-    iterations: int = Field(20, ge=1, le=1000, description="largest number of iterations on the whole window")
-    horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="as tolerance, of each short fit")
-    tolerance: Number = Field(0.2, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last")
+    horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each rough fit")
+    horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="as tolerance, of each rough fit")
+    iterations: int = Field(100, ge=1, le=1000, description="largest number of iterations of the last fit")
+    tolerance: Number = Field(
+        0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
+    )
     restarts: int = Field(3, ge=0, le=100, description="further searches of windows that misfit")
     largest_misfit: Number = Field(
         4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold"
@@ -76,7 +78,7 @@ class Estimate:
     chi2_per_sample: Array  # (B,), 1 where noise alone separates readings and model
     misfit: Array  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
-    iterations: Indices  # (B,), on the whole window
+    iterations: Indices  # (B,), of the last fit
     searches: Indices  # (B,), 1 where the first guess led to the result
     scaled: Array  # (B, P), the values in standard deviations of the prior from its mean
     precision: Array  # (B, P, P), inverse covariance of the scaled unknowns
@@ -273,18 +275,16 @@ def _descend(
     directions: Array | None,
     searches: int = 1,
 ) -> Estimate:
-    """Fit short, then longer beginnings of some windows, then all of them."""
+    """Fit short, then longer beginnings of some windows, then all of them: roughly, then to the lowest point."""
     scaled = first
     interval = float(np.median(model.commands.durations))
-    for horizon in (max(round(length / interval), SHORTEST_FIT) for length in settings.horizons):
-        if horizon < 0.8 * model.samples:
-            limit = settings.horizon_iterations
-            scaled = fit(
-                model, measured, window, scaled, belief, horizon, limit, settings.horizon_tolerance, thorough=False
-            ).scaled
-    found = fit(
-        model, measured, window, scaled, belief, model.samples, settings.iterations, settings.tolerance, directions
-    )
+    lengths = [max(round(length / interval), SHORTEST_FIT) for length in settings.horizons]
+    lengths = [samples for samples in lengths if samples < 0.8 * model.samples]
+    for samples in [*lengths, model.samples] if settings.horizons else []:
+        limit, tolerance = settings.horizon_iterations, settings.horizon_tolerance
+        scaled = fit(model, measured, window, scaled, belief, samples, limit, tolerance, thorough=False).scaled
+    limit, tolerance = settings.iterations, settings.tolerance
+    found = fit(model, measured, window, scaled, belief, model.samples, limit, tolerance, directions, step=SHORT_STEP)
     return assess(model, measured, window, found.scaled, belief, settings, found.iterations, found.directions, searches)
 
 

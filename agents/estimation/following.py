@@ -17,7 +17,7 @@ from agents.estimation.estimate import (
     usable_readings,
 )
 from agents.estimation.first_guess import first_values
-from agents.estimation.model import Model
+from agents.estimation.model import LONG_STEP, Model
 from agents.estimation.names import STARTS
 from agents.estimation.priors import Prior
 from agents.estimation.solver import Belief, prior_belief
@@ -114,6 +114,19 @@ class Follower:
         del self._signals[: self.hop], self._durations[: self.hop]
         return found
 
+    def window_of(self, signals: Array) -> Estimate:
+        """Take a whole window, (N, 5, window); its estimate. It begins anew unless the window follows on from the last.
+
+        A window follows on if its first samples are those that the last one shares with it: window − hop of them.
+        """
+        shared = len(self._signals)
+        if shared and not np.array_equal(np.stack(self._signals, axis=-1), signals[:, :, :shared], equal_nan=True):
+            self._signals, self._durations, self._before, shared = [], [], None, 0
+        for sample in range(shared, self.window):
+            found = self.update(signals[:, :, sample])
+        assert found is not None
+        return found
+
     def _estimate(self, windows: Array, durations: Array) -> Estimate:
         before = self._before
         start = np.zeros((len(windows), N_STATES))
@@ -121,36 +134,41 @@ class Follower:
         start[:, _GAS] = np.nan
         start[:, _CURRENT] = np.nan if before is None else before.current
         model = Model(self.config, self.priors, windows[:, -1], durations, start=start, threads=self.threads)
-        measured = usable_readings(windows, self.config, model)
-        belief = prior_belief(model, model.count)
-        if before is not None:
-            if self.memory is not None:
-                measured[:, :, 0] = np.nan  # the window before has used these readings
-                belief = before.belief
-            directions = model.directions(before.precision)
-            found = search(
-                model,
-                measured,
-                before.scaled,
-                belief,
-                self.settings.model_copy(update={"horizons": (), "restarts": 0}),
-                directions,
-            )
-        if before is None or (self.memory is None and not found.holds.all()):
-            # Nothing came before, or it misled.
-            guess = model.scaled(first_values(windows, model.commands.durations, self.config, self.priors))
-            anew = search(model, measured, guess, belief, self.settings)
-            if before is None:
-                found = anew
-            else:
-                better = anew.misfit < found.misfit
-                found.replace(np.flatnonzero(better), anew, np.flatnonzero(better))
+        if before is None:
+            found = self._anew(model, windows)
+        else:
+            found = self._onwards(model, windows, before)
+            misled = np.flatnonzero(~found.holds)
+            if self.memory is None and len(misled):
+                part = Model(
+                    self.config, self.priors, windows[misled, -1], durations, start=start[misled], threads=self.threads
+                )
+                anew = self._anew(part, windows[misled])
+                better = np.flatnonzero(anew.misfit < found.misfit[misled])
+                found.replace(misled[better], anew, better)
         self._before = self._hand_on(model, found, durations)
         return found
 
+    def _anew(self, model: Model, windows: Array) -> Estimate:
+        """Estimate windows as if nothing had come before."""
+        measured = usable_readings(windows, self.config, model)
+        guess = first_values(windows, model.commands.durations, self.config, self.priors)
+        return search(model, measured, model.scaled(guess), prior_belief(model, model.count), self.settings)
+
+    def _onwards(self, model: Model, windows: Array, before: _Before) -> Estimate:
+        """Estimate windows from what the windows before have found."""
+        measured = usable_readings(windows, self.config, model)
+        belief = prior_belief(model, model.count)
+        if self.memory is not None:
+            measured[:, :, 0] = np.nan  # the window before has used these readings
+            belief = before.belief
+        settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
+        directions = model.directions(before.precision, LONG_STEP)
+        return search(model, measured, before.scaled, belief, settings, directions)
+
     def _hand_on(self, model: Model, found: Estimate, durations: Array) -> _Before:
         """First guess and prior of the next window: this one's parameters, and its state where the next begins."""
-        linear = model.linearise(found.scaled, None, model.directions(found.precision), self.hop + 1)
+        linear = model.linearise(found.scaled, None, model.directions(found.precision, LONG_STEP), self.hop + 1)
         scaled, turned = found.scaled.copy(), np.tile(np.eye(len(model.names)), (model.count, 1, 1))
         added = np.zeros((model.count, len(model.names)))  # variance
         deviations = np.array([prior.deviation for prior in self.priors.values()])

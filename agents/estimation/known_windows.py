@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from agents.controllers.base import Controller
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
 from agents.running.cases import Cases, Insider, run_cases
+from agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -85,14 +86,7 @@ def known_windows(
         raise ConfigurationError(
             f"window = {length:g} s from {begin:g} s: must last two control periods or more, from 0 s or later"
         )
-    steady = {kind: {"schedule": "constant"} for kind in type(config.faults).model_fields}
-    task = task_config(
-        config,
-        episode_duration=(first + periods + 1) * config.control_period,
-        leakage={"schedule": "constant"},
-        faults=steady,
-        disturbance={"kind": "none"},
-    )
+    task = task_config(steady(config), episode_duration=(first + periods + 1) * config.control_period)
     watcher = _Watcher(controller, first, periods + 1)
     run = run_cases(task, watcher, cases, states=False, chunk=max(len(cases), 1))
     kept = np.flatnonzero((run.failed_at < 0) | (run.failed_at >= first + periods))

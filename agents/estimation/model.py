@@ -20,8 +20,12 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gai
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-STEP = 2.0
-"""Steps of the differences, in standard deviations of the uncertainty along each of its axes."""
+LONG_STEP, SHORT_STEP = 2.0, 0.05
+"""Steps of the differences, in standard deviations of the uncertainty along each of its axes.
+
+Long ones find the way where friction that sticks makes the readings rough. Short ones follow a narrow, curved valley to
+its lowest point, as at rest, where long ones reach across it.
+"""
 
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first differences, in standard deviations of the prior, of parameters and of start states."""
@@ -208,16 +212,16 @@ class Model:
             jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
         return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
 
-    def directions(self, precision: Array) -> Array:
+    def directions(self, precision: Array, length: float) -> Array:
         """Steps (B, S, S), one a column, along the axes of the uncertainty with this precision (B, P, P).
 
-        Each step is :data:`STEP` standard deviations long. It changes the readings about as much as their noise does:
+        Each step is ``length`` standard deviations long. It changes the readings about as much as their noise does:
         far more than the integrator's error, and no further than where the result may lie. Steps along single unknowns
         would leave that region, because some of them compensate each other.
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
-        steps: Array = vectors * (STEP / np.sqrt(np.maximum(values, 1e-12)))[:, None]
+        steps: Array = vectors * (length / np.sqrt(np.maximum(values, 1e-12)))[:, None]
         return steps
 
 

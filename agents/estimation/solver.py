@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.estimation.model import Linearised, Model
+from agents.estimation.model import LONG_STEP, Linearised, Model
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -53,6 +53,7 @@ def fit(
     tolerance: float,
     directions: Array | None = None,
     thorough: bool = True,
+    step: float = LONG_STEP,
 ) -> Fit:
     """Improve the unknowns of some windows until they change no more.
 
@@ -70,6 +71,7 @@ def fit(
         tolerance: stop a window when an iteration lowers its cost by less.
         directions: steps of the first differences, (B, S, S).
         thorough: stop only after a step with little damping; a small gain by a damped one does not end the search.
+        step: of the differences after the first, standard deviations.
     """
     count, unknowns = first.shape
     scaled = first.copy()
@@ -91,7 +93,7 @@ def fit(
         curvature = fisher + precision
         if directions is None:
             directions = np.empty((count, len(model.simulated), len(model.simulated)))
-        directions[active] = model.directions(curvature)
+        directions[active] = model.directions(curvature, step)
         cost = (weight * residual**2).sum(axis=1) + (away * pull).sum(axis=1)
 
         trials = here[:, None] + _damped_steps(curvature, gradient, level[active])

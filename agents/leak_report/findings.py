@@ -96,14 +96,14 @@ def _sure(record: Record) -> Finding:
         parts.append(f"{name} {interval_text(value, '%', 1)}, which is {number(per_hour, 0)} per hour")
         if np.isfinite(per_hour):
             rates[name] = per_hour
-        others = {where: record.share(name, where, HEALTHY).value for where in record.in_groups("motion", "controller")}
-        others = {where: share for where, share in others.items() if np.isfinite(share)}
+        others = {where: record.share(name, where, HEALTHY) for where in record.in_groups("motion", "controller")}
+        others = {where: share for where, share in others.items() if np.isfinite(share.value)}
         if others:
-            where = max(others, key=lambda each: others[each])
-            worst[name] = f"{name} {number(others[where], 1)} % ({record.label(where)})"
+            where = max(others, key=lambda each: others[each].value)
+            worst[name] = f"{name} {interval_text(others[where], '%', 1)}, {record.label(where)}"
     text = f"Healthy windows in which a leak is reported: {'; '.join(parts)}."
     if worst:
-        text += f" Worst motion or controller: {'; '.join(worst.values())}."
+        text += f" Under the worst motion or controller: {'; '.join(worst.values())}."
     if not rates or max(rates.values()) < 1.0:
         return Finding("On healthy axes in ordinary motion false alarms are rare.", text)
     often = max(rates, key=lambda name: rates[name])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 
 from agents.evaluation.statistics import Interval
@@ -75,12 +74,14 @@ def _rows_plot(
     label: str,
     lines: Mapping[float, str],
     limit: float | None = 100.0,
+    names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
-    """Conditions from top to bottom, a point with its interval for each detector."""
+    """Conditions from top to bottom, a point with its interval for each detector; ``names``: their texts."""
     found = {name: {where: find(name, where) for where in conditions} for name in record.detectors}
     shown = [where for where in conditions if any(not np.isnan(each[where].value) for each in found.values())]
     if not shown:
         return []
+    texts = {where: (names or {}).get(where, record.label(where)) for where in shown}
 
     def paint(axes: Axes) -> None:
         for value, style in lines.items():
@@ -100,13 +101,13 @@ def _rows_plot(
                     marker=look.marker,
                     label=name,
                 )
-        row_axis(axes, [record.label(where) for where in shown])
+        row_axis(axes, list(texts.values()))
         axes.set_xlabel(label)
         if limit is not None:
             axes.set_xlim(-0.02 * limit, 1.03 * limit)
 
     rows = {
-        name: [(record.label(where), each[where].value) for where in shown if not np.isnan(each[where].value)]
+        name: [(texts[where], each[where].value) for where in shown if not np.isnan(each[where].value)]
         for name, each in found.items()
     }
     height = max(HEIGHT, 1.2 + 0.3 * len(shown))
@@ -258,36 +259,20 @@ def reliability_plot(record: Record) -> list[Plot]:
 
 
 def masking_plot(record: Record) -> list[Plot]:
-    """Detection of a small leak over the position error of what operates the axis."""
-    table: pd.DataFrame = record.table("masking")
-    table = table[table["level"] == 0.1] if len(table) else table
+    """Detection of a small leak by controller, the most exact controller first."""
+    table = record.masking()
     if table.empty:
         return []
-
-    def paint(axes: Axes) -> None:
-        for name in record.detectors:
-            look = record.looks[name]
-            part = table[(table["detector"] == name) & (table["condition"].isin(table["condition"]))]
-            axes.plot(
-                part["error_mm"], 100.0 * part["at_1_percent"], linestyle="none", marker=look.marker, color=look.colour,
-                label=name,
-            )  # fmt: skip
-        first = table[table["detector"] == table["detector"].iloc[0]]
-        for row in first.to_dict("records"):
-            axes.annotate(
-                record.label(row["condition"]) if row["condition"] != record.base else str(row["acting"]),
-                (row["error_mm"], 100.0 * row["at_1_percent"]),
-                xytext=(3, 4), textcoords="offset points", fontsize=7.0, color=GREY,
-            )  # fmt: skip
-        axes.set(xscale="log", xlabel="mean position error, mm", ylabel="0.1 l/min found, %", ylim=(-3.0, 108.0))
-
-    title = "Does better control hide the leak?"
-    note = "One point per controller, windows of 2 s from the start, threshold at 1 % false alarms."
-    rows = {
-        name: [
-            (str(row["acting"]), 100.0 * row["at_1_percent"])
-            for row in table[table["detector"] == name].to_dict("records")
-        ]
-        for name in record.detectors
-    }
-    return [one_panel("masking", title, note, description(title, rows, " %"), paint)]
+    errors = table.groupby("condition")["error_mm"].mean().sort_values()
+    acting = table.drop_duplicates("condition").set_index("condition")["acting"]
+    return _rows_plot(
+        record,
+        "masking",
+        "0.1 l/min found, by controller",
+        "In brackets the mean position error; windows from the start of the motion, threshold at 1 % false alarms.",
+        [str(condition) for condition in errors.index],
+        lambda detector, condition: record.share(detector, condition, 0.1, "at_1_percent"),
+        "windows in which it is found, %",
+        {},
+        names={str(condition): f"{acting[condition]} ({error:.2g} mm)" for condition, error in errors.items()},
+    )

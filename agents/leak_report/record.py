@@ -54,6 +54,11 @@ class Record:
         table = self.table("conditions")
         return [str(name) for name in table.loc[table["group"].isin(groups), "condition"]]
 
+    def masking(self) -> pd.DataFrame:
+        """Rows of the table ``masking`` about windows that are as long as those of the base condition."""
+        table, durations = self.table("masking"), self.conditions["duration_s"]
+        return table if table.empty else table[table["condition"].map(durations) == durations[self.base]]
+
     def cell(self, table: str, detector: str, condition: str, level: float) -> dict[str, float]:
         """One row of a table by detector, condition and level; empty if there is none."""
         rows = self.table(table)

@@ -12,7 +12,7 @@ from agents.leak_protocol.detectors import VERDICTS
 from agents.leak_protocol.protocol import DRAWN, HEALTHY
 from agents.leak_report.record import Record, level_text, percent_of
 from agents.report.findings import interval_text
-from agents.report.text import Table, number, setting
+from agents.report.text import Table, number, setting, unbroken
 
 WRONG, RIGHT, SILENT = (213, 94, 0), (0, 114, 178), (107, 107, 107)
 """Colours of a verdict that is wrong, right, and of "cannot tell", at 100 %."""
@@ -88,7 +88,7 @@ def floors_table(record: Record) -> list[Table]:
     tables = []
     for detector, frame in table.groupby("detector", sort=False):
         rows = [_floor_row(row) for row in frame.to_dict("records")]
-        header = ("Figure", "Unit", "Before", "Floor", "Aim", "Measured", "Reaches", "Note")
+        header = ("Figure", "Measured", "Reaches", "Floor", "Aim", "Before", "Note")
         tables.append(Table(str(detector), header, rows))
     return tables
 
@@ -97,12 +97,11 @@ def _floor_row(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
     decimals = 1 if row["unit"] == "%" else None
     value, low, high = (number(row[name], decimals) for name in ("measured", "low", "high"))
     return (
-        str(row["figure"]),
-        str(row["unit"]),
-        *(_mark(row[name]) for name in ("before", "floor", "aim")),
+        unbroken(f"{row['figure']}, {row['unit']}"),
         value if np.isnan(row["low"]) else f"{value} ({low} to {high})",
         str(row["reaches"]),
-        str(row["note"]) if isinstance(row["note"], str) else "",
+        *(_mark(row[name]) for name in ("floor", "aim", "before")),
+        unbroken(row["note"]) if isinstance(row["note"], str) else "",
     )
 
 
@@ -197,28 +196,28 @@ def alarm_tables(record: Record) -> list[Table]:
 
 def masking_tables(record: Record) -> list[Table]:
     """Detection of small leaks beside position error and bound, one row per controller."""
-    table = record.table("masking")
+    table = record.masking()
     if table.empty:
         return []
-    levels = [level for level in sorted(table["level"].unique()) if level <= 0.3]
+    shares = table[table["level"] <= 0.3].pivot_table(
+        index="condition", columns=["detector", "level"], values="at_1_percent", sort=False
+    )
+    # What was measured under one controller only compares nothing.
+    shares = shares.loc[:, shares.notna().sum() >= min(2, len(shares))]
+    columns = [(name, level) for name in record.detectors for level in sorted(table["level"].unique())]
+    columns = [column for column in columns if column in shares.columns]
     rows = []
     for condition, frame in table.groupby("condition", sort=False):
-        cells = {(row["detector"], row["level"]): row for row in frame.to_dict("records")}
         bounds = {row["level"]: row["bound_lpm"] for row in frame.to_dict("records")}
-        found = [
-            number(100.0 * cells[name, level]["at_1_percent"], 0) if (name, level) in cells else "–"
-            for name in record.detectors
-            for level in levels
-        ]
         rows.append(
             (
-                f"{frame['acting'].iloc[0]}, {record.label(str(condition))}",
+                str(frame["acting"].iloc[0]),
                 number(float(frame["error_mm"].mean()), 3),
                 number(bounds.get(0.3, np.nan), 4),
-                *found,
+                *(number(100.0 * float(shares.loc[condition, column]), 0) for column in columns),
             )
         )
-    sizes = (f"{name}: {setting(level)}" for name in record.detectors for level in levels)
+    sizes = (f"{name}: {setting(level)}" for name, level in columns)
     header = ("Controller", "error, mm", "bound at 0.3, l/min", *sizes)
     return [Table("Found at 1 % false alarms, %, by size of the leak in l/min", header, rows)]
 

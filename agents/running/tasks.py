@@ -1,4 +1,4 @@
-"""Changes of a task that experiments and standstills share: a reference of their own, sensors without noise."""
+"""Changes of a task that experiments share: nothing that changes on its own, a reference of their own, no noise."""
 
 from __future__ import annotations
 
@@ -10,14 +10,22 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS
 
 
-def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskConfig:
-    """The task with a reference (T + 1,), m, one value per period from the start; leak and force stay constant."""
+def steady(config: TaskConfig) -> TaskConfig:
+    """The task in which leak, faults and external force stay from the start of an episode as they are drawn."""
     return task_config(
         config,
-        episode_duration=(len(reference) - 1) * config.control_period,
-        references={"user": [float(value) for value in reference], "weights": {"user": 1.0}},
         disturbance={"kind": "none"},
         leakage={"schedule": "constant"},
+        faults={kind: {"schedule": "constant"} for kind in type(config.faults).model_fields},
+    )
+
+
+def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskConfig:
+    """The :func:`steady` task with a reference (T + 1,), m, one value per period from the start."""
+    return task_config(
+        steady(config),
+        episode_duration=(len(reference) - 1) * config.control_period,
+        references={"user": [float(value) for value in reference], "weights": {"user": 1.0}},
     )
 
 

@@ -1,5 +1,7 @@
 """The whole job on made-up looks: settings and tables; the detectors; bad options of the command."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
@@ -11,7 +13,7 @@ from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job
 from agents.alarms.looks import Looks
 from agents.leakage.features import SIGNALS
 from agents.leakage.training import untrained_head
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(hours=5.0, shift=300.0, past=300.0, after=60.0, axes=20, interval=1.0, learning=20)
@@ -107,21 +109,28 @@ def test_the_head_is_a_detector_that_stands_lost_samples():
 
 
 def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
-    class Found:
-        holds = np.array([True, False])
-
-        def value(self, name):
-            return {"leakage_flow_lpm": np.array([0.12, 3.0])}[name]
-
-        def deviation(self, name):
-            return {"leakage_flow_lpm": np.array([0.002, 0.002])}[name]
-
-    detector = EstimatorDetector(lambda signals: Found(), 100)
-    evidence = detector(np.zeros((2, 5, 100)))
-    assert evidence.cause.tolist() == [Cause.SEAL_OR_NOTHING, Cause.UNKNOWN]
+    env = ServoHydraulicVectorEnv(2, TaskConfig(episode_duration=1.0), info=False)
+    env.reset(seed=[1_930_000, 1_930_001], options={"leakage_flow_lpm": 0.3, "reference": "sine"})
+    columns = []
+    for step in range(162):
+        columns.append(np.column_stack([env.axes.column("measured"), env.axes.column("command")]))
+        env.step(np.full((2, 1), 0.2 * np.sin(0.15 * step), dtype=np.float32))
+    signals = np.stack(columns, axis=-1)
+    signals[1, 0] = signals[1, 0, ::-1]  # no axis moves against its command
+    detector = EstimatorDetector(CONFIG, window=81, threads=1)
+    fresh = deepcopy(detector)
+    first, second = detector(signals[:, :, :81]), detector(signals[:, :, 80:161])
+    assert first.cause.tolist() == second.cause.tolist() == [Cause.SEAL_OR_NOTHING, Cause.UNKNOWN]
+    for found in (first, second):
+        assert abs(found.score[0] - 0.3) < 4.0 * found.sigma[0]
+    anew = fresh(signals[:, :, 80:161])
+    assert anew.score[0] == pytest.approx(second.score[0], abs=0.5 * anew.sigma[0]), (
+        "the past changes the way, not the end"
+    )
+    np.testing.assert_array_equal(detector(signals[:, :, :81]).score, first.score, "it has not followed on: all anew")
     scales = {a.name.lower(): {"highest_baseline": 0.03, "spread": 0.001, "shift": 0.1} for a in Activity}
-    alarm = LeakAlarm(AlarmSettings(scales=scales, sums=({"method": "cusum", "threshold": 4.0},)))
-    result, _ = alarm.update(evidence, np.array([Activity.MOVING] * 2, dtype=np.int8), alarm.begin(2))
+    alarm = LeakAlarm(AlarmSettings(scales=scales, sums=({"method": "mean", "threshold": 0.1},)))
+    result, _ = alarm.update(second, np.array([Activity.MOVING] * 2, dtype=np.int8), alarm.begin(2))
     assert result.alarm.tolist() == [True, False]
 
 
@@ -130,6 +139,7 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
     [
         (("--hours", "-3"), ("hours = -3", "above 0")),
         (("--rate", "0"), ("rate = 0", "above 0")),
+        (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "the estimator has no weights")),
         (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
         (("--task", "period_10ms"), ("leakage_head", "other observations")),
     ],

@@ -5,11 +5,15 @@ import pytest
 
 from agents.estimation.estimate import EstimationSettings, estimate
 from agents.estimation.following import Follower, estimate_run
+from agents.estimation.known_windows import known_windows, leak_cases
 from agents.estimation.model import Model
 from agents.estimation.names import LEAKAGE, NAMES
 from agents.estimation.priors import Prior, prior_of
 from agents.estimation.replay import Commands, replay
 from agents.estimation.unknowns import default_unknowns, priors_of
+from agents.evaluation.opponents import shipped
+from agents.leakage.operation import still
+from agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.states import N_STATES, State
@@ -352,3 +356,21 @@ def test_faults_of_the_task_widen_its_priors():
     assert underlap.mean == pytest.approx(0.03 + healthy.mean, rel=0.1)
     assert prior_of(config, "position_bias").deviation == pytest.approx(0.02 * 0.4, rel=0.01)
     assert prior_of(config, "pressure_a_bias") == prior_of(CONFIG, "pressure_a_bias")
+
+
+def test_at_rest_the_search_ends_at_the_lowest_point():
+    task = still(TaskConfig())
+    windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 8, 0.01), 1.0, 2.0)
+    read = estimate(windows.signals, task)
+    away = (read.value(LEAKAGE) - windows.leakage_flow_lpm) / read.deviation(LEAKAGE)
+    assert read.holds.all()
+    assert np.sqrt(np.mean(away**2)) < 2.0, "long differences reach across the valley: 3 to 4 then"
+    truth = {name: windows.value(name) for name in read.names}
+    from_truth = estimate(windows.signals, task, first=truth, settings=EstimationSettings(horizons=(), restarts=0))
+    np.testing.assert_array_less(-4.0, _cost(from_truth) - _cost(read), "no better explanation near the truth")
+
+
+def _cost(found):
+    """Squared residuals and squared distances from the priors' means, of windows without lost readings."""
+    readings = 4 * 401 - 2
+    return found.chi2_per_sample * readings + (found.scaled**2).sum(axis=1)

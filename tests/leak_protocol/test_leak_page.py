@@ -34,7 +34,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
     assert "2.0 per 100 h (0.2 to 7.2)" in early[1]
     assert sure[0] == "The head alone raises 18 false alarms an hour: let an alarm sum up its windows."
     assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
-    assert "Worst motion or controller: head 4.0 % (ADRC)" in sure[1]
+    assert "Under the worst motion or controller: head 4.0 % (1.6 to 9.8), ADRC" in sure[1]
     assert confused[0] == "Some other faults are taken for a worn seal."
     assert "head: valve null −1 % 60 %" in confused[1]
     assert "estimator: none" in confused[1]
@@ -70,7 +70,7 @@ def test_right_verdicts_are_blue_and_wrong_ones_orange(record):
 def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
     assert page.startswith("<!doctype html>")
     assert not re.search(r'(src|href)="(?!#)', page)
-    assert "0.06 ml/min" in page
+    assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
     for text in ("Measured against floors and aims", "Does better control hide the leak?", "valve null −1 %"):
         assert text in page
