@@ -89,11 +89,18 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
 
 def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
+    from agents.controllers.registry import CONTROLLERS
     from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
     from agents.learning.policy import PolicyController
     from agents.running.weights import weight_files
+    from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
 
+    known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
+    if what not in known and ":" not in what and not (Path(what).is_dir() or weight_files(what)[1].is_file()):
+        raise ConfigurationError(
+            f"export '{what}': unknown; known: plant, {', '.join(known)}, the path of weights, or module:attribute"
+        )
     config = task_config(task, rig=rig)
     if task is None and rig is None:
         controller: Controller | None = None
