@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.normal_equations import factor, substitute
+from agents.leakage.normal_equations import factor, hold, substitute, whiten
 from agents.leakage.sheet import POINTS, Sheet, Unknowns
 from agents.leakage.spool import best_valve, spool_between
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
@@ -55,8 +55,8 @@ SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 CAVITATING = 1e-3
 """m per period; error of the travel while a pressure may be at the end of its sensor's range."""
 
-OUTLIER = 3.0
-"""Standard deviations beyond which a residual counts linearly (Huber)."""
+PARTS = 8
+"""Equal parts of a window, for each of which the leak is also estimated by itself."""
 
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
@@ -158,26 +158,8 @@ def _add_compression(travel, slope, chamber, sign, first, last, length, area, u,
     slope[chamber, DEAD] += sign * squeezed / area
 
 
-@inline
-def _whiten(value, slope, other, filtered, whitened, spread, blend, unit):
-    """Whitened residual and derivatives, into ``whitened``; returns the residual's square, linear beyond an outlier.
-
-    ``other``: the residual is the difference of both travels, else position less the travel of chamber a.
-    """
-    innovation = value - filtered[COUNT]
-    filtered[COUNT] += blend * innovation
-    size = abs(unit * innovation)
-    weight = unit * (1.0 if size < OUTLIER else math.sqrt(OUTLIER / size))
-    for i in range(COUNT):
-        change = spread[i] * (slope[1, i] - slope[0, i] if other else -slope[0, i]) - filtered[i]
-        filtered[i] += blend * change
-        whitened[i] = weight * change
-    whitened[COUNT] = weight * innovation
-    return size * size if size < OUTLIER else OUTLIER * (2.0 * size - OUTLIER)
-
-
 def _build(sources: int) -> Any:
-    def fit(signals, sheet, estimate, deviation, misfit, spool_error):
+    def fit(signals, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation):
         assert sources >= 0  # keys numba's cache
         c = _read_coefficients(sheet.coefficients)
         samples = signals.shape[2]
@@ -189,6 +171,7 @@ def _build(sources: int) -> Any:
         travel, slope = np.empty(2), np.empty((2, COUNT))  # since the window began
         filtered, whitened = np.empty((2, COUNT + 1)), np.empty(COUNT + 1)
         variance = np.empty(2)
+        pull, known_leak = np.empty((2, PARTS)), np.empty((2, PARTS))  # of each residual on the leak in each part
         spread = sheet.spread
         for window in range(signals.shape[0]):
             x, sensed_a, sensed_b, reading, command = signals[window]
@@ -203,6 +186,8 @@ def _build(sources: int) -> Any:
                 mean_square[:] = 0.0
                 normals[:] = 0.0
                 rights[:] = 0.0
+                pull[:] = 0.0
+                known_leak[:] = 0.0
                 travel[:] = 0.0
                 slope[:] = 0.0
                 filtered[:] = 0.0
@@ -215,9 +200,9 @@ def _build(sources: int) -> Any:
                         share = (point + 0.5) / POINTS
                         a = p_a[k] + share * (p_a[k + 1] - p_a[k]) - u.bias_a
                         b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
-                        part = sheet.period / POINTS
+                        step = sheet.period / POINTS
                         drawn += (
-                            _add_flows(travel, slope, a, b, spool[k, point], supply, excess_share, part, u, c) / POINTS
+                            _add_flows(travel, slope, a, b, spool[k, point], supply, excess_share, step, u, c) / POINTS
                         )
                     volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
                     length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b
@@ -247,7 +232,7 @@ def _build(sources: int) -> Any:
                         total = variance[residual] + base * base
                         blend, unit = variance[residual] / total, 1.0 / math.sqrt(total)
                         variance[residual] *= 1.0 - blend
-                        square = _whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
+                        square = whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
                         mean_square[residual] += square / (samples - 1)
                         if other:  # noise of the pressures, taken out; less in the matrix, so that it stays definite
                             known = (unit * sensed) ** 2
@@ -258,6 +243,9 @@ def _build(sources: int) -> Any:
                             for j in range(i + 1):
                                 normals[residual, i, j] += whitened[i] * whitened[j]
                             rights[residual, i] -= whitened[i] * whitened[COUNT]
+                        part = PARTS * k // (samples - 1)
+                        pull[residual, part] -= whitened[INTERNAL] * whitened[COUNT]
+                        known_leak[residual, part] += whitened[INTERNAL] ** 2
 
                 # What the model does not explain is noise: a residual above 1 counts by its logarithm.
                 cost = 0.0
@@ -268,6 +256,9 @@ def _build(sources: int) -> Any:
                     cost += off * off
                 for residual in range(2):
                     above = max(mean_square[residual], 1.0)
+                    for part in range(PARTS):
+                        pull[residual, part] /= above
+                        known_leak[residual, part] /= above
                     cost += (samples - 1) * (min(mean_square[residual], 1.0) + math.log(above))
                     for i in range(COUNT):
                         right[i] += rights[residual, i] / above
@@ -280,16 +271,27 @@ def _build(sources: int) -> Any:
                     best_right[:] = right
                     estimate[window] = theta
                     misfit[window] = mean_square
+                    for part in range(PARTS):
+                        known = 1.0 + known_leak[0, part] + known_leak[1, part]
+                        off = (pull[0, part] + pull[1, part]) / known
+                        part_leak[window, part] = u.internal_leak + off * spread[INTERNAL]
+                        part_deviation[window, part] = spread[INTERNAL] / math.sqrt(known)
                     if gained < ENOUGH:
                         break
                 else:
                     damping *= 10.0
-                normal[:] = best_normal
-                right[:] = best_right
-                for i in range(COUNT):
-                    normal[i, i] *= 1.0 + damping
-                factor(normal)
-                substitute(normal, right)
+                for held in range(2):
+                    normal[:] = best_normal
+                    right[:] = best_right
+                    for i in range(COUNT):
+                        normal[i, i] *= 1.0 + damping
+                    none = -estimate[window, INTERNAL] / spread[INTERNAL]
+                    if held == 1:  # at zero, for a leak cannot be negative
+                        hold(normal, right, INTERNAL, max(none, -LARGEST_MOVE))
+                    factor(normal)
+                    substitute(normal, right)
+                    if right[INTERNAL] >= none:
+                        break
                 for i in range(COUNT):
                     theta[i] = estimate[window, i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
                 theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
@@ -315,6 +317,8 @@ class Balance(NamedTuple):
     deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
     misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
     spool_error: NDArray[np.float64]  # (N, T), spool reading less the answer of the most similar valve to the commands
+    part_leak: NDArray[np.float64]  # (N, PARTS), l/min at 100 bar, of each part of the window, all else as estimated
+    part_deviation: NDArray[np.float64]  # (N, PARTS)
 
 
 def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
@@ -325,8 +329,7 @@ def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
         sheet: data sheet of the axis.
     """
     count, _, samples = signals.shape
-    balance = Balance(
-        np.empty((count, COUNT)), np.empty((count, COUNT)), np.empty((count, 2)), np.empty((count, samples))
-    )
+    widths = (COUNT, COUNT, 2, samples, PARTS, PARTS)
+    balance = Balance(*(np.empty((count, width)) for width in widths))
     _fit(np.ascontiguousarray(signals), sheet, *balance)
     return balance

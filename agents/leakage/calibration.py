@@ -8,22 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.leakage.dataset import Windows
-from agents.leakage.features import LABELS, MOTION
-from agents.leakage.head import (
-    GROUPS,
-    SMALLEST_FLOW,
-    HeadSettings,
-    LeakageHead,
-    groups,
-    quantiles,
-    standardised,
-)
+from agents.leakage.features import CHANGE, LABELS
+from agents.leakage.head import SMALLEST_FLOW, HeadSettings, LeakageHead, quantiles, standardised
+from agents.leakage.intervals import GROUPS, SIZES, WIDTHS, groups
 from agents.leakage.metrics import threshold_at_false_alarm_rate
 from hydro_env import TaskConfig
 
 FALSE_ALARM_RATE = 0.01
 COVERAGE = 0.9
 """Share of the intervals that hold the true size."""
+
+CHANGING_SHARE = 0.15
+"""Share of the windows that count as those of a changing leak."""
+
+FEWEST, REACH = 40, 0.2
+"""Windows that a size needs, and how far from it in decades they may lie."""
 
 OUTSIDE_RATE = 0.01
 """Share of validation windows that count as unlike the training."""
@@ -32,6 +31,28 @@ OUTSIDE_RATE = 0.01
 def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
     """log10 of the flow, at least that of the smallest flow that counts."""
     return np.log10(np.maximum(flow_lpm, SMALLEST_FLOW)).astype(np.float32)
+
+
+def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Distance of the truth from the middle quantile that 95 % do not exceed, at each of SIZES and to each side.
+
+    Args:
+        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
+        size: log10 of the true size, (N,).
+        chosen: windows of the group; where it has fewer than FEWEST of a size, all windows of that size count.
+
+    Returns:
+        In parts of the distance of the outer quantiles, (SIZES, 2).
+    """
+    low, middle, high = quantiles.T
+    off = np.column_stack([(middle - size) / (middle - low), (size - middle) / (high - middle)])
+    found = np.ones((len(SIZES), 2))
+    for number, place in enumerate(SIZES):
+        near = np.abs(size - place) < REACH
+        mine = near & chosen if (near & chosen).sum() >= FEWEST else near
+        if mine.any():
+            found[number] = np.quantile(off[mine], 0.5 * (1.0 + COVERAGE), axis=0)
+    return np.maximum(found, 0.0)
 
 
 def calibrated(
@@ -44,31 +65,23 @@ def calibrated(
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
     A leak is flagged at 1 % false alarms among healthy axes without other faults, any other label at 1 % among axes
-    that do not have it. The intervals are widened by conformal factors, one for each end and group of windows (Romano,
-    Patterson & Candès 2019, *Conformalized Quantile Regression*).
+    that do not have it. Intervals: :mod:`agents.leakage.intervals`.
     """
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
     tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)
-    tensors["motion"][0] = np.median(windows.features[:, MOTION])
     plain = HeadSettings(config, config.steps, longest, 0.5, record)
     output = LeakageHead(tensors, plain).outputs(inputs)
     probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
     clean, threshold = windows.fault < 0, 1.0
     for label in range(len(LABELS)):
         without = (windows.labels[:, label] == 0.0) & (clean if label == 0 else True)
-        found = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
-        tensors["thresholds"][label] = found
-        threshold = min(found, 1.0) if label == 0 else threshold
-    low, middle, high = quantiles(output).T
-    size = size_target(windows.flow_lpm)
-    group = groups(windows.features, probability[:, 0], threshold, float(tensors["motion"][0]))
-    tail = 0.5 * (1.0 + COVERAGE)
+        limit = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
+        tensors["thresholds"][label] = limit
+        threshold = min(limit, 1.0) if label == 0 else threshold
+    found, size = quantiles(output), size_target(windows.flow_lpm)
+    tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
+    tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
+    group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
     for number in range(GROUPS):
-        mine = group == number
-        if mine.sum() >= 20:
-            tensors["widening"][number] = (
-                np.quantile(((middle - size) / (middle - low))[mine], tail),
-                np.quantile(((size - middle) / (high - middle))[mine], tail),
-            )
-    tensors["widening"] = np.maximum(tensors["widening"], 0.1)
+        tensors["widening"][number] = distances(found, size, group == number)
     return LeakageHead(tensors, HeadSettings(config, config.steps, longest, threshold, record))

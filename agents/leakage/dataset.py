@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import Controller, ObservationLayout
-from agents.leakage.features import FEATURES, LABELS, SENSORS, SIGNALS, features_of
-from agents.leakage.operation import OPERATIONS, Operation, Row
+from agents.leakage.features import FEATURES, LABELS, SIGNALS, features_of
+from agents.leakage.operation import OPERATIONS, Operation
 from agents.leakage.sheet import Sheet, sheet_of
 from agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS
+from hydro_env.task.sensors import CHANNELS
 
 UNSEEN = ("position_offset",)
 """Faults that no measured signal shows: they get no label."""
@@ -33,13 +34,26 @@ LABEL_OF_FAULT = {
 }
 """Index of the label of each fault."""
 
-_FREEZES = np.array([FAULTS.index(f"{name}_freeze") for name in SENSORS])
+KINDS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
+"""Faults of the training; a sensor that stands still is found without the network (:mod:`agents.leakage.stuck`)."""
 
-CHUNK = 512
+LEAKS = ("constant", "onset", "growth", "orifice")
+"""Leaks of the training: constant through a laminar gap, beginning or growing within the window, constant orifice."""
+
+CHANGING = ("onset", "growth")
+
+CHUNK = 256
 """Largest number of axes that are simulated together."""
 
-SECOND_FAULT, FROZEN_LATER, AT_START = 0.1, 0.05, 0.2
-"""Shares: of faulty axes with a second fault, of windows in which a sensor freezes, of those at the start of a run."""
+SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
+"""Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks drawn from the healthy bound
+on; the others begin at three times that bound."""
+
+NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
+"""Share of chunks with other sensor noise, and its range in parts of the task's."""
+
+LATEST = 0.9
+"""Part of the window in which a leak begins at the latest."""
 
 
 class Windows(NamedTuple):
@@ -57,6 +71,15 @@ class Windows(NamedTuple):
         return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
+class Chunk(NamedTuple):
+    """Runs that are simulated together."""
+
+    row: int  # of OPERATIONS
+    doer: int  # index of the controller, −1: none
+    leak: str  # one of LEAKS
+    axes: int
+
+
 class Plan(NamedTuple):
     """What windows are made of."""
 
@@ -64,22 +87,28 @@ class Plan(NamedTuple):
     controllers: Sequence[Controller]
     healthy_share: float
     fault_share: float
+    changing_share: float  # runs whose leak begins or grows within the window
+    orifice_share: float
     lowest_flow: float  # l/min at 100 bar
     highest_flow: float
     shortest: int  # samples
     longest: int
     per_run: int  # windows of each run
 
-    def chunks(self, episodes: int) -> list[tuple[int, int, int]]:
-        """Parts of the runs: row of OPERATIONS, index of the controller (−1: none), number of axes."""
+    def chunks(self, episodes: int) -> list[Chunk]:
+        """Parts of the runs."""
         parts = []
         total = sum(row.share for row in OPERATIONS)
+        changing, orifice = 0.5 * self.changing_share, self.orifice_share
+        shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
         for number, row in enumerate(OPERATIONS):
             doers = range(len(self.controllers)) if row.manner is None else [-1]
             for doer in doers:
-                count = max(round(episodes * row.share / total / len(doers)), 1)
-                pieces = -(-count // CHUNK)
-                parts += [(number, doer, count * (p + 1) // pieces - count * p // pieces) for p in range(pieces)]
+                for leak, share in shares.items():
+                    count = round(episodes * share * row.share / total / len(doers))
+                    pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
+                    sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
+                    parts += [Chunk(number, doer, leak, size) for size in sizes]
         return parts
 
     def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
@@ -92,63 +121,73 @@ class Plan(NamedTuple):
         """
         sheet = sheet_of(self.config)
         seed = first_seed
-        for number, (row, doer, count) in enumerate(self.chunks(episodes)):
+        for number, chunk in enumerate(self.chunks(episodes)):
             if number >= skip:
-                yield self._chunk(OPERATIONS[row], row, doer, np.arange(seed, seed + count), sheet)
-            seed += count
+                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), sheet)
+            seed += chunk.axes
 
-    def _chunk(self, row: Row, number: int, doer: int, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
-        generator = np.random.default_rng([int(seeds[0]), number])
-        count, config = len(seeds), self.config
+    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
+        generator = np.random.default_rng([int(seeds[0]), chunk.row])
+        row, count, config = OPERATIONS[chunk.row], chunk.axes, self.config
+        # Whole lengths in a few steps: the windows of one length are read together.
+        choices = np.unique(np.geomspace(self.shortest, self.longest, 5).round().astype(int))
+        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(self.per_run)]
         steps = self.longest + self.longest // 4
-        changes: dict[str, Any] = {
-            "episode_duration": steps * config.control_period,
-            "leakage": config.leakage.model_dump() | {"schedule": "constant"},
-            "faults": {"sensor_freeze": {"schedule": "mixed", "start_range": (0.2, 0.6)}},
-        }
-        task = row.task(task_config(config, **changes))
+        leakage = config.leakage.model_dump() | {"schedule": "constant"}
+        if chunk.leak == "orifice":
+            leakage |= {"law": "orifice"}
+        if changing := chunk.leak in CHANGING:  # the run ends with its only window
+            sizes = [int(generator.choice(sizes))]
+            steps = sizes[0] + int(generator.integers(self.shortest) if generator.random() > AT_START else 0)
+            begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
+            leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
+        duration = steps * config.control_period
+        task = task_config(config, episode_duration=duration, leakage=leakage, sensors=_sensors(config, generator))
+        task = row.task(task)
         flow = self._leaks(generator, count)
-        faults, first, labels = draw_faults(config, generator, count, self.fault_share)
+        faults, fault, labels = draw_faults(config, generator, count, self.fault_share)
         labels[:, 0] = flow > config.leakage.class_bounds[0]
         layout = ObservationLayout.of(task)
         columns = [layout.index(name) for name in SIGNALS]
         acting: Any = (
-            Operation(row.manner, task, count, int(seeds[0])) if row.manner is not None else self.controllers[doer]
+            Operation(row.manner, task, count, int(seeds[0]))
+            if row.manner is not None
+            else self.controllers[chunk.doer]
         )
         run = run_cases(task, acting, Cases(seeds, flow, faults=faults), columns, states=False, chunk=count)
         assert run.signals is not None
         signals = run.signals * np.array([layout.scale[column] for column in columns], dtype=np.float32)[:, None]
         lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
         parts = []
-        for turn in range(self.per_run):
-            # Whole lengths in a few steps: the windows of one length are read together.
-            choices = np.unique(np.geomspace(self.shortest, self.longest, 5).round().astype(int))
-            size = int(choices[0] if turn % 2 == 0 else generator.choice(choices))
-            kept = np.flatnonzero(lengths >= size)
-            begin = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
-            begin[generator.random(len(kept)) < AT_START] = 0
-            cut = (
-                np.stack([signals[axis, :, b : b + size] for axis, b in zip(kept, begin, strict=True)])
-                if len(kept)
-                else np.empty((0, len(SIGNALS), size))
-            )
-            told = labels[kept].copy()
-            frozen, sensor = freeze(cut, generator)
-            told[frozen, LABELS.index("sensor_fault")] = 1.0
-            met = first[kept]
-            met[frozen] = np.where(met[frozen] < 0, _FREEZES[sensor], met[frozen])
-            values = features_of(cut, sheet) if len(kept) else np.empty((0, len(FEATURES)), dtype=np.float32)
-            parts.append(Windows(values, told, flow[kept], np.full(len(kept), number), met))
+        for size in sizes:
+            kept = np.flatnonzero(lengths >= (steps if changing else size))
+            begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
+            begins[generator.random(len(kept)) < AT_START] = 0
+            if changing:
+                begins[:] = steps - size
+            cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
+            values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
+            parts.append(Windows(values, labels[kept], flow[kept], np.full(len(kept), chunk.row), fault[kept]))
         return Windows.joined(parts)
 
     def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Leaks in l/min: healthy, or above the healthy bound; log-uniform."""
         bound = self.config.leakage.class_bounds[0]
         healthy = generator.random(count) < self.healthy_share
-        low = np.where(healthy, self.lowest_flow, np.where(generator.random(count) < 0.15, bound, 3.0 * bound))
+        low = np.where(healthy, self.lowest_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound))
         high = np.where(healthy, bound, self.highest_flow)
         flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
         return flow
+
+
+def _sensors(config: TaskConfig, generator: np.random.Generator) -> dict[str, Any]:
+    """The sensors of the task, in a part of the chunks with more or less noise."""
+    sensors = config.sensors.model_dump()
+    factor = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
+    if generator.random() < NOISY:
+        for name in CHANNELS:
+            sensors[name]["noise"] *= float(factor)
+    return sensors
 
 
 def draw_faults(
@@ -159,7 +198,7 @@ def draw_faults(
     first = np.full(count, -1)
     labels = np.zeros((count, len(LABELS)), dtype=np.float32)
     for axis in np.flatnonzero(generator.random(count) < share):
-        for kind in generator.choice(FAULT_KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
+        for kind in generator.choice(KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
             low, high = getattr(config.faults, kind).range
             size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
             name = generator.choice([name for name, of in KIND_OF_FAULT.items() if of == kind])
@@ -168,13 +207,3 @@ def draw_faults(
             if name in LABEL_OF_FAULT:
                 labels[axis, LABEL_OF_FAULT[name]] = 1.0
     return sizes, first, labels
-
-
-def freeze(signals: NDArray[Any], generator: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Freeze a sensor of some windows (N, 5, T) in place, from some place on; numbers of those windows and sensors."""
-    frozen = np.flatnonzero(generator.random(len(signals)) < FROZEN_LATER)
-    sensors = generator.integers(len(SENSORS), size=len(frozen))
-    for window, sensor in zip(frozen, sensors, strict=True):
-        begin = int(generator.uniform(0.0, 0.7) * signals.shape[2])
-        signals[window, sensor, begin:] = signals[window, sensor, begin]
-    return frozen, sensors

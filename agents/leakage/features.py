@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.balance import fit_balance
+from agents.leakage.balance import PARTS, fit_balance
 from agents.leakage.sheet import Sheet, Unknowns
+from agents.leakage.stuck import run_lengths
 from hydro_env.plant.equations import Coefficients
 
 SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
@@ -24,6 +25,9 @@ LONGEST_GAP = 5
 
 FAR_FROM_END = np.array([0.05, 0.05, 0.05, 0.3])[:, None]
 """Part of its range by which a sensor does not fall within one period: a reading that does is a lost sample."""
+
+LAST_PARTS = 3
+"""Parts of the window before its end whose own leak is a feature; it tells the size of a leak that grows."""
 
 STILL_COMMAND = 2e-3
 """Change of the command within one period below which the spool ought to stand where it is told."""
@@ -64,13 +68,16 @@ FEATURES = (
     "friction",
     "misfit of force",
     *(f"lost samples of {name}" for name in SENSORS),
-    *(f"longest standstill of {name}" for name in SENSORS),
+    *(f"change of leak in part {part + 1}" for part in range(PARTS)),
+    *(f"leak in part {part + 1}" for part in range(PARTS - LAST_PARTS, PARTS)),
+    "deviation of leak in last part",
+    "change of leak",
     "duration",
 )
 """Names of the features."""
 
-MOTION = FEATURES.index("change of spool")
-"""The feature by which quiet and lively windows are told apart."""
+CHANGE = FEATURES.index("change of leak")
+"""The feature by which windows with a constant leak and with a changing one are told apart."""
 
 
 class Repaired(NamedTuple):
@@ -101,17 +108,10 @@ def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
 
 def _held_for(mask: NDArray[np.bool_], samples: int) -> NDArray[np.bool_]:
     """True where a run of true values is at least so long."""
-    lengths = _run_lengths(mask)
-    backwards = _run_lengths(mask[:, :, ::-1])[:, :, ::-1]
+    lengths = run_lengths(mask)
+    backwards = run_lengths(mask[:, :, ::-1])[:, :, ::-1]
     longer: NDArray[np.bool_] = mask & (lengths + backwards - 1 >= samples)
     return longer
-
-
-def _run_lengths(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Length of the run of true values that ends at each place."""
-    places = np.arange(1, mask.shape[2] + 1)
-    lengths: NDArray[np.int64] = places - np.maximum.accumulate(np.where(mask, 0, places), axis=2)
-    return lengths
 
 
 def _logarithm(values: NDArray[np.float64], floor: float) -> NDArray[np.float64]:
@@ -145,6 +145,9 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
     leaks = [Unknowns._fields.index(f"{name}_leak") for name in ("internal", "external")]
     told, direction = spool - error, np.sign(np.diff(command, axis=1, prepend=command[:, :1]))
     still = np.abs(np.diff(command, axis=1, prepend=command[:, :1])) < STILL_COMMAND
+    part_weight = fitted.part_deviation**-2.0
+    mean_leak = np.sum(part_weight * fitted.part_leak, axis=1) / part_weight.sum(axis=1)
+    part_change = (fitted.part_leak - mean_leak[:, None]) / fitted.part_deviation
     load = _load_fit(x, p_a * c.area_a - p_b * c.area_b, sheet.period, stroke, pressure * c.area_a)
     columns = [
         *np.arcsinh(10.0 * (estimate - sheet.mean) / sheet.spread).T,
@@ -178,7 +181,10 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
         _logarithm(_change(x) / stroke, 1e-6),
         *load.T,
         *np.log10(whole.lost + 1e-3).T,
-        *_standstill(whole.signals[:, :4]).T,
+        *np.arcsinh(part_change).T,
+        *np.arcsinh(fitted.part_leak[:, -LAST_PARTS:] / 0.1).T,
+        _logarithm(fitted.part_deviation[:, -1], 1e-4),
+        _logarithm(np.mean(part_change**2, axis=1), 1e-2),
         np.full(len(x), np.log10(x.shape[1] * sheet.period)),
     ]
     values: NDArray[np.float32] = np.nan_to_num(np.stack(columns, axis=1), posinf=0.0, neginf=0.0).astype(np.float32)
@@ -200,12 +206,3 @@ def _load_fit(
         [solution[:, 1, 0], solution[:, 0, 0], 10.0 * solution[:, 3, 0], _logarithm(_spread(left), 1e-4)]
     )
     return values
-
-
-def _standstill(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Logarithm of the longest run of equal readings (N, sensors), as a share of the window."""
-    same = np.diff(values, axis=2) == 0.0
-    if not same.any():
-        return np.full(values.shape[:2], -3.0)
-    longest: NDArray[np.float64] = np.log10(_run_lengths(same).max(axis=2) / values.shape[2] + 1e-3)
-    return longest

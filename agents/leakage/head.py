@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch
-from agents.leakage.features import FEATURES, LABELS, MOTION, SIGNALS, features_of
+from agents.leakage.features import CHANGE, FEATURES, LABELS, SIGNALS, features_of
+from agents.leakage.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
 from agents.leakage.sheet import sheet_of
+from agents.leakage.stuck import stuck_sensors
 from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -38,8 +40,6 @@ SMALLEST_FLOW = 0.01
 """l/min at 100 bar; smaller leaks are not told from none, and an interval that begins here begins at 0."""
 
 LAYERS = 3
-GROUPS = 4
-"""Kinds of windows with intervals of their own: (flagged or not) × (lively or quiet)."""
 
 FARTHEST = 8.0
 """Standard deviations from the mean of the training at which a feature is cut off."""
@@ -59,7 +59,8 @@ class LeakageEstimate(NamedTuple):
     valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
     sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
     return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # 1: unlike all that the head was trained on, its answer does not count; else 0
+    outside: NDArray[np.float64]  # 1: unlike all that the head was trained on, or a sensor stands still: its answer
+    # does not count; else 0
 
     @property
     def none(self) -> NDArray[np.float64]:
@@ -121,8 +122,9 @@ def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
         "scale": (len(FEATURES),),
         "whitener": (len(FEATURES), len(FEATURES)),
         "limit": (1,),
-        "motion": (1,),
-        "widening": (GROUPS, 2),
+        "widths": (WIDTHS - 1,),
+        "changing": (1,),
+        "widening": (GROUPS, len(SIZES), 2),
         "thresholds": (len(LABELS),),
     }
     for layer in range(LAYERS):
@@ -142,14 +144,6 @@ def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
     result: NDArray[np.float64] = np.column_stack(
         [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
     )
-    return result
-
-
-def groups(
-    features: NDArray[np.float32], probability: NDArray[np.float64], threshold: float, motion: float
-) -> NDArray[np.int64]:
-    """Group of each window (N,), whose intervals are widened alike."""
-    result: NDArray[np.int64] = 2 * (probability >= threshold).astype(np.int64) + (features[:, MOTION] > motion)
     return result
 
 
@@ -257,10 +251,17 @@ class LeakageHead:
             )
         signals = signals[:, :, -self.settings.longest :]
         parts = [
-            self.judge(features_of(signals[first : first + batch], self.sheet))
+            self._judged(np.asarray(signals[first : first + batch], dtype=np.float64))
             for first in range(0, len(signals), batch)
         ]
         return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
+
+    def _judged(self, signals: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = self.judge(features_of(signals, self.sheet))
+        stuck = stuck_sensors(signals, self.settings.task).any(axis=1)
+        for name in ("sensor_fault", "outside"):
+            values[stuck, LeakageEstimate._fields.index(name)] = 1.0
+        return values
 
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
@@ -268,11 +269,9 @@ class LeakageHead:
         inputs = standardised(features, t["mean"], t["scale"])
         output, distance = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
         probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
-        low, middle, high = quantiles(output).T
-        widening = t["widening"][groups(features, probability[:, 0], self.settings.threshold, float(t["motion"][0]))]
-        low = middle - (middle - low) * widening[:, 0]
-        high = middle + (high - middle) * widening[:, 1]
-        sizes = 10.0 ** np.clip(np.column_stack([middle, low, high]), np.log10(SMALLEST_FLOW), 2.0)
+        found = quantiles(output)
+        group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
+        sizes = 10.0 ** np.clip(intervals(found, t["widening"][group]), np.log10(SMALLEST_FLOW), 2.0)
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
         outside = distance > t["limit"][0]
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Small symmetric systems in compiled code: Cholesky factor and substitution."""
+"""Least squares in compiled code: whitened residuals, and small symmetric systems."""
 
 from __future__ import annotations
 
@@ -8,6 +8,28 @@ from hydro_env.compiling import inline
 
 SMALLEST_PIVOT = 0.05
 """A smaller pivot is raised to this, which keeps a matrix definite from which known noise was taken out."""
+
+OUTLIER = 3.0
+"""Standard deviations beyond which a residual counts linearly (Huber)."""
+
+
+@inline
+def whiten(value, slope, other, filtered, whitened, spread, blend, unit):
+    """Whitened residual and derivatives, into ``whitened``; returns the residual's square, linear beyond an outlier.
+
+    ``other``: the residual is the difference of both travels, else position less the travel of chamber a.
+    """
+    count = spread.shape[0]
+    innovation = value - filtered[count]
+    filtered[count] += blend * innovation
+    size = abs(unit * innovation)
+    weight = unit * (1.0 if size < OUTLIER else math.sqrt(OUTLIER / size))
+    for i in range(count):
+        change = spread[i] * (slope[1, i] - slope[0, i] if other else -slope[0, i]) - filtered[i]
+        filtered[i] += blend * change
+        whitened[i] = weight * change
+    whitened[count] = weight * innovation
+    return size * size if size < OUTLIER else OUTLIER * (2.0 * size - OUTLIER)
 
 
 @inline
@@ -19,6 +41,16 @@ def factor(matrix):
             for k in range(j):
                 total -= matrix[i, k] * matrix[j, k]
             matrix[i, j] = math.sqrt(max(total, SMALLEST_PIVOT)) if i == j else total / matrix[j, j]
+
+
+@inline
+def hold(matrix, right, unknown, value):
+    """Give an unknown of the normal equations a fixed value, in place; the lower half of the matrix counts."""
+    for i in range(right.shape[0]):
+        row, column = max(i, unknown), min(i, unknown)
+        right[i] -= matrix[row, column] * value
+        matrix[row, column] = 0.0
+    matrix[unknown, unknown], right[unknown] = 1.0, value
 
 
 @inline

@@ -143,13 +143,13 @@ def _as_it_is(config: TaskConfig) -> TaskConfig:
 
 
 OPERATIONS = (
-    Row("controllers", 0.26, _as_it_is, None),
+    Row("controllers", 0.23, _as_it_is, None),
     Row("controllers, slow references", 0.08, slow, None),
-    Row("controllers, standing still", 0.08, still, None),
+    Row("controllers, standing still", 0.11, still, None),
     Row("controllers, changing loads", 0.06, loaded, None),
     Row("proportional", 0.08, _as_it_is, MANNERS["proportional"]),
-    Row("proportional, standing still", 0.05, still, MANNERS["proportional"]),
-    Row("by hand", 0.12, _as_it_is, MANNERS["by hand"]),
+    Row("proportional, standing still", 0.07, still, MANNERS["proportional"]),
+    Row("by hand", 0.10, _as_it_is, MANNERS["by hand"]),
     Row("chattering", 0.08, _as_it_is, MANNERS["chattering"]),
     Row("chattering, standing still", 0.03, still, MANNERS["chattering"]),
     Row("dithering", 0.05, _as_it_is, MANNERS["dithering"]),

@@ -55,7 +55,9 @@ class HeadTrainingSettings(Group):
     windows: int = Field(3, ge=1, le=100, description="windows that are cut from each run")
     longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
-    fault_share: float = Field(0.55, ge=0.0, le=1.0, description="share of runs with another fault than a leak")
+    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with another fault than a leak")
+    changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
+    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="runs with a leak as through an orifice")
     lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     epochs: int = Field(20, ge=1, le=100_000)
@@ -83,6 +85,11 @@ class HeadTrainingSettings(Group):
                 f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
                 f"leakage.class_bounds[0] = {healthy:g} l/min"
             )
+        if self.changing_share + self.orifice_share > 1.0:
+            raise ConfigurationError(
+                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
+                "must be at most 1 together"
+            )
         if self.highest_flow <= faulty:
             raise ConfigurationError(
                 f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
@@ -101,6 +108,8 @@ class HeadTrainingSettings(Group):
             controllers=controllers,
             healthy_share=self.healthy_share,
             fault_share=self.fault_share,
+            changing_share=self.changing_share,
+            orifice_share=self.orifice_share,
             lowest_flow=self.lowest_healthy_flow,
             highest_flow=self.highest_flow,
             shortest=config.steps,
@@ -272,7 +281,7 @@ class _Job:
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
         """Simulate the windows of a phase that are missing."""
-        parts, sizes = self.parts[phase], [count for _, _, count in self.plan.chunks(episodes)]
+        parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
         if not parts:
             self.save()
         for part in self.plan.windows(episodes, first_seed, skip=len(parts)):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.dataset import LABEL_OF_FAULT, Windows, draw_faults, freeze
-from agents.leakage.features import FEATURES, LABELS
+from agents.leakage.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from agents.leakage.features import CHANGE, FEATURES, LABELS
 from agents.leakage.operation import MANNERS, OPERATIONS, Operation, slow, still
+from agents.leakage.sheet import sheet_of
 from agents.leakage.training import HeadTrainingSettings
 from agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -54,15 +55,29 @@ def test_every_label_but_the_leak_follows_from_a_fault():
         assert (sizes[name].min() < 0.0) == (kind in SIGNED_KINDS)
 
 
-def test_frozen_windows_are_told():
-    signals = np.random.default_rng(0).standard_normal((400, 5, 50))
-    before = signals.copy()
-    frozen, sensors = freeze(signals, np.random.default_rng(1))
-    assert 5 <= len(frozen) <= 40
-    untouched = np.setdiff1d(np.arange(400), frozen)
-    np.testing.assert_array_equal(signals[untouched], before[untouched])
-    for window, sensor in zip(frozen, sensors, strict=True):
-        assert (np.diff(signals[window, sensor])[-10:] == 0.0).all()
+def test_the_runs_are_shared_out_over_operations_and_leaks():
+    chunks = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1).plan(CONFIG, [CONTROLLER]).chunks(10_000)
+    axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAKS}
+    assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
+    assert {chunk.row for chunk in chunks} == set(range(len(OPERATIONS)))
+    assert max(chunk.axes for chunk in chunks) <= 256
+
+
+@pytest.mark.parametrize("leak", ["onset", "growth"])
+def test_a_changing_leak_is_labelled_with_its_size_at_the_end_of_the_window(leak):
+    config = TaskConfig()
+    plan = HeadTrainingSettings(fault_share=0.0).plan(config, [CONTROLLER])
+    seeds = TRAINING_SEEDS.start + 930_000 + np.arange(60)
+    data = plan._chunk(Chunk(4, -1, leak, 60), seeds, sheet_of(config))
+    assert len(data.flow_lpm) >= 55
+    early, late = (data.features[:, FEATURES.index(f"change of leak in part {part}")] for part in (1, 8))
+    large = data.flow_lpm > 1.0
+    assert large.sum() >= 5
+    assert np.mean(late[large] > early[large] + 1.0) > 0.8
+    assert np.median(data.features[large, CHANGE]) > np.median(data.features[data.flow_lpm <= 0.03, CHANGE]) + 0.5
+    # The leak of the last part is no larger than that at the end; a growing one is smaller.
+    last = 0.1 * np.sinh(data.features[large, FEATURES.index("leak in part 8")])
+    assert np.median(last / data.flow_lpm[large]) < (1.15 if leak == "onset" else 0.9)
 
 
 @pytest.mark.parametrize("name", MANNERS)

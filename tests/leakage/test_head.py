@@ -115,6 +115,17 @@ def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path,
     assert len(str(caught.value).splitlines()) == 1
 
 
+def test_beside_a_sensor_that_stands_still_the_answer_does_not_count(head):
+    rows = rows_of(CONFIG.steps, 3).transpose(1, 0, 2)
+    signals = rows[:, :, head.columns].transpose(0, 2, 1).astype(np.float64) * head.scale[:, None]
+    working = head.estimate_windows(signals)
+    signals[1, 1, 30:] = signals[1, 1, 30]
+    stuck = head.estimate_windows(signals)
+    assert (stuck.outside[1], stuck.sensor_fault[1]) == (1.0, 1.0)
+    np.testing.assert_array_equal(stuck.probability[[0, 2]], working.probability[[0, 2]])
+    np.testing.assert_array_equal(stuck.outside[[0, 2]], working.outside[[0, 2]])
+
+
 def test_monitor_acts_as_its_controller_and_waits_for_a_window(head):
     env = ServoHydraulicVectorEnv(3, CONFIG, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=0)
@@ -237,6 +248,10 @@ def test_leaks_to_train_on_must_suit_the_task():
         ({"lowest_healthy_flow": 5.0}, r"lowest_healthy_flow = 5: must be below the task's leakage.class_bounds\[0\]"),
         ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow = 0.03"),
         ({"highest_flow": 0.1}, "highest_flow = 0.1: must be above"),
+        (
+            {"changing_share": 0.7, "orifice_share": 0.6},
+            "changing_share = 0.7 and orifice_share = 0.6: must be at most",
+        ),
     ):
         with pytest.raises(ConfigurationError, match=message):
             train_head(CONFIG, [CONTROLLER], SETTINGS.model_copy(update=change))

@@ -1,0 +1,60 @@
+"""Intervals of the leak's size that hold what they say at every size.
+
+The network gives three quantiles of the size. Validation windows tell, for every true size, how far the truth lies from
+the middle one, in parts of the distance to the outer one. The interval holds the sizes for which the answer of the
+network is none of the rarest 5 % at either end (Neyman 1937, *Outline of a Theory of Statistical Estimation*).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+SIZES = np.linspace(-2.0, 0.7, 10)
+"""log10 of the true sizes, l/min at 100 bar, for which the distances are stored; between them they are interpolated."""
+
+WIDTHS = 3
+GROUPS = 2 * WIDTHS
+"""Kinds of windows with distances of their own: by the width of the network's own interval, and with a constant or a
+changing leak."""
+
+ROUNDS = 6
+"""Repetitions of the search for the ends."""
+
+
+def groups(
+    quantiles: NDArray[np.float64], change: NDArray[Any], widths: NDArray[Any], changing: float
+) -> NDArray[np.int64]:
+    """Group of each window, (N,).
+
+    Args:
+        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
+        change: how much the leak changes within the window, (N,).
+        widths: bounds between the widths, (WIDTHS - 1,).
+        changing: from which change on a leak counts as changing.
+    """
+    width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
+    return np.asarray(WIDTHS * (change > changing) + width, dtype=np.int64)
+
+
+def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray[np.float64]:
+    """Middle and ends (N, 3) of log10 of the size.
+
+    Args:
+        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
+        distance: of the ends from the middle at each of SIZES, in parts of those of the quantiles, (N, SIZES, 2).
+    """
+    low, middle, high = quantiles.T
+    ends, rows = [], np.arange(len(middle))
+    for side, reach in enumerate((low - middle, high - middle)):
+        end = middle
+        for _ in range(ROUNDS):
+            place = np.clip((end - SIZES[0]) / (SIZES[1] - SIZES[0]), 0.0, len(SIZES) - 1.001)
+            below = place.astype(np.int64)
+            share = place - below
+            here = (1.0 - share) * distance[rows, below, side] + share * distance[rows, below + 1, side]
+            end = middle + here * reach
+        ends.append(end)
+    return np.column_stack([middle, *ends])

@@ -1,0 +1,57 @@
+"""Intervals hold the truth in nine of ten cases at every size, whatever the network's own quantiles are like."""
+
+import numpy as np
+import pytest
+
+from agents.leakage.calibration import distances
+from agents.leakage.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
+
+
+def answers(count, seed):
+    """Sizes, and quantiles of a network that errs: too small where leaks are small, too sure where they are large."""
+    generator = np.random.default_rng(seed)
+    size = generator.uniform(-2.0, 0.7, count)
+    middle = size - 0.03 * (size < -1.0) + np.where(size > 0.0, 0.1, 0.03) * generator.standard_normal(count)
+    return size, np.column_stack([middle - 0.05, middle, middle + 0.07])
+
+
+def test_distances_of_one_give_the_quantiles_themselves():
+    quantiles = np.array([[-1.3, -1.0, -0.9], [0.0, 0.3, 0.5]])
+    found = intervals(quantiles, np.ones((2, len(SIZES), 2)))
+    np.testing.assert_allclose(found, quantiles[:, [1, 0, 2]])
+
+
+def test_the_end_lies_where_the_distance_of_its_own_size_reaches():
+    distance = np.ones((1, len(SIZES), 2))
+    distance[0, :, 1] = SIZES - SIZES[0]  # reaches farther for larger sizes
+    found = intervals(np.array([[-1.2, -1.0, -0.8]]), distance)[0]
+    # end = -1 + 0.2 (end + 2), solved by hand
+    assert found[2] == pytest.approx(-0.6 / 0.8, abs=1e-3)
+
+
+def test_intervals_hold_at_every_size():
+    size, quantiles = answers(40_000, 0)
+    table = distances(quantiles, size, np.ones(len(size), dtype=bool))
+    size, quantiles = answers(40_000, 1)
+    _, low, high = intervals(quantiles, np.repeat(table[None], len(size), axis=0)).T
+    held = (low <= size) & (size <= high)
+    for begin in np.arange(-1.8, 0.5, 0.3):
+        if abs(begin + 1.0) > 0.35 and abs(begin) > 0.35:  # where the network's errors jump, the mean of both counts
+            here = (size >= begin) & (size < begin + 0.3)
+            assert 0.87 < held[here].mean() < 0.94, begin
+    raw = (quantiles[:, 0] <= size) & (size <= quantiles[:, 2])
+    assert raw[size > 0.2].mean() < 0.6
+
+
+def test_a_size_that_the_group_hardly_has_takes_the_windows_of_all_groups():
+    size, quantiles = answers(4000, 2)
+    few = np.zeros(len(size), dtype=bool)
+    few[:50] = True
+    np.testing.assert_array_equal(distances(quantiles, size, few), distances(quantiles, size, np.ones_like(few)))
+
+
+def test_groups_by_width_and_change():
+    quantiles = np.array([[0.0, 0.1, 0.2], [0.0, 0.5, 1.0], [0.0, 2.0, 4.0], [0.0, 0.1, 0.2]])
+    found = groups(quantiles, np.array([0.0, 0.0, 0.0, 3.0]), np.array([0.5, 2.0]), 1.0)
+    np.testing.assert_array_equal(found, [0, 1, 2, WIDTHS])
+    assert found.max() < GROUPS

@@ -1,0 +1,57 @@
+"""A sensor that repeats one reading is told from one that works, at rest and at the ends of its range too."""
+
+import numpy as np
+import pytest
+
+from agents.leakage.stuck import run_lengths, stuck_sensors
+from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import CHANNELS
+
+CONFIG = TaskConfig()
+SENSORS = [getattr(CONFIG.sensors, name) for name in CHANNELS]
+
+
+def resting(windows=200, samples=400):
+    """Readings (N, 5, T) of an axis at rest: noise in steps of the acquisition."""
+    generator = np.random.default_rng(0)
+    signals = np.zeros((windows, 5, samples))
+    for row, sensor in enumerate(SENSORS):
+        middle = 0.5 * (sensor.low + sensor.high) + 0.1 * (sensor.high - sensor.low)
+        noise = sensor.noise * generator.standard_normal((windows, samples))
+        signals[:, row] = np.round((middle + noise) / sensor.resolution) * sensor.resolution
+    return signals
+
+
+def test_lengths_of_runs():
+    mask = np.array([[False, True, True, False, True], [True, True, True, True, True]])
+    np.testing.assert_array_equal(run_lengths(mask), [[0, 1, 2, 0, 1], [1, 2, 3, 4, 5]])
+
+
+def test_working_sensors_at_rest_are_not_stuck():
+    assert not stuck_sensors(resting(), CONFIG).any()
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_a_sensor_that_stops_is_found_and_no_other(row):
+    signals = resting(3)
+    signals[1, row, 350:] = signals[1, row, 350]  # for a quarter of a second
+    signals[2, row, 100:115] = signals[2, row, 100]  # too short to count
+    expected = np.zeros((3, 4), dtype=bool)
+    expected[1, row] = True
+    np.testing.assert_array_equal(stuck_sensors(signals, CONFIG), expected)
+
+
+def test_the_ends_of_the_range_and_lost_samples_do_not_count():
+    signals = resting(3)
+    signals[0, 1] = SENSORS[1].low  # a chamber that cavitates
+    signals[1, 3] = SENSORS[3].high  # the valve at full stroke
+    signals[2, 2] = np.nan  # no such sensor
+    assert not stuck_sensors(signals, CONFIG).any()
+
+
+@pytest.mark.parametrize("sensors", [{"enabled": False}, {"position": {"noise": 0.0}}])
+def test_a_sensor_without_noise_may_repeat_its_reading(sensors):
+    signals = resting(1)
+    signals[:, 0] = 0.02
+    assert not stuck_sensors(signals, task_config(CONFIG, sensors=sensors)).any()
