@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.dataset import Windows
-from agents.leakage.features import CHANGE, LABELS
-from agents.leakage.head import SMALLEST_FLOW, HeadSettings, LeakageHead, quantiles, standardised
+from agents.leakage.dataset import LEAKS, Windows
+from agents.leakage.features import CHANGE, LABELS, SPREAD, STILL
+from agents.leakage.head import SMALLEST_FLOW, HeadSettings, LeakageHead, probabilities, quantiles, standardised
 from agents.leakage.intervals import GROUPS, SIZES, WIDTHS, groups
 from agents.leakage.metrics import threshold_at_false_alarm_rate
 from hydro_env import TaskConfig
@@ -20,6 +20,9 @@ COVERAGE = 0.9
 
 CHANGING_SHARE = 0.15
 """Share of the windows that count as those of a changing leak."""
+
+LARGEST_SHIFT = 2.0
+"""Of the logit of a leak on an axis that stands still."""
 
 FEWEST, REACH = 40, 0.2
 """Windows that a size needs, and how far from it in decades they may lie."""
@@ -64,20 +67,25 @@ def calibrated(
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
-    A leak is flagged at 1 % false alarms among healthy axes without other faults, any other label at 1 % among axes
-    that do not have it. Intervals: :mod:`agents.leakage.intervals`.
+    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. A leak is flagged at
+    1 % false alarms among healthy axes without other faults, among those that stand still as among those that move; any
+    other label at 1 % among axes that do not have it. Intervals: :mod:`agents.leakage.intervals`.
     """
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
     tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)
+    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
+    windows, inputs = Windows(*(values[usual] for values in windows)), inputs[usual]
     plain = HeadSettings(config, config.steps, longest, 0.5, record)
     output = LeakageHead(tensors, plain).outputs(inputs)
-    probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
-    clean, threshold = windows.fault < 0, 1.0
+    clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
+    still = windows.features[:, SPREAD] < STILL
+    logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
+    tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
+    probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
     for label in range(len(LABELS)):
-        without = (windows.labels[:, label] == 0.0) & (clean if label == 0 else True)
-        limit = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
-        tensors["thresholds"][label] = limit
-        threshold = min(limit, 1.0) if label == 0 else threshold
+        without = windows.labels[:, label] == 0.0 if label > 0 else clean
+        tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
+    threshold = min(float(tensors["thresholds"][0]), 1.0)
     found, size = quantiles(output), size_target(windows.flow_lpm)
     tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
     tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)

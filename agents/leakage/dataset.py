@@ -64,6 +64,8 @@ class Windows(NamedTuple):
     flow_lpm: NDArray[np.float64]  # (N,), internal leak, l/min at 100 bar
     operation: NDArray[np.int64]  # (N,), index into OPERATIONS
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
+    leak: NDArray[np.int64]  # (N,), index into LEAKS
+    noise: NDArray[np.float64]  # (N,), of the sensors, in parts of the task's
 
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
@@ -142,8 +144,12 @@ class Plan(NamedTuple):
             begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
             leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
         duration = steps * config.control_period
-        task = task_config(config, episode_duration=duration, leakage=leakage, sensors=_sensors(config, generator))
-        task = row.task(task)
+        noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
+        noise = float(noise) if generator.random() < NOISY else 1.0
+        sensors = config.sensors.model_dump()
+        for name in CHANNELS:
+            sensors[name]["noise"] *= noise
+        task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
         flow = self._leaks(generator, count)
         faults, fault, labels = draw_faults(config, generator, count, self.fault_share)
         labels[:, 0] = flow > config.leakage.class_bounds[0]
@@ -167,7 +173,8 @@ class Plan(NamedTuple):
                 begins[:] = steps - size
             cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
             values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
-            parts.append(Windows(values, labels[kept], flow[kept], np.full(len(kept), chunk.row), fault[kept]))
+            told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
+            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise)))
         return Windows.joined(parts)
 
     def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
@@ -178,16 +185,6 @@ class Plan(NamedTuple):
         high = np.where(healthy, bound, self.highest_flow)
         flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
         return flow
-
-
-def _sensors(config: TaskConfig, generator: np.random.Generator) -> dict[str, Any]:
-    """The sensors of the task, in a part of the chunks with more or less noise."""
-    sensors = config.sensors.model_dump()
-    factor = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
-    if generator.random() < NOISY:
-        for name in CHANNELS:
-            sensors[name]["noise"] *= float(factor)
-    return sensors
 
 
 def draw_faults(

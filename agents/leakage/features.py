@@ -76,6 +76,10 @@ FEATURES = (
 )
 """Names of the features."""
 
+SPREAD = FEATURES.index("spread of position")
+STILL = np.log10(3e-4)
+"""Value of this feature below which the axis stands still."""
+
 CHANGE = FEATURES.index("change of leak")
 """The feature by which windows with a constant leak and with a changing one are told apart."""
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from agents.controllers.base import Floats, ObservationLayout, as_batch
-from agents.leakage.features import CHANGE, FEATURES, LABELS, SIGNALS, features_of
+from agents.leakage.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
 from agents.leakage.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
 from agents.leakage.sheet import sheet_of
 from agents.leakage.stuck import stuck_sensors
@@ -126,6 +126,7 @@ def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
         "changing": (1,),
         "widening": (GROUPS, len(SIZES), 2),
         "thresholds": (len(LABELS),),
+        "still_shift": (1,),
     }
     for layer in range(LAYERS):
         shapes |= {f"weight_{layer}": (sizes[layer + 1], sizes[layer]), f"bias_{layer}": (sizes[layer + 1],)}
@@ -136,6 +137,15 @@ def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArr
     """Inputs of the network, (N, F)."""
     inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -FARTHEST, FARTHEST)
     return inputs
+
+
+def probabilities(
+    output: NDArray[np.float64], features: NDArray[np.float32], still_shift: float
+) -> NDArray[np.float64]:
+    """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak where an axis stands."""
+    logits = output[:, : len(LABELS)].copy()
+    logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
+    return np.asarray(1.0 / (1.0 + np.exp(-logits)))
 
 
 def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -268,7 +278,7 @@ class LeakageHead:
         t = self.tensors
         inputs = standardised(features, t["mean"], t["scale"])
         output, distance = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
-        probability = 1.0 / (1.0 + np.exp(-output[:, : len(LABELS)]))
+        probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)
         group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
         sizes = 10.0 ** np.clip(intervals(found, t["widening"][group]), np.log10(SMALLEST_FLOW), 2.0)
