@@ -153,7 +153,7 @@ def measured(row: Row, head: LeakageHead, config: TaskConfig, plants: int) -> di
         "row": row.name,
         **shares,
         "false alarms inside": 100.0 * (flagged & inside)[true == LEVELS[0]].mean(),
-        "interval holds": 100.0 * held[inside].mean(),
+        "interval holds": 100.0 * held[inside].mean() if inside.any() else np.nan,
         "outside": 100.0 * (~inside).mean(),
         "log10 size": np.sqrt(np.mean(np.log10(found.flow_lpm / true)[leaking] ** 2)),
         "median log10 size": np.median(np.abs(np.log10(found.flow_lpm / true)[leaking])),

@@ -25,7 +25,7 @@ LARGEST_SHIFT = 2.0
 """Of the logit of a leak on an axis that stands still."""
 
 FEWEST, REACH = 40, 0.2
-"""Windows that a size needs, and how far from it in decades they may lie."""
+"""Windows that a size needs, and an axis that stands still; how far from the size in decades they may lie."""
 
 OUTSIDE_RATE = 0.01
 """Share of validation windows that count as unlike the training."""
@@ -79,8 +79,9 @@ def calibrated(
     output = LeakageHead(tensors, plain).outputs(inputs)
     clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
     still = windows.features[:, SPREAD] < STILL
-    logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
-    tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
+    if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:
+        logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
+        tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
     probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
     for label in range(len(LABELS)):
         without = windows.labels[:, label] == 0.0 if label > 0 else clean

@@ -39,6 +39,9 @@ UPDATES_PER_WINDOW = 16
 SMALLEST_FLOW = 0.01
 """l/min at 100 bar; smaller leaks are not told from none, and an interval that begins here begins at 0."""
 
+LARGEST_FLOW = 100.0
+"""l/min at 100 bar; no answer is larger."""
+
 LAYERS = 3
 
 FARTHEST = 8.0
@@ -68,6 +71,16 @@ class LeakageEstimate(NamedTuple):
         probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
         result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
         return result
+
+
+BESIDE_STUCK_SENSOR = {
+    "probability": 0.5,
+    "low_lpm": 0.0,
+    "high_lpm": LARGEST_FLOW,
+    "sensor_fault": 1.0,
+    "outside": 1.0,
+}
+"""The answer beside a sensor that stands still: the sensor is at fault, the leak may be any or none."""
 
 
 @dataclass(frozen=True)
@@ -269,8 +282,8 @@ class LeakageHead:
     def _judged(self, signals: NDArray[np.float64]) -> NDArray[np.float64]:
         values = self.judge(features_of(signals, self.sheet))
         stuck = stuck_sensors(signals, self.settings.task).any(axis=1)
-        for name in ("sensor_fault", "outside"):
-            values[stuck, LeakageEstimate._fields.index(name)] = 1.0
+        for name, value in BESIDE_STUCK_SENSOR.items():
+            values[stuck, LeakageEstimate._fields.index(name)] = value
         return values
 
     def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -281,7 +294,8 @@ class LeakageHead:
         probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)
         group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
-        sizes = 10.0 ** np.clip(intervals(found, t["widening"][group]), np.log10(SMALLEST_FLOW), 2.0)
+        ends = np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW)
+        sizes = 10.0 ** np.clip(intervals(found, t["widening"][group]), *ends)
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
         outside = distance > t["limit"][0]
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)

@@ -10,8 +10,8 @@ import torch
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.leakage.calibration import calibrated, size_target
-from agents.leakage.dataset import Windows
-from agents.leakage.features import FEATURES, LABELS, SIGNALS
+from agents.leakage.dataset import LEAKS, Windows
+from agents.leakage.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
 from agents.leakage.head import LeakageEstimate, LeakageHead, quantiles, standardised
 from agents.leakage.metrics import area_under_roc
 from agents.leakage.monitor import MonitoredController
@@ -59,7 +59,8 @@ def test_learns_to_tell_leaks(head):
     plan = SETTINGS.plan(CONFIG, [CONTROLLER])
     windows = Windows.joined(list(plan.windows(150, TRAINING_SEEDS.start + 900_000)))
     estimate = LeakageEstimate(*head.judge(windows.features).T)
-    kept = (windows.fault < 0) & ((windows.flow_lpm <= 0.03) | (windows.flow_lpm >= 0.5))
+    kept = (windows.fault < 0) & (windows.leak == LEAKS.index("constant"))
+    kept &= (windows.flow_lpm <= 0.03) | (windows.flow_lpm >= 0.5)
     leaking = windows.flow_lpm[kept] >= 0.5
     assert area_under_roc(estimate.probability[kept], leaking) > 0.9
     found, true = np.log(estimate.flow_lpm[kept][leaking]), np.log(windows.flow_lpm[kept][leaking])
@@ -121,7 +122,8 @@ def test_beside_a_sensor_that_stands_still_the_answer_does_not_count(head):
     working = head.estimate_windows(signals)
     signals[1, 1, 30:] = signals[1, 1, 30]
     stuck = head.estimate_windows(signals)
-    assert (stuck.outside[1], stuck.sensor_fault[1]) == (1.0, 1.0)
+    assert (stuck.outside[1], stuck.sensor_fault[1], stuck.probability[1]) == (1.0, 1.0, 0.5)
+    assert stuck.low_lpm[1] == 0.0 < stuck.flow_lpm[1] < stuck.high_lpm[1]
     np.testing.assert_array_equal(stuck.probability[[0, 2]], working.probability[[0, 2]])
     np.testing.assert_array_equal(stuck.outside[[0, 2]], working.outside[[0, 2]])
 
@@ -268,12 +270,16 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     labels[:, 0] = flow > 0.03
     features = generator.standard_normal((count, len(FEATURES))).astype(np.float32)
     nobody = np.full(count, -1)
-    windows = Windows(features, labels, flow, np.zeros(count, dtype=np.int64), nobody)
+    features[:, SPREAD] -= 3.5  # half of them stand still
+    nothing = np.zeros(count, dtype=np.int64)
+    windows = Windows(features, labels, flow, nothing, nobody, nothing, np.ones(count))
     found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
     estimate = LeakageEstimate(*found.judge(features).T)
-    assert np.mean(estimate.probability[flow <= 0.03] >= found.settings.threshold) <= 0.01
+    still = features[:, SPREAD] < STILL
+    for here in (still, ~still):
+        assert np.mean(estimate.probability[here & (flow <= 0.03)] >= found.settings.threshold) <= 0.015
     held = (estimate.low_lpm <= flow) & (flow <= estimate.high_lpm)
-    assert 0.87 < held.mean() < 0.97
+    assert 0.8 < held.mean() < 0.97  # of a network that answers at random; test_intervals.py asks for 0.87 to 0.94
     assert estimate.outside.mean() == pytest.approx(0.01, abs=0.002)
 
 
