@@ -107,7 +107,8 @@ def _terms(facts: Facts) -> _Rows:
         (
             "The four terms of (24) add up to the rate of the force (23)",
             YES if error < 1e-6 else NO,
-            f"With the corrected signs they agree to {error:.0e} of the largest rate.",
+            "With the corrected signs they agree "
+            + ("to rounding." if error < 1e-12 else f"within {error:.0e} of the largest rate."),
         ),
         (
             "Leakage slows the build-up of the force",
@@ -122,7 +123,7 @@ def _share(facts: Facts) -> _Rows:
     laws, ratio = facts["laws"], facts["ratio"]
     lasting = [law for law in laws if law["persists"]]
     shares = "; ".join(
-        f"{law['name'].lower()} {law['low']['percent']} % of all terms at {law['low']['bar']} bar, "
+        f"{law['name'].lower()} {law['low']['percent']} % at {law['low']['bar']} bar, "
         f"{law['high']['percent']} % at {law['high']['bar']} bar"
         for law in laws
     )
@@ -131,7 +132,7 @@ def _share(facts: Facts) -> _Rows:
         (
             "Leakage is negligible while the pressure difference is low",
             NO if len(lasting) == len(laws) else PART if lasting or facts["lowest"] > 0.0 else YES,
-            f"At {flow(SEVERE)} ({shares}).",
+            f"Share of the leakage term at {flow(SEVERE)}: {shares}.",
         ),
         (
             "The share of leakage grows with the pressure difference",

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from repository_links import ROOT
 from sphinx.application import Sphinx
+from sphinx.util.nodes import get_node_source
 
 SENTENCES = ("property", "attribute", "data")
 _as_written: dict[str, list[str]] = {}
@@ -30,6 +32,21 @@ def restore(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: 
         lines[:] = _as_written[name]
 
 
+def address_of(module: Any, found: Any) -> str:
+    """Address of the source of a module or of something that it defines; empty outside of the project."""
+    if not hasattr(found, "__module__") and not inspect.ismodule(found):
+        found = module  # a constant
+    home = found if inspect.ismodule(found) else inspect.getmodule(found) or module
+    path = Path(getattr(home, "__file__", None) or "/").resolve()
+    if not path.is_relative_to(ROOT):
+        return ""
+    try:
+        line = "" if inspect.ismodule(found) else f"#line-{inspect.getsourcelines(found)[1]}"
+    except (OSError, TypeError):  # made by a function: only its module has a place
+        line = ""
+    return f"../source/{path.relative_to(ROOT).as_posix()}.html{line}"
+
+
 def source_of(name: str, context: list[str]) -> str | None:
     """Address, from a page in ``docs``, of the source of ``name``, which may be relative to one of the modules."""
     for place in ["", *context]:
@@ -42,12 +59,7 @@ def source_of(name: str, context: list[str]) -> str | None:
                     found = getattr(found, part)
             except (ImportError, AttributeError, ValueError):
                 continue
-            try:
-                path = Path(inspect.getsourcefile(found) or "").resolve()
-                line = f"#line-{inspect.getsourcelines(found)[1]}" if found is not module else ""
-            except TypeError:  # a constant
-                path, line = Path(inspect.getsourcefile(module) or ""), ""
-            return f"../source/{path.relative_to(ROOT).as_posix()}.html{line}" if path.is_relative_to(ROOT) else ""
+            return address_of(module, found)
     return None
 
 
@@ -57,7 +69,9 @@ def link_to_source(app: Sphinx, env: Any, node: Any, content: nodes.TextElement)
         return None
     module = node.get("py:module") or ""
     owner = getattr(importlib.import_module(module), node.get("py:class") or "", None) if module else None
-    address = source_of(node["reftarget"], [module, getattr(owner, "__module__", "")])
+    docstring = re.search(r"docstring of ([\w.]+)\.\w+", get_node_source(node) or "")
+    context = [module, getattr(owner, "__module__", ""), docstring[1] if docstring else ""]
+    address = source_of(node["reftarget"], context)
     if address:
         return nodes.reference("", "", content, refuri=address, internal=True)
     return content if address == "" or node["reftarget"] in ANNOTATIONS else None

@@ -62,6 +62,10 @@ class RepositoryLinks(SphinxTransform):
         ]:
             if node.get("reftype") != "myst":
                 continue
+            if node.get("refdomain") == "doc":
+                if Path(node.astext()).name == f"{Path(node['reftarget']).name}.md":
+                    node["refexplicit"] = False  # the title of the page says more than its file name
+                continue
             target = (here / node["reftarget"]).resolve()
             if not target.exists() or not target.is_relative_to(ROOT):
                 continue
