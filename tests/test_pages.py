@@ -27,7 +27,7 @@ PYTHON = [
     for number, (kind, _) in enumerate(FENCE.findall(text))
     if kind == "python"
 ]
-SLOW = ("docs/bound.md", "docs/leak_bound.md", "docs/own_controller.md")
+SLOW = ("docs/bound.md", "docs/leak_bound.md")
 ELSEWHERE = {"docs/ray.md": "ray", "docs/dask.md": "dask"}
 """Pages whose code needs a package that is no dependency; tests/robustness/test_backends.py runs it where it is."""
 
@@ -41,7 +41,14 @@ def given(tmp_path, monkeypatch):
     (tmp_path / "results" / "alarms" / "alarm.yaml").symlink_to(ROOT / "configs" / "agents" / "alarm.yaml")
     monkeypatch.chdir(tmp_path)
     signals = np.array(healthy(tmp_path).signals)[None, :, 100:901]
-    row = {"controller": "PID", "condition": "leak_1", "family": "sine", "leakage_flow_lpm": 1.0, "plant": 0}
+    row = {
+        "controller": "PID",
+        "training_seed": 0,
+        "condition": "leak_1",
+        "family": "sine",
+        "leakage_flow_lpm": 1.0,
+        "plant": 0,
+    }
     return {"signals": signals[:, :, :401], "window": signals[:, :, :401], "row": row | {"seed": 2_200_000}}
 
 
