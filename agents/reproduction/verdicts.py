@@ -64,7 +64,7 @@ def _moves(facts: Facts) -> _Rows:
         (
             "A leak damps the oscillation after a stop",
             (PART if hidden else YES) if falls else NO,
-            f"Without friction it swings by {_ends(*swing, 'mm', 2)}."
+            f"Without friction it swings by {_ends(swing[0], swing[1], 'mm', 2)}."
             + (" With the assumed friction the swing is below the noise at every leak." if hidden else ""),
         ),
     ]
@@ -77,7 +77,7 @@ def _closed_moves(facts: Facts) -> _Rows:
         (
             "The slowing also shows in a closed position loop (the paper does not say whether it was closed)",
             YES if ratio >= facts["little"] else PART if ratio > 1.0 + facts["notable"] else NO,
-            f"While the axis moves the error reaches {_ends(*sizes, 'mm', 2)}.",
+            f"While the axis moves the error reaches {_ends(sizes[0], sizes[1], 'mm', 2)}.",
         )
     ]
 
