@@ -4,6 +4,7 @@ Sphinx reads from the root of the repository, so that the links between the page
 the repository is shown.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -20,7 +21,7 @@ version = release = __version__
 project_copyright = "hydro_env contributors, MIT licence"
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.linkcode",
     "sphinx.ext.napoleon",
@@ -44,6 +45,13 @@ exclude_patterns = [
     "benchmarks",
 ]
 nitpicky = True
+
+# The notebooks run while the site is built; an error in one ends the build.
+os.environ["PYTHONPATH"] = str(HERE.parent)
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 600
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline", "attrs_block"]
 myst_heading_anchors = 4

@@ -17,7 +17,7 @@ from agents.commands.application import app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = [*sorted(DOCS.glob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
+PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 PYTHON = [
@@ -108,9 +108,10 @@ def test_links_and_pictures(page):
 
 
 def test_every_page_stands_in_the_contents():
-    listed = set(re.findall(r"^[\w./]+$", "\n".join(body for _, body in FENCE.findall(TEXTS["docs/index.md"])), re.M))
-    there = {page.stem for page in DOCS.glob("*.md")} - {"index"} | {"../CONTRIBUTING", "../CHANGELOG"}
-    assert listed == there
+    contents = "\n".join(body for _, body in FENCE.findall(TEXTS["docs/index.md"]))
+    pages = {page.relative_to(DOCS).with_suffix("").as_posix() for page in DOCS.rglob("*.md")}
+    listed = set(re.findall(r"^[\w./]+$", contents, flags=re.MULTILINE))
+    assert listed == pages - {"index"} | {"../CONTRIBUTING", "../CHANGELOG"}
 
 
 def test_every_command_and_every_room_is_listed():
