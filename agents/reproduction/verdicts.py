@@ -94,7 +94,7 @@ def _settling(facts: Facts) -> _Rows:
     return [
         (
             "The settling time after a quick stop falls as the leak grows",
-            YES if falling == combinations else PART if falling else NO,
+            YES if falling == combinations and not facts["hidden"] else PART if falling else NO,
             f"It falls at every step in {falling} of {combinations} combinations of friction, valve and law of the "
             f"leak; without friction ({free['name'].lower()}) it is {without_friction}.{friction}",
         )
