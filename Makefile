@@ -10,7 +10,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: study test slow-test mutants lint types check versions clean
+.PHONY: study test slow-test mutants lint types check docs versions clean
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
@@ -36,6 +36,11 @@ types: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 check: lint types test
+
+# The documentation as a site that opens from disk; a warning or a broken link is an error.
+docs: $(VENV)/.installed-dev
+	$(BIN)/python -m sphinx -q -W --keep-going -c docs . build/site -d build/doctrees
+	$(BIN)/python docs/check_links.py build/site
 
 versions:
 	$(PYTHON) benchmarks/versions.py

@@ -4,14 +4,14 @@ Run: python benchmarks/put_into_docs.py [results/benchmark/benchmark.md] [docs/p
 
 A page holds ``<!-- benchmark: GROUP -->`` and ``<!-- end -->``; what stands between is replaced by the table of the
 group, or for ``circumstances`` by the line that names machine, versions and threads. A group that was not measured
-keeps what it has.
+keeps what it has. put_results_into_docs.py does the same between ``<!-- table: NAME -->`` and ``<!-- end -->``.
 """
 
 import re
 import sys
 from pathlib import Path
 
-MARKED = re.compile(r"(<!-- benchmark: (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
+MARKED = re.compile(r"(<!-- (?:benchmark|table): (\w+) -->\n).*?(<!-- end -->)", flags=re.DOTALL)
 
 
 def sections(text: str) -> dict[str, str]:

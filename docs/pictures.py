@@ -1,9 +1,14 @@
-"""Makes the pictures of the README from the tables of a study.
+"""Makes the pictures of the README and of the site.
 
-Run: python docs/pictures.py results/study
+Run: python docs/pictures.py [results/study], where the folder has the tables of a study; without one, only the drawing,
+the animation and the charts of the pages' own tables are made.
 """
 
+import hashlib
+import re
 import sys
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import gymnasium as gym
@@ -14,11 +19,25 @@ from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from agents.controllers import PID, PIDGains
-from agents.report.canvas import WIDE, bars, dodge, level_axis, looks_of, render
+from agents.report.canvas import (
+    COLOURS,
+    GREY,
+    WIDE,
+    WIDTH,
+    bars,
+    dodge,
+    level_axis,
+    looks_of,
+    render,
+    row_axis,
+    ticks,
+)
 from agents.running.folders import config_folder
 from hydro_env import TaskConfig
+from hydro_env.canvas import PAPER
 
-FOLDER = Path(__file__).parent / "images"
+DOCS = Path(__file__).parent
+FOLDER, TABLES = DOCS / "images", DOCS / "tables"
 
 
 def results(tables: Path) -> None:
@@ -67,7 +86,156 @@ def axis() -> None:
     env.close()
 
 
+def controllers() -> None:
+    """Error of each controller over that of the PID under all conditions of the robustness protocol."""
+    table = pd.read_csv(TABLES / "robustness.csv").rename(
+        columns={"equal_weight_low": "low", "equal_weight_high": "high"}
+    )
+    looks = looks_of(table["controller"][::-1])
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        for place, (_, row) in enumerate(table.iterrows()):
+            bars(axes, [place], row.to_frame().T, "equal_weight", looks[row["controller"]], "", "rows")
+        row_axis(axes, list(table["controller"]))
+        axes.axvline(1.0, color=GREY, linewidth=1.0)
+        axes.set(xlabel="error over the PID's", xlim=(0.0, 1.1))
+
+    save("chart_controllers.svg", paint, 2.6)
+
+
+def detectors() -> None:
+    """Share of leaks that each detector finds at 1 % false alarms, over the leak."""
+    table = pd.read_csv(TABLES / "detectors.csv")
+    table = table.rename(columns={"at_1_percent_low": "low", "at_1_percent_high": "high"})
+    table[["at_1_percent", "low", "high"]] *= 100.0
+    names = list(table["detector"].unique())
+    looks = looks_of(names)
+
+    def paint(figure: Figure) -> None:
+        axes = figure.subplots()
+        places = level_axis(axes, sorted(table["level"].unique()))
+        for index, name in enumerate(names):
+            part = table[table["detector"] == name]
+            at = np.array([places[level] for level in part["level"]]) + dodge(len(names), index, 0.04)
+            bars(axes, at, part, "at_1_percent", looks[name], name)
+        axes.set(ylabel="found, %", ylim=(0, 104))
+        axes.legend(loc="lower right")
+
+    save("chart_detectors.svg", paint, 3.0)
+
+
+def performance() -> None:
+    """Speed over the number of axes, and where the time of a training goes, from the tables of docs/performance.md."""
+    rows = [
+        line.split("|")[1:4]
+        for line in (DOCS / "performance.md").read_text(encoding="utf-8").splitlines()
+        if "|" in line
+    ]
+    values = {name.strip(): float(value.replace(",", "")) for name, _, value in rows if _is_number(value)}
+    kinds = {"NextStep": "this environment", "CartPole-v1": "CartPole-v1, Gymnasium's fastest"}
+    counts = [16, 64, 256, 1024, 4096, 16384]
+    looks = looks_of(kinds)
+
+    def speed(figure: Figure) -> None:
+        axes = figure.subplots()
+        for kind, label in kinds.items():
+            steps = [values[f"{kind}, N = {count:,}"] for count in counts]
+            axes.plot(counts, steps, marker=looks[kind].marker, label=label, **looks[kind].stroke)
+        axes.set(xscale="log", yscale="log", xlabel="axes side by side", ylabel="steps per second")
+        ticks(axes.xaxis, counts, lambda value: f"{value:,.0f}")
+        axes.legend(loc="upper left")
+
+    parts = {
+        name.removeprefix("PPO iteration: "): values[name] for name in values if name.startswith("PPO iteration: ")
+    }
+
+    def training(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.barh(range(len(parts)), list(parts.values()), color=COLOURS[0])
+        row_axis(axes, list(parts))
+        axes.set(xlabel="ms per iteration of PPO (256 axes × 64 steps)")
+
+    save("chart_speed.svg", speed, 3.0)
+    save("chart_training_time.svg", training, 3.2)
+
+
+def _is_number(text: str) -> bool:
+    return re.fullmatch(r" *[0-9][0-9,.]* *", text) is not None
+
+
+CHARTS = {
+    "chart_controllers.svg": "tables/robustness.csv",
+    "chart_detectors.svg": "tables/detectors.csv",
+    "chart_speed.svg": "performance.md",
+    "chart_training_time.svg": "performance.md",
+}
+"""Charts, and the file whose numbers each shows."""
+
+
+def data_mark(chart: str) -> str:
+    """A comment at the end of a chart that names its numbers; tests/test_site.py compares it with the file."""
+    text = (DOCS / CHARTS[chart]).read_text(encoding="utf-8")
+    numbers = "".join(line for line in text.splitlines() if line.count("|") > 3) or text
+    return f"<!-- {CHARTS[chart]} {hashlib.sha256(numbers.encode()).hexdigest()[:16]} -->\n"
+
+
+def save(chart: str, paint: Callable[[Figure], None], height: float) -> None:
+    """Write a chart of one panel."""
+    (FOLDER / chart).write_bytes(render(paint, (WIDTH, height), "svg")[0] + data_mark(chart).encode())
+
+
+LEAKS = {"healthy seal": 0.01, "worn seal": 4.0}  # l/min at 100 bar
+DRAWN = (24, 56, 460, 320)  # of a frame: cylinder and valve, pixels
+GAP = 18  # between the two axes, pixels
+EVERY = 8  # control periods of 5 ms per frame
+
+
+def animation() -> None:
+    """A healthy and a leaking axis under the same valve commands, in real time: frames above, positions below."""
+    commands = np.repeat([0.0, 0.4, 0.0, -0.4, 0.0], [20, 80, 100, 80, 120])
+    frames, positions = {}, {}
+    for name, leak in LEAKS.items():
+        env = gym.make("ServoHydraulic-v0", render_mode="rgb_array")
+        env.reset(seed=4, options={"leakage_flow_lpm": leak, "initial_position": 0.0})
+        frames[name], positions[name] = [], []
+        for step, command in enumerate(commands):
+            *_, info = env.step([command])
+            positions[name].append(1e3 * info["position"])
+            if step % EVERY == 0:
+                frames[name].append(Image.fromarray(env.render()).crop(DRAWN))
+        env.close()
+    looks, time = looks_of(LEAKS), 0.005 * np.arange(1, len(commands) + 1)
+    width, height = DRAWN[2] - DRAWN[0] + GAP, DRAWN[3] - DRAWN[1]
+
+    def picture(steps: int) -> Image.Image:
+        def paint(figure: Figure) -> None:
+            axes = figure.subplots()
+            for name, look in looks.items():
+                axes.plot(time[:steps], positions[name][:steps], color=look.colour, linestyle=look.line, label=name)
+            axes.set(xlim=(0, time[-1]), ylim=(-5, 45), xlabel="time, s", ylabel="position, mm")
+            axes.legend(loc="upper right")
+
+        return Image.open(BytesIO(render(paint, (2 * width / 120, 1.7), "png")[0])).convert("RGB")
+
+    pages = []
+    for index in range(len(next(iter(frames.values())))):
+        below = picture(index * EVERY + 1)
+        page = Image.new("RGB", (2 * width, height + below.height), PAPER)
+        for column, name in enumerate(LEAKS):
+            page.paste(frames[name][index], (column * width, 0))
+        page.paste(below, (0, height))
+        pages.append(page)
+    more = {"save_all": True, "append_images": pages[1:], "duration": 5 * EVERY, "loop": 0, "quality": 60, "method": 6}
+    pages[0].save(FOLDER / "leak.webp", **more)
+
+
 if __name__ == "__main__":
     FOLDER.mkdir(exist_ok=True)
     axis()
-    results(Path(sys.argv[1]) / "tables")
+    animation()
+    controllers()
+    detectors()
+    performance()
+    if len(sys.argv) > 1:
+        results(Path(sys.argv[1]) / "tables")

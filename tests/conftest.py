@@ -3,6 +3,9 @@
 import os
 import signal
 
+import pytest
+from browser import start_browser
+
 # Threads of torch wait actively for each other: two are many times slower than one where other processes hold a core.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -11,3 +14,10 @@ def pytest_configure():
     """Let Ctrl-C act even where it is ignored (``nohup make test &``): tests send it to processes that they start."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture(scope="module")  # Playwright keeps an event loop: it ends with the file of tests
+def browser():
+    """A headless browser; see tests/browser.py."""
+    with start_browser() as started:
+        yield started

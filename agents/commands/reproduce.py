@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from agents.reproduction.figures import FIGURES, Entry, draw, write_words
-from agents.reproduction.page import PageFigure, equation_table, render_page
+from agents.reproduction.page import PageFigure, all_verdicts, equation_table, render_page
 from agents.reproduction.rig import Rig, rig_from
+from agents.reproduction.verdicts import verdict_table
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from hydro_env import HydroError
@@ -14,6 +15,7 @@ from hydro_env.files import write_text, write_whole
 
 PAGE_FILE = "page.html"
 EQUATIONS_FILE = "equations.csv"
+VERDICTS_FILE = "verdicts.csv"
 SUFFIXES = ("svg", "png", "csv")
 
 
@@ -35,7 +37,8 @@ def reproduce_to_folder(
             wrong or cannot work.
     """
     rig = rig_from(rig_file)
-    files = [PAGE_FILE, EQUATIONS_FILE, *(f"{entry.key}.{suffix}" for entry in FIGURES for suffix in SUFFIXES)]
+    drawn = [f"{entry.key}.{suffix}" for entry in FIGURES for suffix in SUFFIXES]
+    files = [PAGE_FILE, EQUATIONS_FILE, VERDICTS_FILE, *drawn]
     with output_folder(folder, "reproduce", files, overwrite=overwrite), ProgressDisplay() as display:
         write_text(folder / EQUATIONS_FILE, equation_table().to_csv(index=False))
         done = []
@@ -43,6 +46,8 @@ def reproduce_to_folder(
         for number, entry in enumerate(FIGURES, 1):
             done.append(_made(entry, rig, folder))
             display.update("figures", number, len(FIGURES), entry.title)
+        verdicts = verdict_table(all_verdicts(done))
+        write_text(folder / VERDICTS_FILE, verdicts.to_csv(index=False))
         write_text(folder / PAGE_FILE, render_page(done, command, rig))
     return folder / PAGE_FILE
 

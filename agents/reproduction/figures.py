@@ -55,6 +55,7 @@ from agents.reproduction.rig import Rig
 from agents.reproduction.sensitivity import sensitivity_table
 from agents.reproduction.settling import friction_scan_table, settling_table
 from agents.reproduction.settling_facts import friction_scan_facts, settling_facts
+from agents.reproduction.verdicts import Verdict, verdicts_of
 
 WORDS = Path(__file__).parent / "words"
 
@@ -148,6 +149,7 @@ class Words(NamedTuple):
     found: list[str]  # what comes out; numbers from the table
     differs: list[str]  # where the paper's conclusion does not come out
     summary: Table | None
+    verdicts: list[Verdict]  # on the paper's conclusions
 
 
 def write_words(entry: Entry, table: pd.DataFrame, rig: Rig) -> Words:
@@ -164,7 +166,8 @@ def write_words(entry: Entry, table: pd.DataFrame, rig: Rig) -> Words:
     parts = dict(zip(pieces[1::2], pieces[2::2], strict=True))
     lists = {name: re.split(r"^- ", parts.get(name, ""), flags=re.MULTILINE)[1:] for name in ("found", "differs")}
     found, differs = ([_joined(item) for item in items] for items in lists.values())
-    return Words(_joined(parts["paper"]), _joined(parts["how"]), found, differs, known.get("summary"))
+    verdicts = verdicts_of(entry.key, entry.title, known)
+    return Words(_joined(parts["paper"]), _joined(parts["how"]), found, differs, known.get("summary"), verdicts)
 
 
 TIMING = f"position sampled every {1e3 * CONTROL_PERIOD:g} ms, command {1e3 * COMMAND_LATENCY:g} ms late"

@@ -12,6 +12,7 @@ from agents.report.canvas import inline
 from agents.report.text import Table, templates
 from agents.reproduction.figures import Entry, Words
 from agents.reproduction.rig import Rig
+from agents.reproduction.verdicts import Verdict
 from hydro_env import TaskConfig, __version__
 
 HERE = Path(__file__).parent
@@ -37,12 +38,28 @@ class PageFigure(NamedTuple):
         return Markup(inline(self.drawing, self.entry.key, f"{self.entry.title}. {found}"))
 
 
+def all_verdicts(figures: list[PageFigure]) -> list[Verdict]:
+    """The verdicts on all conclusions of the paper, in the order of the page."""
+    return [verdict for figure in figures if figure.words is not None for verdict in figure.words.verdicts]
+
+
 def render_page(figures: list[PageFigure], command: str, rig: Rig) -> str:
     """The page as HTML."""
     table = equation_table()
     equations = Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)))
     template = templates(HERE).get_template("page.html.j2")
     bounds = TaskConfig().leakage.class_bounds
+    verdicts = Table("", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)])
     return template.render(
-        figures=figures, equations=equations, command=command, rig=rig, bounds=bounds, version=__version__
+        figures=figures,
+        equations=equations,
+        verdicts=verdicts,
+        command=command,
+        rig=rig,
+        bounds=bounds,
+        version=__version__,
     )
+
+
+def _row(verdict: Verdict) -> tuple[str, ...]:
+    return verdict.conclusion, verdict.verdict, verdict.finding, verdict.figure

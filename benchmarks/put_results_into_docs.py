@@ -1,0 +1,145 @@
+"""Keep the results that the pages show in ``docs/tables``, and put them into the pages.
+
+Run: python benchmarks/put_results_into_docs.py [results]
+
+The folder holds what commands wrote: ``study``, ``robustness``, ``leakage``, ``reproduce``. A part that is absent keeps
+what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
+``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+from put_into_docs import filled
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+TABLES = DOCS / "tables"
+PAGES = ("results.md", "reproduction.md")
+
+
+def _study(table: pd.DataFrame) -> pd.DataFrame:
+    return table[(table["against"] == "PID") & (table["group"] == "all")]
+
+
+def _detectors(table: pd.DataFrame) -> pd.DataFrame:
+    kept = table[(table["condition"] == "ordinary") & table["level"].isin((0.05, 0.1, 0.2, 0.3, 1.0))]
+    return kept[["detector", "level", "at_1_percent", "at_1_percent_low", "at_1_percent_high", "windows"]]
+
+
+def _with_interval(row: pd.Series, value: str, low: str, high: str, factor: float = 1.0, decimals: int = 3) -> str:
+    numbers = [f"{factor * row[name]:.{decimals}f}" for name in (value, low, high)]
+    return f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+
+
+def _study_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    return [
+        {
+            "controller": row["controller"],
+            "mean error ÷ PID's": _with_interval(row, "ratio", "low", "high"),
+            "better than the PID in": f"{100 * row['share_of_cases_better']:.0f} % of cases",
+        }
+        for _, row in table.iterrows()
+    ]
+
+
+def _robustness_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    return [
+        {
+            "controller": row["controller"],
+            "error ÷ PID's": _with_interval(row, "equal_weight", "equal_weight_low", "equal_weight_high"),
+            "worst case": f"{row['worst_ratio']:.1f}",
+            "valve travel": f"{row['travel_ratio']:.2f}",
+            "reversals": f"{row['reversals_ratio']:.2f}",
+            "energy": f"{row['energy_ratio']:.2f}",
+            "limit cycles": f"{row['limit_cycles']:.0f} of {row['standstills']:.0f}",
+            "failures": f"{row['failures']:.0f}",
+        }
+        for _, row in table.iterrows()
+    ]
+
+
+def _detector_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    names = ("at_1_percent", "at_1_percent_low", "at_1_percent_high")
+    rows = []
+    for detector, part in table.groupby("detector", sort=False):
+        shares = {f"{row['level']:g} l/min": _with_interval(row, *names, 100.0, 1) for _, row in part.iterrows()}
+        rows.append({"detector": str(detector), **shares, "windows": f"{part['windows'].min():.0f}"})
+    return rows
+
+
+def _floor_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    rows = []
+    for _, row in table.iterrows():
+        measured = f"{row['measured']:.3g}"
+        if pd.notna(row["low"]):
+            measured += f" ({row['low']:.3g} to {row['high']:.3g})"
+        floor, aim = (f"{row[name]:.2g}" if row[name] < 10 else f"{row[name]:g}" for name in ("floor", "aim"))
+        note = "" if pd.isna(row["note"]) else str(row["note"])
+        first = {"figure": f"{row['figure']}, {row['unit']}", "detector": row["detector"], "measured": measured}
+        rows.append(first | {"floor": floor, "aim": aim, "reaches": row["reaches"], "note": note})
+    return rows
+
+
+def _verdict_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    return [
+        {
+            "the paper concludes": row["conclusion"],
+            "verdict": f"**{row['verdict']}**",
+            "here": row["finding"],
+            "figure": row["figure"],
+        }
+        for _, row in table.iterrows()
+    ]
+
+
+class Source(NamedTuple):
+    """A table of the pages: the file that a command wrote, what of it is kept, and how it is shown."""
+
+    file: str
+    keep: Callable[[pd.DataFrame], pd.DataFrame]
+    rows: Callable[[pd.DataFrame], list[dict[str, str]]]
+
+
+SOURCES = {
+    "study": Source("study/tables/ratios.csv", _study, _study_rows),
+    "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
+    "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
+    "floors": Source("leakage/tables/floors.csv", pd.DataFrame.copy, _floor_rows),
+    "verdicts": Source("reproduce/verdicts.csv", pd.DataFrame.copy, _verdict_rows),
+}
+
+
+def markdown(rows: list[dict[str, str]]) -> str:
+    """Rows as a table in Markdown; all have the same columns."""
+    header = list(rows[0])
+    lines = [header, ["---"] * len(header), *([row.get(name, "–") for name in header] for row in rows)]
+    return "\n".join(f"| {' | '.join(str(cell) for cell in line)} |" for line in lines)
+
+
+def tables() -> dict[str, str]:
+    """The tables of the pages, from the kept results."""
+    return {name: markdown(source.rows(pd.read_csv(TABLES / f"{name}.csv"))) for name, source in SOURCES.items()}
+
+
+def main(results: str = "results") -> int:
+    """Keep new results, fill the pages."""
+    TABLES.mkdir(exist_ok=True)
+    for name, source in SOURCES.items():
+        file = Path(results) / source.file
+        if file.is_file():
+            source.keep(pd.read_csv(file)).to_csv(TABLES / f"{name}.csv", index=False, float_format="%.6g")
+        print(f"{name}: {file if file.is_file() else 'as before'}")
+    made = tables()
+    for page in PAGES:
+        path = DOCS / page
+        path.write_text(filled(path.read_text(encoding="utf-8"), made), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

@@ -1,0 +1,128 @@
+"""The pages of the documentation: what they print runs as printed, and what they name exists."""
+
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+import typer
+import yaml
+from recorded import healthy
+
+import hydro_env
+from agents.commands.application import app
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
+TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
+FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+PYTHON = [
+    (name, number)
+    for name, text in TEXTS.items()
+    if name.startswith("docs/")
+    for number, (kind, _) in enumerate(FENCE.findall(text))
+    if kind == "python"
+]
+SLOW = ("docs/bound.md", "docs/leak_bound.md")
+ELSEWHERE = {"docs/ray.md": "ray", "docs/dask.md": "dask"}
+"""Pages whose code needs a package that is no dependency; tests/robustness/test_backends.py runs it where it is."""
+
+
+@pytest.fixture
+def given(tmp_path, monkeypatch):
+    """What the code of some pages takes as given, in a folder that looks like the root of the repository."""
+    for folder in ("agents", "configs"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    (tmp_path / "results" / "alarms").mkdir(parents=True)
+    (tmp_path / "results" / "alarms" / "alarm.yaml").symlink_to(ROOT / "configs" / "agents" / "alarm.yaml")
+    monkeypatch.chdir(tmp_path)
+    signals = np.array(healthy(tmp_path).signals)[None, :, 100:901]
+    row = {
+        "controller": "PID",
+        "training_seed": 0,
+        "condition": "leak_1",
+        "family": "sine",
+        "leakage_flow_lpm": 1.0,
+        "plant": 0,
+    }
+    return {"signals": signals[:, :, :401], "window": signals[:, :, :401], "row": row | {"seed": 2_200_000}}
+
+
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON],
+)
+def test_python_runs(page, number, given):
+    if page in ELSEWHERE:
+        compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
+        pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
+    if "import control" in FENCE.findall(TEXTS[page])[number][1] and importlib.util.find_spec("control") is None:
+        pytest.skip("python-control is not installed: tests/test_libraries.py uses it where it is")
+    space = {**given, "__name__": "__main__"}
+    exec(compile(FENCE.findall(TEXTS[page])[number][1], f"{page}, block {number}", "exec"), space)
+
+
+def lines_of_commands():
+    """Every line of a block, and every span of code, that calls ``hydro``."""
+    for name, text in TEXTS.items():
+        blocks = "\n".join(body for kind, body in FENCE.findall(text) if kind in ("", "sh", "bash", "console"))
+        blocks = blocks.replace("\\\n", " ")
+        for line in blocks.splitlines():
+            if re.match(r"(\$ )?hydro ", line):
+                yield name, line.removeprefix("$ ")
+        prose = FENCE.sub("", text)
+        yield from ((name, " ".join(span.split())) for span in re.findall(r"`(hydro [^`]+)`", prose))
+
+
+@pytest.mark.parametrize(("page", "line"), sorted(set(lines_of_commands())))
+def test_a_command_is_one(page, line):
+    words = shlex.split(line.replace("…", ""), comments=True)[1:]
+    command = typer.main.get_command(app)
+    context = command.make_context("hydro", list(words), resilient_parsing=True)
+    for word in words:
+        if not hasattr(command, "commands") or word not in command.commands:
+            break
+        command = command.commands[word]
+    else:
+        return
+    rest = words[words.index(word) :]
+    options = {name for parameter in command.params for name in (*parameter.opts, *parameter.secondary_opts)}
+    for option in (part.split("=")[0] for part in rest if part.startswith("-") and not re.match(r"-\d", part)):
+        assert option in options | {"--help"}, f"{page}: {line}: no option {option}"
+    assert context.command.name == "hydro"
+    assert command is not typer.main.get_command(app), f"{page}: {line}: no such command"
+
+
+@pytest.mark.parametrize("page", TEXTS)
+def test_links_and_pictures(page):
+    text, here = FENCE.sub("", TEXTS[page]), (ROOT / page).parent
+    for alt, _ in re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", text):
+        assert len(alt) > 20, f"{page}: a picture needs a text for those who cannot see it"
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" not in link and not link.startswith(("#", "mailto:")):
+            assert (here / unquote(link.split("#")[0])).exists(), f"{page}: {link}"
+
+
+def test_every_page_stands_in_the_contents():
+    contents = "\n".join(body for _, body in FENCE.findall(TEXTS["docs/index.md"]))
+    pages = {page.relative_to(DOCS).with_suffix("").as_posix() for page in DOCS.rglob("*.md")}
+    listed = set(re.findall(r"^[\w./]+$", contents, flags=re.MULTILINE))
+    assert listed == pages - {"index"} | {"../CONTRIBUTING", "../CHANGELOG"}
+
+
+def test_every_command_and_every_room_is_listed():
+    for command in typer.main.get_command(app).commands:
+        assert f"`hydro {command}" in TEXTS["docs/commands.md"], command
+    for room in sorted((ROOT / "agents").glob("*/__init__.py")):
+        assert f"(../agents/{room.parent.name})" in TEXTS["docs/architecture.md"], room.parent.name
+
+
+def test_the_citation_names_this_version():
+    entry = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert entry["version"] == hydro_env.__version__
+    assert {"cff-version", "message", "title", "authors"} <= set(entry)
+    assert entry["authors"] == [{"name": "hydro_env contributors"}]
