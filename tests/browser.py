@@ -71,12 +71,12 @@ CUT_OFF = """() => {
     if (!inside && place.width > 1 && (place.right > window.innerWidth + 1 || place.left < -1))
       found.push(`${name} ends at ${Math.round(place.right)} px`);
   }
-  for (const text of document.querySelectorAll('svg text')) {
+  for (const text of document.querySelectorAll('svg text, svg g[id*="text_"]')) {
     if (!text.checkVisibility()) continue;
     const place = text.getBoundingClientRect(), whole = text.ownerSVGElement.getBoundingClientRect();
     if (place.left < whole.left - 1 || place.right > whole.right + 1
         || place.top < whole.top - 1 || place.bottom > whole.bottom + 1)
-      found.push(`text of a figure beyond its edge: ${text.textContent.trim()}`);
+      found.push(`text of a figure beyond its edge: ${text.textContent.trim() || text.id}`);
   }
   return found;
 }"""
@@ -85,3 +85,16 @@ CUT_OFF = """() => {
 def problems_of(page):
     """What the console said, and what is cut off: the page wider than the window, boxes and texts beyond an edge."""
     return [*page.problems, *page.evaluate(CUT_OFF)]
+
+
+def problems_everywhere(browser, path):
+    """Problems of a page from disk at every size and in both schemes, with all its parts unfolded."""
+    found = []
+    with open_page(browser, path) as page:
+        page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
+        for scheme in SCHEMES:
+            page.emulate_media(color_scheme=scheme)
+            for width in SIZES:
+                page.set_viewport_size({"width": width, "height": 900})
+                found += [f"{width} px, {scheme}: {problem}" for problem in problems_of(page)]
+    return found

@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from agents.code_generation.graph import Node
 
 C_TYPES = {np.dtype(np.float64): "double", np.dtype(np.float32): "float", np.dtype(np.bool_): "int"}
+C_TYPES[np.dtype(np.int64)] = "long"
 _INFIX = {
     "add": "+",
     "subtract": "-",
     "multiply": "*",
     "divide": "/",
+    "equal": "==",
     "greater": ">",
     "greater_equal": ">=",
     "less": "<",
     "less_equal": "<=",
-    "equal": "==",
     "not_equal": "!=",
     "and": "&&",
     "or": "||",
@@ -31,6 +32,8 @@ _FUNCTIONS = {
     "absolute": "fabs",
     "sqrt": "sqrt",
     "exp": "exp",
+    "log": "log",
+    "power": "pow",
     "tanh": "tanh",
     "arcsinh": "asinh",
     "copysign": "copysign",
@@ -51,9 +54,11 @@ class CWriter:
 
     Args:
         inputs: text in C of each input of the graph, by its name; that of an array without index.
+        prefix: begins the names of helper functions, for a file that has others.
     """
 
     inputs: Mapping[str, str]
+    prefix: str = ""
     tables: list[str] = field(default_factory=list)
     helpers: list[str] = field(default_factory=list)
     _names: dict[int, str] = field(default_factory=dict)
@@ -134,7 +139,7 @@ class CWriter:
         if operation in _FUNCTIONS:
             return f"{_FUNCTIONS[operation]}{suffix}({', '.join(operands)})"
         if operation in _HELPERS:
-            name = f"{operation}{suffix}"
+            name = f"{self.prefix}{operation}{suffix}"
             text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
             if text not in self.helpers:
                 self.helpers.append(text)

@@ -87,8 +87,7 @@ class Contract(Group):
 
     def text(self) -> str:
         """As JSON, with its digest."""
-        values = self.model_dump(mode="json")
-        return json.dumps({**values, "digest": _digest(values)}, indent=2, ensure_ascii=False) + "\n"
+        return sealed(self.model_dump(mode="json"))
 
 
 def read_contract(folder: Path) -> Contract:
@@ -113,6 +112,11 @@ def read_contract(folder: Path) -> Contract:
         if hashlib.sha256(file.read_bytes()).hexdigest() != digest:
             raise ConfigurationError(f"{file}: was changed after the export: export the controller again")
     return contract
+
+
+def sealed(values: Mapping[str, Any]) -> str:
+    """The values of a contract as JSON, with their digest."""
+    return json.dumps({**values, "digest": _digest(values)}, indent=2, ensure_ascii=False) + "\n"
 
 
 def _digest(values: Mapping[str, Any]) -> str:

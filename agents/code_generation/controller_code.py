@@ -25,6 +25,11 @@ class ControllerCode:
     header: str
     source: str
 
+    @property
+    def memory(self) -> str:
+        """Name in C of the type of its memory."""
+        return _memory(self.name)
+
     def write(self, folder: Path) -> None:
         """Write ``NAME.h`` and ``NAME.c``."""
         (folder / f"{self.name}.h").write_text(self.header, encoding="utf-8")
@@ -87,7 +92,7 @@ def code_of(controller: ControllerGraph, name: str = "controller") -> Controller
         texts[key] = [*lines, *copies, *stores]
     values = {
         "name": name,
-        "type": "".join(word.capitalize() for word in name.split("_")) + "Memory",
+        "type": _memory(name),
         "title": f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})",
         "version": __version__,
         "sample_time": controller.signals.config.control_period,
@@ -100,6 +105,10 @@ def code_of(controller: ControllerGraph, name: str = "controller") -> Controller
         **{key: "\n".join(lines) for key, lines in texts.items()},
     }
     return ControllerCode(name, *(render(f"controller.{kind}.j2", values) for kind in ("h", "c")))
+
+
+def _memory(name: str) -> str:
+    return "".join(word.capitalize() for word in name.split("_")) + "Memory"
 
 
 def _field(name: str) -> str:

@@ -28,12 +28,15 @@ ELEMENTWISE = {
     np.absolute: "absolute",
     np.sqrt: "sqrt",
     np.exp: "exp",
+    np.log: "log",
+    np.power: "power",
     np.tanh: "tanh",
     np.arcsinh: "arcsinh",
     np.sign: "sign",
     np.copysign: "copysign",
     np.maximum: "maximum",
     np.minimum: "minimum",
+    np.equal: "equal",
     np.greater: "greater",
     np.greater_equal: "greater_equal",
     np.less: "less",
@@ -44,12 +47,11 @@ ELEMENTWISE = {
     np.bitwise_and: "and",
     np.bitwise_or: "or",
     np.invert: "not",
-    np.equal: "equal",
     np.not_equal: "not_equal",
 }
 """Name of the operation of each NumPy function that works element by element."""
 
-KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.bool_))
+KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
 """Types of numbers that a graph knows."""
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined
 
-from agents.code_generation.translator import DOUBLE, Translator
+from agents.code_generation.c_types import DOUBLE
+from agents.code_generation.translator import Translator
 from hydro_env import PlantParameters, __version__
 from hydro_env.plant import kernel
 from hydro_env.plant.equations import (
@@ -78,12 +79,12 @@ def plant_code(parameters: PlantParameters | None = None) -> PlantCode:
     return PlantCode(*(render(name, values) for name in ("plant.h.j2", "plant.c.j2")))
 
 
-def render(template: str, values: Mapping[str, Any]) -> str:
-    """Text of a template of this package; its filter ``c`` writes a number exactly, in C."""
+def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -> str:
+    """Text of a template of a folder; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
     environment.filters["c"] = _number
     environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools read an infinite number
-    return environment.from_string((TEMPLATES / template).read_text(encoding="utf-8")).render(values)
+    return environment.from_string((folder / template).read_text(encoding="utf-8")).render(values)
 
 
 def _number(value: float) -> str:

@@ -150,6 +150,8 @@ class Traced(NDArrayOperatorsMixin):
     # NumPy's functions --------------------------------------------------------------------------------------------
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, out: Any = None, **options: Any) -> Any:
+        if ufunc is np.logaddexp and method == "__call__" and not options:
+            return np.maximum(*operands) + np.log(1.0 + np.exp(-np.absolute(operands[0] - operands[1])))
         if ufunc is np.square or (ufunc is np.power and isinstance(operands[1], int) and operands[1] == 2):
             ufunc, operands = np.multiply, (operands[0], operands[0])
         if method != "__call__" or options or not (ufunc in ELEMENTWISE or ufunc is np.matmul):
@@ -293,6 +295,11 @@ def _filled(number: float) -> Callable[..., Traced]:
     return filled
 
 
+def _searchsorted(self: Traced, edges: Any, values: Any) -> Any:
+    """Number of ascending edges below each value."""
+    return (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1)
+
+
 def _outer(self: Traced, left: Any, right: Any) -> Any:
     return self._of(left).reshape(-1, 1) * self._of(right).reshape(1, -1)
 
@@ -306,6 +313,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.einsum: _einsum,
     np.diff: _diff,
     np.outer: _outer,
+    np.searchsorted: _searchsorted,
     np.zeros_like: _filled(0.0),
     np.ones_like: _filled(1.0),
     np.empty_like: _filled(np.nan),  # an element that nobody sets is noticed

@@ -1,15 +1,15 @@
-"""Translates the plant's algebraic Python functions to C99.
+"""From compiled Python functions to C99.
 
-The functions know numbers, truth values and named tuples; they call each other, ``math.sqrt``, ``min``, ``max`` and
-``abs``. Types follow from the arguments: each function is translated once for the types with which it is called. A
-construct outside this language raises an error, so that nothing is translated wrongly in silence.
+The functions know numbers, truth values, arrays of fixed shapes, and named tuples of these; they call each other,
+functions of ``math``, ``min``, ``max`` and ``abs``. Types follow from the arguments: each function is translated once
+for the types with which it is called. A construct outside this language raises an error, so that nothing is translated
+wrongly in silence.
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
-import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,16 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_env import HydroError
-from hydro_env.compiling import Inline
-
-DOUBLE, FLOAT, BOOL = "double", "float", "int"
-_COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-
-
-class TranslationError(HydroError):
-    """A Python function uses something that has no translation."""
+from agents.code_generation.c_types import BOOL, DOUBLE, INT, array, declared, element_of, row_of, shape_of, size_of
+from agents.code_generation.expressions import Expressions, TranslationError, Typed
 
 
 @dataclass
@@ -41,12 +33,13 @@ class Translator:
 
     def struct(self, kind: Any, name: str | None = None) -> str:
         """C type of a named tuple of doubles."""
-        return self._struct(name or kind.__name__.lstrip("_"), [(DOUBLE, one) for one in kind._fields])
+        return self.record(name or kind.__name__.lstrip("_"), [(DOUBLE, one) for one in kind._fields])
 
-    def _struct(self, name: str, fields: Sequence[tuple[str, str]]) -> str:
+    def record(self, name: str, fields: Sequence[tuple[str, str]]) -> str:
+        """C type with this name and these fields, each with its type first."""
         if name not in self._fields:
             self._fields[name] = tuple(fields)
-            body = "".join(f"    {kind} {one};\n" for kind, one in fields)
+            body = "".join(f"    {declared(kind, one)};\n" for kind, one in fields)
             self.structs.append(f"typedef struct {{\n{body}}} {name};\n")
         if self._fields[name] != tuple(fields):
             raise TranslationError(f"two named tuples with the name {name}")
@@ -65,8 +58,8 @@ class Translator:
         return self._known[key]
 
     def fields(self, kind: str) -> tuple[tuple[str, str], ...]:
-        """Type and name of each field of a struct."""
-        return self._fields[kind]
+        """Type and name of each field of a struct; none for another type."""
+        return self._fields.get(kind, ())
 
 
 class _Body:
@@ -74,49 +67,52 @@ class _Body:
 
     def __init__(self, translator: Translator, function: Any, types: Sequence[str], name: str) -> None:
         self._all, self._name = translator, name
-        self._globals = function.py_func.__globals__
-        closure = inspect.getclosurevars(function.py_func).nonlocals
-        self._globals = {**self._globals, **closure}
+        known = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}
         source = getattr(function.py_func, "source", None) or textwrap.dedent(inspect.getsource(function.py_func))
         node = ast.parse(source).body[0]
         if not isinstance(node, ast.FunctionDef):
             raise TranslationError(f"{name}: is no function")
         arguments = [argument.arg for argument in node.args.args]
-        self._types = dict(zip(arguments, types, strict=True))
-        self._locals: dict[str, str] = {}
+        self._of = Expressions(translator, name, known)
+        self._of.names = dict(zip(arguments, types, strict=True))
+        self._locals: list[str] = []
         self._temporaries = 0
         self.result = ""
         lines = self._block(node.body, "    ")
-        declared = "".join(f"    {kind} {local};\n" for local, kind in self._locals.items())
-        head = ", ".join(f"{kind} {argument}" for argument, kind in zip(arguments, types, strict=True))
+        self.result = self.result or "void"
+        head = ", ".join(declared(kind, argument) for argument, kind in zip(arguments, types, strict=True))
+        unused = "".join(f"    (void){one};\n" for one in arguments if not _uses(node, one))
         comment = (ast.get_docstring(node) or name).splitlines()[0].replace("*/", "* /")
-        self.text = f"/* {comment} */\nstatic {self.result} {name}({head})\n{{\n{declared}{''.join(lines)}}}\n"
-
-    def _fail(self, node: ast.AST) -> TranslationError:
-        return TranslationError(f"{self._name}: no translation for: {ast.unparse(node)}")
+        self.text = (
+            f"/* {comment} */\nstatic {self.result} {name}({head})\n"
+            f"{{\n{''.join(self._locals)}{unused}{''.join(lines)}}}\n"
+        )
 
     # Statements ---------------------------------------------------------------------------------------------------
 
     def _block(self, statements: Sequence[ast.stmt], indent: str) -> list[str]:
         lines: list[str] = []
         for statement in statements:
-            if isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant):
-                continue  # a docstring
-            if isinstance(statement, ast.Return) and statement.value is not None:
-                value, kind = self._value(statement.value, lines, indent)
+            if isinstance(statement, ast.Assert) or (
+                isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+            ):
+                continue  # an assertion of the compiler's cache, a docstring
+            if isinstance(statement, ast.Expr):
+                lines.append(f"{indent}{self._of.value(statement.value)[0]};\n")
+            elif isinstance(statement, ast.Return) and statement.value is not None:
+                value, kind = self._of.value(statement.value)
                 self.result = self.result or kind
                 if kind != self.result:
-                    raise self._fail(statement)
+                    raise self._of.failure(statement)
                 lines.append(f"{indent}return {value};\n")
             elif isinstance(statement, ast.Assign) and len(statement.targets) == 1:
                 self._assign(statement.targets[0], statement.value, lines, indent)
             elif isinstance(statement, ast.AugAssign):
-                self._assign(
-                    statement.target, ast.BinOp(statement.target, statement.op, statement.value), lines, indent
-                )
+                changed = ast.BinOp(statement.target, statement.op, statement.value)
+                self._assign(statement.target, changed, lines, indent)
             elif isinstance(statement, ast.If):
-                test, _ = self._value(statement.test, lines, indent)
-                lines.append(f"{indent}if ({test}) {{\n")
+                test, _ = self._of.value(statement.test)
+                lines.append(f"{indent}if ({_bare(test)}) {{\n")
                 lines += self._block(statement.body, indent + "    ")
                 if statement.orelse:
                     lines.append(f"{indent}}} else {{\n")
@@ -127,168 +123,106 @@ class _Body:
             elif isinstance(statement, ast.Break):
                 lines.append(f"{indent}break;\n")
             else:
-                raise self._fail(statement)
+                raise self._of.failure(statement)
         return lines
 
     def _loop(self, node: ast.For, indent: str) -> list[str]:
         counted = isinstance(node.iter, ast.Call) and ast.unparse(node.iter.func) == "range"
-        if not counted or not isinstance(node.iter, ast.Call) or len(node.iter.args) != 1:
-            raise self._fail(node.iter)
-        end, _ = self._value(node.iter.args[0], [], indent)
-        name = self._local("turn" if ast.unparse(node.target) == "_" else ast.unparse(node.target), DOUBLE)
-        head = f"{indent}for ({name} = 0.0; {name} < {end}; {name} += 1.0) {{\n"
+        if not counted or not isinstance(node.iter, ast.Call) or len(node.iter.args) > 2 or node.orelse:
+            raise self._of.failure(node.iter)
+        ends = [self._of.value(one) for one in node.iter.args]
+        if any(kind != INT for _, kind in ends):
+            raise self._of.failure(node.iter)
+        first, last = ends[0][0] if len(ends) == 2 else "0", ends[-1][0]
+        name = self._local("turn" if ast.unparse(node.target) == "_" else ast.unparse(node.target), INT)
+        head = f"{indent}for ({name} = {first}; {name} < {last}; ++{name}) {{\n"
         return [head, *self._block(node.body, indent + "    "), f"{indent}}}\n"]
 
     def _assign(self, target: ast.expr, value: ast.expr, lines: list[str], indent: str) -> None:
+        if not isinstance(target, ast.Tuple):
+            if isinstance(target, ast.Name) and (self._new_array(target.id, value) or self._length(target.id, value)):
+                return
+            self._store(target, self._of.value(value), lines, indent)
+            return
+        parts: list[Typed]
+        if isinstance(value, ast.Tuple):
+            pairs = list(zip(target.elts, value.elts, strict=True))
+            if all(isinstance(one, ast.Name) and self._new_array(one.id, of) for one, of in pairs):
+                return
+            parts = [self._kept(*self._of.value(one), lines, indent) for one in value.elts]  # they may be swapped
+        else:
+            text, kind = self._of.value(value)
+            if shape_of(kind):
+                size = size_of(row_of(kind)) if shape_of(row_of(kind)) else 1
+                parts = [(f"({text} + {size * i})", row_of(kind)) for i in range(shape_of(kind)[0])]
+            else:
+                kept, _ = self._kept(text, kind, lines, indent)
+                parts = [(f"{kept}.{one}", inner) for inner, one in self._all.fields(kind)]
+        for one, part in zip(target.elts, parts, strict=True):
+            if ast.unparse(one) != "_":
+                self._store(one, part, lines, indent)
+
+    def _store(self, target: ast.expr, part: Typed, lines: list[str], indent: str) -> None:
+        """Assign a value to a variable, to an element of an array, or to all elements of an array or row."""
+        text, kind = part
         if isinstance(target, ast.Name):
-            text, kind = self._value(value, lines, indent)
             lines.append(f"{indent}{self._local(target.id, kind)} = {text};\n")
             return
-        if not isinstance(target, ast.Tuple) or not all(isinstance(one, ast.Name) for one in target.elts):
-            raise self._fail(target)
-        names = [one.id for one in target.elts if isinstance(one, ast.Name)]
-        if isinstance(value, ast.Tuple):  # all values first: the assignment may swap them
-            parts = [self._kept(*self._value(one, lines, indent), lines, indent) for one in value.elts]
+        place = self._of.subscript(target) if isinstance(target, ast.Subscript) else None
+        if place is None:
+            raise self._of.failure(target)
+        where, wanted = place
+        if not shape_of(wanted) and not shape_of(kind):
+            lines.append(f"{indent}{where} = {text};\n")
+        elif shape_of(wanted) and shape_of(wanted) == shape_of(kind):
+            lines.append(f"{indent}memcpy({where}, {text}, {size_of(wanted)} * sizeof *{where});\n")
+        elif shape_of(wanted) and kind in (DOUBLE, INT):
+            lines.append(f"{indent}fill({where}, {size_of(wanted)}, {text});\n")
         else:
-            text, kind = self._value(value, lines, indent)
-            kept, _ = self._kept(text, kind, lines, indent)
-            parts = [(f"{kept}.{one}", inner) for inner, one in self._all.fields(kind)]
-        for name, (text, kind) in zip(names, parts, strict=True):
-            if name != "_":
-                lines.append(f"{indent}{self._local(name, kind)} = {text};\n")
+            raise self._of.failure(target)
+
+    def _new_array(self, name: str, value: ast.expr) -> bool:
+        """Declare the array that ``np.empty`` makes; false if the value is another."""
+        if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self._of.known.get("np") != np:
+            return False
+        shape = value.args[0].elts if isinstance(value.args[0], ast.Tuple) else [value.args[0]]
+        kind = array(*(self._of.integer(one) for one in shape))
+        self._of.names[name] = kind
+        self._locals.append(f"    static {element_of(kind)} {name}[{size_of(kind)}];\n")
+        return True
+
+    def _length(self, name: str, value: ast.expr) -> bool:
+        """Remember the length of an array, which is known now; false if the value is another."""
+        if not isinstance(value, ast.Subscript) or not ast.unparse(value.value).endswith(".shape"):
+            return False
+        self._of.constants[name] = int(self._of.value(value)[0])
+        return True
 
     def _local(self, name: str, kind: str) -> str:
-        if name in self._types:
-            if self._types[name] != kind:
-                raise TranslationError(f"{self._name}: {name} changes its type")
-        else:
-            self._types[name] = self._locals[name] = kind
+        known = self._of.names.get(name)
+        if known is None:
+            self._of.names[name] = kind
+            self._locals.append(f"    {declared(kind, name)};\n")
+        elif known != kind and not (known == DOUBLE and kind in (INT, BOOL)):
+            raise TranslationError(f"{self._name}: {name} changes its type")
         return name
 
-    def _kept(self, text: str, kind: str, lines: list[str], indent: str) -> tuple[str, str]:
+    def _kept(self, text: str, kind: str, lines: list[str], indent: str) -> Typed:
         self._temporaries += 1
         name = self._local(f"value_{self._temporaries}", kind)
         lines.append(f"{indent}{name} = {text};\n")
         return name, kind
 
-    # Expressions ----------------------------------------------------------------------------------------------------
 
-    def _value(self, node: ast.expr, lines: list[str], indent: str) -> tuple[str, str]:
-        """Text and type of an expression; values that C needs under a name are put before it."""
-
-        def of(one: ast.expr) -> tuple[str, str]:
-            return self._value(one, lines, indent)
-
-        if isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float):
-            return _literal(node.value)
-        if isinstance(node, ast.Name):
-            if node.id in self._types:
-                return node.id, self._types[node.id]
-            value = self._globals.get(node.id)
-            if isinstance(value, bool | int | float):
-                return _literal(value)
-        elif isinstance(node, ast.Attribute) and isinstance(self._callee(node), float):
-            return _literal(self._callee(node))  # such as math.pi
-        elif isinstance(node, ast.Attribute):
-            text, kind = of(node.value)
-            inner = next((inner for inner, one in self._all.fields(kind) if one == node.attr), None)
-            if inner is not None:
-                return f"{text}.{node.attr}", inner
-        elif (
-            isinstance(node, ast.Subscript)
-            and isinstance(node.slice, ast.Constant)
-            and isinstance(node.slice.value, int)
-        ):
-            text, kind = of(node.value)
-            inner, one = self._all.fields(kind)[node.slice.value]
-            return f"{text}.{one}", inner
-        elif isinstance(node, ast.UnaryOp):
-            text, kind = of(node.operand)
-            return (f"(!{text})", BOOL) if isinstance(node.op, ast.Not) else (f"(-{text})", kind)
-        elif isinstance(node, ast.BinOp):
-            return self._arithmetic(node, of)
-        elif isinstance(node, ast.BoolOp):
-            mark = " && " if isinstance(node.op, ast.And) else " || "
-            return f"({mark.join(of(one)[0] for one in node.values)})", BOOL
-        elif isinstance(node, ast.Compare):
-            terms = [of(node.left)[0], *(of(one)[0] for one in node.comparators)]
-            marks = [_COMPARISONS[type(mark)] for mark in node.ops]
-            pairs = [f"({terms[i]} {mark} {terms[i + 1]})" for i, mark in enumerate(marks)]
-            return f"({' && '.join(pairs)})" if len(pairs) > 1 else pairs[0], BOOL
-        elif isinstance(node, ast.IfExp):
-            test, _ = of(node.test)
-            (yes, kind), (no, other) = of(node.body), of(node.orelse)
-            if kind == other:
-                return f"({test} ? {yes} : {no})", kind
-        elif isinstance(node, ast.Tuple):
-            parts = [of(one) for one in node.elts]
-            kinds = [kind for _, kind in parts]
-            struct = self._all._struct("Tuple_" + "_".join(kinds), [(kind, f"v{i}") for i, kind in enumerate(kinds)])
-            return f"({struct}){{{', '.join(text for text, _ in parts)}}}", struct
-        elif isinstance(node, ast.Call):
-            return self._call(node, of)
-        raise self._fail(node)
-
-    def _arithmetic(self, node: ast.BinOp, of: Any) -> tuple[str, str]:
-        (left, kind), (right, other) = of(node.left), of(node.right)
-        if isinstance(node.op, ast.Pow) and isinstance(node.right, ast.Constant) and node.right.value == 2:
-            return f"({left} * {left})", kind
-        if isinstance(node.op, ast.Pow):
-            return f"pow({left}, {right})", DOUBLE
-        if isinstance(node.op, ast.Mod):
-            return f"fmod({left}, {right})", DOUBLE
-        mark = _OPERATORS.get(type(node.op))
-        if mark is None or not {kind, other} <= {DOUBLE, FLOAT}:
-            raise self._fail(node)
-        return f"({left} {mark} {right})", DOUBLE if DOUBLE in (kind, other) else FLOAT
-
-    def _callee(self, node: ast.expr) -> Any:
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
-            return getattr(self._globals.get(node.value.id), node.attr, None)
-        if isinstance(node, ast.Name):
-            return self._globals.get(node.id, {"min": min, "max": max, "abs": abs}.get(node.id))
-        return None
-
-    def _call(self, node: ast.Call, of: Any) -> tuple[str, str]:
-        callee = self._callee(node.func)
-        parts = [of(one) for one in node.args]
-        texts, kinds = [text for text, _ in parts], [kind for _, kind in parts]
-        if isinstance(callee, Inline):
-            name, result = self._all.function(callee, kinds)
-            return f"{name}({', '.join(texts)})", result
-        if isinstance(callee, type) and hasattr(callee, "_fields"):
-            given = {keyword.arg: of(keyword.value)[0] for keyword in node.keywords}
-            values = dict(zip(callee._fields, texts, strict=False)) | given
-            if set(values) != set(callee._fields):
-                raise self._fail(node)
-            struct = self._all.struct(callee)
-            return f"({struct}){{{', '.join(values[one] for one in callee._fields)}}}", struct
-        if node.keywords:
-            raise self._fail(node)
-        if callee is math.sqrt:
-            return (f"sqrtf({texts[0]})", FLOAT) if kinds == [FLOAT] else (f"sqrt({texts[0]})", DOUBLE)
-        if callee in (math.sin, math.exp):
-            return f"{callee.__name__}({texts[0]})", DOUBLE
-        if callee is abs:
-            return f"fabs({texts[0]})", DOUBLE
-        if callee in (min, max) and len(texts) >= 2:
-            # As in Python: the first value stays unless another is smaller (greater).
-            name = f"{callee.__name__}imum"
-            text = texts[0]
-            for other in texts[1:]:
-                text = f"{name}({text}, {other})"
-            return text, DOUBLE
-        if callee is np.float64:
-            return f"((double){texts[0]})", DOUBLE
-        if callee is np.float32:
-            return f"((float){texts[0]})", FLOAT
-        raise self._fail(node)
+def _bare(text: str) -> str:
+    """A text without parentheses around all of it, which make compilers warn."""
+    depth = 0
+    for place, letter in enumerate(text):
+        depth += (letter == "(") - (letter == ")")
+        if depth == 0:
+            return text[1:-1] if text[0] == "(" and place == len(text) - 1 else text
+    return text
 
 
-def _literal(value: float) -> tuple[str, str]:
-    if isinstance(value, bool):
-        return str(int(value)), BOOL
-    number = float(value)
-    if not math.isfinite(number):
-        return ("INFINITY" if number > 0 else "(-INFINITY)") if number == number else "NAN", DOUBLE
-    return (repr(number) if number >= 0.0 else f"({number!r})"), DOUBLE
+def _uses(function: ast.FunctionDef, name: str) -> bool:
+    return any(isinstance(node, ast.Name) and node.id == name for node in ast.walk(function))

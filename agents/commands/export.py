@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, or a controller, for other tools and machines."""
+"""``hydro export``: the plant, a controller or the leakage head for other tools and machines; the playground."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
     from agents.controllers.base import Controller
@@ -23,8 +24,9 @@ def export(
     what: Annotated[
         str,
         typer.Argument(
-            help="plant: the axis as an FMU and as C sources. Or a controller: pid, flow_linearising, adrc, lqg, ppo, "
-            "the path of weights, or module:attribute.",
+            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector. playground: a page to "
+            "try out. Or a controller: pid, flow_linearising, adrc, lqg, ppo, the path of weights, or "
+            "module:attribute.",
             show_default=False,
         ),
     ],
@@ -33,7 +35,7 @@ def export(
     rig: Rig = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the plant or a controller for other tools, or for your own C program.
+    """Write the plant, a controller or the leakage head for other tools, or for your own C program.
 
     `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
     with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
@@ -44,11 +46,23 @@ def export(
     signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
     and `contract.json`, which says what goes in and out. It is compared with the controller in Python before it is
     written. `hydro evaluate --agent exported=FOLDER` runs it again. It needs `pip install 'hydro_env[export]'`.
+
+    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to
+    probability and size of a leak, and its network as ONNX.
+
+    `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
+    in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
     """
     from hydro_env.task.configuration import task_config
 
     if what == "plant":
         _export_plant(task_config(task, rig=rig), output, overwrite)
+    elif what in ("leakage_head", "playground") and (task is not None or rig is not None):
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; it holds for those of the shipped head")
+    elif what == "leakage_head":
+        _export_head(output, overwrite)
+    elif what == "playground":
+        _export_playground(output, overwrite)
     else:
         _export_controller(what, task, rig, output, overwrite)
 
@@ -62,6 +76,32 @@ def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
         plant_code(config.plant).write(output)
         (output / FMU_FILE).write_bytes(make_fmu(config))
     say(*(f"written: {output / name}" for name in (FMU_FILE, *SOURCES)))
+
+
+def _export_head(output: Path, overwrite: bool) -> None:
+    from agents.code_generation.head_folder import FILES, exported_head
+    from agents.code_generation.onnx_writer import onnx_package
+    from agents.leakage.head import LeakageHead
+    from agents.running.folders import output_folder, pretrained_folder
+    from hydro_env.files import write_whole
+
+    onnx_package()  # a missing package shows at once
+    with output_folder(output, JOB, FILES, overwrite=overwrite):
+        files, report = exported_head(LeakageHead.load(pretrained_folder() / "leakage_head"), command_line())
+        for name, content in files.items():
+            write_whole(output / name, content)
+    say(*report, *(f"written: {output / name}" for name in FILES))
+
+
+def _export_playground(output: Path, overwrite: bool) -> None:
+    from agents.playground.page import PAGE_FILE, playground_page, web_compiler
+    from agents.running.folders import output_folder
+    from hydro_env.files import write_whole
+
+    web_compiler()  # a missing package shows at once
+    with output_folder(output, JOB, [PAGE_FILE], overwrite=overwrite):
+        write_whole(output / PAGE_FILE, playground_page().encode())
+    say(f"written: {output / PAGE_FILE}")
 
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:

@@ -307,7 +307,7 @@ def _build(sources: int) -> Any:
     return compiled(fit)
 
 
-_fit = _build(SOURCES)
+fit = _build(SOURCES)
 
 
 class Balance(NamedTuple):
@@ -331,5 +331,5 @@ def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
     count, _, samples = signals.shape
     widths = (COUNT, COUNT, 2, samples, PARTS, PARTS)
     balance = Balance(*(np.empty((count, width)) for width in widths))
-    _fit(np.ascontiguousarray(signals), sheet, *balance)
+    fit(np.ascontiguousarray(signals), sheet, *balance)
     return balance

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.leakage.balance import PARTS, fit_balance
+from agents.leakage.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, fit_balance
+from agents.leakage.repair import fill_gaps, mark_lost
 from agents.leakage.sheet import Sheet, Unknowns
-from agents.leakage.stuck import run_lengths
+from agents.leakage.statistics import (
+    leak_changes,
+    load,
+    logarithm,
+    mean_distance,
+    share_of_full,
+    spool_errors,
+    summary,
+)
+from hydro_env.compiling import SOURCES, compiled, tuple_reader, tuple_writer
 from hydro_env.plant.equations import Coefficients
 
 SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
@@ -20,17 +31,11 @@ SENSORS = SIGNALS[:4]
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """What the head tells from each other. An axis may have several at once, so each has a probability of its own."""
 
-LONGEST_GAP = 5
-"""Samples; a reading that stays at the lower end of its range for longer is believed."""
-
-FAR_FROM_END = np.array([0.05, 0.05, 0.05, 0.3])[:, None]
+FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
 """Part of its range by which a sensor does not fall within one period: a reading that does is a lost sample."""
 
 LAST_PARTS = 3
 """Parts of the window before its end whose own leak is a feature; it tells the size of a leak that grows."""
-
-STILL_COMMAND = 2e-3
-"""Change of the command within one period below which the spool ought to stand where it is told."""
 
 FEATURES = (
     *(f"fitted {name}" for name in Unknowns._fields),
@@ -84,6 +89,146 @@ CHANGE = FEATURES.index("change of leak")
 """The feature by which windows with a constant leak and with a changing one are told apart."""
 
 
+class Motion(NamedTuple):
+    """The features from "small internal leak" to "misfit of force", each a plain number."""
+
+    small_internal_leak: float
+    small_external_leak: float
+    internal_leak_over_deviation: float
+    external_leak_over_deviation: float
+    mean_spool_error: float
+    spread_of_spool_error: float
+    spool_error_over_position: float
+    spool_error_against_direction: float
+    spool_error_at_rest: float
+    mean_pressure_a: float
+    mean_pressure_b: float
+    mean_pressure_difference: float
+    mean_size_of_pressure_difference: float
+    spread_of_pressure_a: float
+    spread_of_pressure_b: float
+    change_of_pressure_a: float
+    change_of_pressure_b: float
+    mean_spool: float
+    mean_size_of_spool: float
+    spread_of_spool: float
+    change_of_spool: float
+    change_of_command: float
+    share_of_full_command: float
+    mean_position: float
+    spread_of_position: float
+    change_of_position: float
+    spring: float
+    force_offset: float
+    friction: float
+    misfit_of_force: float
+
+
+_AFTER_FIT = 2 * COUNT + 2
+_write_motion = tuple_writer(Motion, first=_AFTER_FIT)
+_read_coefficients = tuple_reader(Coefficients)
+
+
+def _build_repair(sources: int) -> Any:
+    def repair(signals, sheet, filled, lost):
+        assert sources >= 0  # keys numba's cache
+        flags = np.empty(signals.shape[2])
+        for window in range(signals.shape[0]):
+            for sensor in range(4):
+                far = FAR_FROM_END_SPOOL if sensor == 3 else FAR_FROM_END
+                values = signals[window, sensor]
+                mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
+                lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
+            values = signals[window, 4]
+            for k in range(values.shape[0]):
+                flags[k] = 0.0 if values[k] == values[k] else 1.0
+            fill_gaps(values, flags, filled[window, 4])
+
+    return compiled(repair)
+
+
+def _build_describe(sources: int) -> Any:
+    def describe(signals, lost, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation, features):
+        assert sources >= 0
+        c = _read_coefficients(sheet.coefficients)
+        stroke, supply, samples = 2.0 * c.end_stop_position, sheet.mean[SUPPLY], signals.shape[2]
+        normal, right, row, change = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(PARTS)
+        for window in range(signals.shape[0]):
+            position, p_a, p_b, spool, command = signals[window]
+            values, error = features[window], spool_error[window]
+            for i in range(COUNT):
+                values[i] = math.asinh(10.0 * (estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
+                values[COUNT + i] = math.log10(deviation[window, i] / sheet.spread[i] + 1e-6)
+            for i in range(2):
+                values[2 * COUNT + i] = logarithm(misfit[window, i], 1e-2)
+            internal, external = estimate[window, INTERNAL], estimate[window, EXTERNAL]
+            x, a, b, s, u, e = (
+                summary(position),
+                summary(p_a),
+                summary(p_b),
+                summary(spool),
+                summary(command),
+                summary(error),
+            )
+            errors = spool_errors(spool, error, command)
+            force = load(position, p_a, p_b, c, supply, sheet.period, normal, right, row)
+            motion = Motion(
+                small_internal_leak=math.asinh(internal / 0.02),
+                small_external_leak=math.asinh(external / 0.02),
+                internal_leak_over_deviation=math.asinh(internal / deviation[window, INTERNAL]),
+                external_leak_over_deviation=math.asinh(external / deviation[window, EXTERNAL]),
+                mean_spool_error=math.asinh(e.mean / 2e-3),
+                spread_of_spool_error=logarithm(e.spread, 1e-4),
+                spool_error_over_position=math.asinh(20.0 * errors.over_position),
+                spool_error_against_direction=math.asinh(errors.against_direction / 1e-3),
+                spool_error_at_rest=logarithm(errors.at_rest, 1e-4),
+                mean_pressure_a=a.mean / supply,
+                mean_pressure_b=b.mean / supply,
+                mean_pressure_difference=(a.mean - b.mean) / supply,
+                mean_size_of_pressure_difference=mean_distance(p_a, p_b) / supply,
+                spread_of_pressure_a=logarithm(a.spread / supply, 1e-4),
+                spread_of_pressure_b=logarithm(b.spread / supply, 1e-4),
+                change_of_pressure_a=logarithm(a.change / supply, 1e-5),
+                change_of_pressure_b=logarithm(b.change / supply, 1e-5),
+                mean_spool=math.asinh(20.0 * s.mean),
+                mean_size_of_spool=logarithm(s.size, 1e-4),
+                spread_of_spool=logarithm(s.spread, 1e-4),
+                change_of_spool=logarithm(s.change, 1e-5),
+                change_of_command=logarithm(u.change, 1e-5),
+                share_of_full_command=share_of_full(command),
+                mean_position=x.mean / stroke,
+                spread_of_position=logarithm(x.spread / stroke, 1e-5),
+                change_of_position=logarithm(x.change / stroke, 1e-6),
+                spring=force.spring,
+                force_offset=force.offset,
+                friction=force.friction,
+                misfit_of_force=logarithm(force.misfit, 1e-4),
+            )
+            _write_motion(values, motion)
+            for sensor in range(4):
+                values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)
+            mean_square = leak_changes(part_leak[window], part_deviation[window], change)
+            first = AFTER_MOTION + 4
+            for part in range(PARTS):
+                values[first + part] = math.asinh(change[part])
+            for part in range(LAST_PARTS):
+                values[first + PARTS + part] = math.asinh(part_leak[window, PARTS - LAST_PARTS + part] / 0.1)
+            first += PARTS + LAST_PARTS
+            values[first] = logarithm(part_deviation[window, PARTS - 1], 1e-4)
+            values[first + 1] = logarithm(mean_square, 1e-2)
+            values[first + 2] = math.log10(samples * sheet.period)
+            for i in range(values.shape[0]):
+                values[i] = values[i] if math.isfinite(values[i]) else 0.0
+
+    return compiled(describe)
+
+
+AFTER_MOTION = _AFTER_FIT + len(Motion._fields)
+"""Number of the first feature after those of :class:`Motion`."""
+
+repair, describe = _build_repair(SOURCES), _build_describe(SOURCES)
+
+
 class Repaired(NamedTuple):
     """Signals without gaps."""
 
@@ -93,43 +238,9 @@ class Repaired(NamedTuple):
 
 def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
     """Fill lost samples: NaN, and short falls to the lower end of a sensor's range."""
-    filled = np.array(signals, dtype=np.float64)
-    lost = np.isnan(filled)
-    low, high = sheet.sensor_low[:, None], sheet.sensor_high[:, None]
-    at_end = filled[:, :4] <= low + 1e-9 * (high - low)
-    if at_end.any():
-        before = np.concatenate([filled[:, :4, :1], filled[:, :4, :-1]], axis=2)
-        fallen = at_end & (np.roll(at_end, 1, axis=2) | (before > low + FAR_FROM_END * (high - low)))
-        short = at_end & ~_held_for(at_end, LONGEST_GAP + 1)
-        lost[:, :4] |= fallen & short
-    if lost.any():
-        places = np.where(lost, 0, np.arange(filled.shape[2]))
-        first = np.argmin(lost, axis=2)  # gaps at the start take the first reading
-        places = np.maximum(np.maximum.accumulate(places, axis=2), first[:, :, None])
-        filled = np.nan_to_num(np.take_along_axis(filled, places, axis=2))
-    return Repaired(filled, lost[:, :4].mean(axis=2))
-
-
-def _held_for(mask: NDArray[np.bool_], samples: int) -> NDArray[np.bool_]:
-    """True where a run of true values is at least so long."""
-    lengths = run_lengths(mask)
-    backwards = run_lengths(mask[:, :, ::-1])[:, :, ::-1]
-    longer: NDArray[np.bool_] = mask & (lengths + backwards - 1 >= samples)
-    return longer
-
-
-def _logarithm(values: NDArray[np.float64], floor: float) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = np.log10(np.abs(values) + floor)
-    return result
-
-
-def _spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = np.sqrt(np.maximum(np.mean(values**2, axis=1) - np.mean(values, axis=1) ** 2, 0.0))
-    return result
-
-
-def _change(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = np.sqrt(np.mean(np.diff(values, axis=1) ** 2, axis=1))
+    values = np.ascontiguousarray(signals, dtype=np.float64)
+    result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
+    repair(values, sheet, *result)
     return result
 
 
@@ -141,72 +252,6 @@ def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
         sheet: data sheet of the axis.
     """
     whole = repaired(signals, sheet)
-    x, p_a, p_b, spool, command = whole.signals.transpose(1, 0, 2)
-    fitted = fit_balance(whole.signals, sheet)
-    estimate, deviation, error = fitted.estimate, fitted.deviation, fitted.spool_error
-    c = Coefficients(*sheet.coefficients.tolist())
-    stroke, pressure = 2.0 * c.end_stop_position, sheet.mean[Unknowns._fields.index("supply_pressure")]
-    leaks = [Unknowns._fields.index(f"{name}_leak") for name in ("internal", "external")]
-    told, direction = spool - error, np.sign(np.diff(command, axis=1, prepend=command[:, :1]))
-    still = np.abs(np.diff(command, axis=1, prepend=command[:, :1])) < STILL_COMMAND
-    part_weight = fitted.part_deviation**-2.0
-    mean_leak = np.sum(part_weight * fitted.part_leak, axis=1) / part_weight.sum(axis=1)
-    part_change = (fitted.part_leak - mean_leak[:, None]) / fitted.part_deviation
-    load = _load_fit(x, p_a * c.area_a - p_b * c.area_b, sheet.period, stroke, pressure * c.area_a)
-    columns = [
-        *np.arcsinh(10.0 * (estimate - sheet.mean) / sheet.spread).T,
-        *np.log10(deviation / sheet.spread + 1e-6).T,
-        *_logarithm(fitted.misfit, 1e-2).T,
-        *np.arcsinh(estimate[:, leaks] / 0.02).T,
-        *np.arcsinh(estimate[:, leaks] / deviation[:, leaks]).T,
-        np.arcsinh(error.mean(axis=1) / 2e-3),
-        _logarithm(_spread(error), 1e-4),
-        np.arcsinh(
-            20.0 * np.mean(error * (told - told.mean(axis=1, keepdims=True)), axis=1) / (told.var(axis=1) + 1e-6)
-        ),
-        np.arcsinh(np.mean(error * direction, axis=1) / 1e-3),
-        _logarithm(np.sum(np.abs(error) * still, axis=1) / (still.sum(axis=1) + 1), 1e-4),
-        p_a.mean(axis=1) / pressure,
-        p_b.mean(axis=1) / pressure,
-        (p_a - p_b).mean(axis=1) / pressure,
-        np.abs(p_a - p_b).mean(axis=1) / pressure,
-        _logarithm(_spread(p_a) / pressure, 1e-4),
-        _logarithm(_spread(p_b) / pressure, 1e-4),
-        _logarithm(_change(p_a) / pressure, 1e-5),
-        _logarithm(_change(p_b) / pressure, 1e-5),
-        np.arcsinh(20.0 * spool.mean(axis=1)),
-        _logarithm(np.abs(spool).mean(axis=1), 1e-4),
-        _logarithm(_spread(spool), 1e-4),
-        _logarithm(_change(spool), 1e-5),
-        _logarithm(_change(command), 1e-5),
-        (np.abs(command) > 0.999).mean(axis=1),
-        x.mean(axis=1) / stroke,
-        _logarithm(_spread(x) / stroke, 1e-5),
-        _logarithm(_change(x) / stroke, 1e-6),
-        *load.T,
-        *np.log10(whole.lost + 1e-3).T,
-        *np.arcsinh(part_change).T,
-        *np.arcsinh(fitted.part_leak[:, -LAST_PARTS:] / 0.1).T,
-        _logarithm(fitted.part_deviation[:, -1], 1e-4),
-        _logarithm(np.mean(part_change**2, axis=1), 1e-2),
-        np.full(len(x), np.log10(x.shape[1] * sheet.period)),
-    ]
-    values: NDArray[np.float32] = np.nan_to_num(np.stack(columns, axis=1), posinf=0.0, neginf=0.0).astype(np.float32)
-    return values
-
-
-def _load_fit(
-    x: NDArray[np.float64], force: NDArray[np.float64], period: float, stroke: float, scale: float
-) -> NDArray[np.float64]:
-    """Spring, offset, friction and misfit (N, 4) of the oil's force over position and speed, in ``scale``."""
-    place = x / (0.5 * stroke)
-    speed = np.zeros_like(x)
-    speed[:, 2:-2] = (x[:, 4:] - x[:, :-4]) / (4.0 * period)
-    rows = np.stack([np.ones_like(x), place, speed / stroke, np.tanh(speed / (5e-3 * stroke))], axis=1)
-    normal = rows @ rows.transpose(0, 2, 1) + 1e-3 * x.shape[1] * np.eye(4)
-    solution = np.linalg.solve(normal, rows @ (force / scale)[:, :, None])
-    left = force / scale - (solution.transpose(0, 2, 1) @ rows)[:, 0]
-    values: NDArray[np.float64] = np.column_stack(
-        [solution[:, 1, 0], solution[:, 0, 0], 10.0 * solution[:, 3, 0], _logarithm(_spread(left), 1e-4)]
-    )
-    return values
+    features = np.empty((len(whole.signals), len(FEATURES)))
+    describe(*whole, sheet, *fit_balance(whole.signals, sheet), features)
+    return features.astype(np.float32)

@@ -158,7 +158,8 @@ def probabilities(
     """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak where an axis stands."""
     logits = output[:, : len(LABELS)].copy()
     logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
-    return np.asarray(1.0 / (1.0 + np.exp(-logits)))
+    result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
+    return result
 
 
 def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -290,14 +291,15 @@ class LeakageHead:
         """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
         t = self.tensors
         inputs = standardised(features, t["mean"], t["scale"])
-        output, distance = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
+        output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
         probability = probabilities(output, features, float(t["still_shift"][0]))
         found = quantiles(output)
         group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
         ends = np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW)
-        sizes = 10.0 ** np.clip(intervals(found, t["widening"][group]), *ends)
+        distance = (group[:, None] == np.arange(GROUPS)).astype(np.float32) @ t["widening"].reshape(GROUPS, -1)
+        sizes = 10.0 ** np.clip(intervals(found, distance.reshape(-1, len(SIZES), 2)), *ends)
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
-        outside = distance > t["limit"][0]
+        outside = strangeness > t["limit"][0]
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
 
     def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -36,7 +36,8 @@ def groups(
         changing: from which change on a leak counts as changing.
     """
     width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
-    return np.asarray(WIDTHS * (change > changing) + width, dtype=np.int64)
+    result: NDArray[np.int64] = WIDTHS * (change > changing).astype(np.int64) + width
+    return result
 
 
 def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray[np.float64]:
@@ -47,14 +48,12 @@ def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray
         distance: of the ends from the middle at each of SIZES, in parts of those of the quantiles, (N, SIZES, 2).
     """
     low, middle, high = quantiles.T
-    ends, rows = [], np.arange(len(middle))
+    ends, places = [], np.arange(len(SIZES))
     for side, reach in enumerate((low - middle, high - middle)):
         end = middle
         for _ in range(ROUNDS):
             place = np.clip((end - SIZES[0]) / (SIZES[1] - SIZES[0]), 0.0, len(SIZES) - 1.001)
-            below = place.astype(np.int64)
-            share = place - below
-            here = (1.0 - share) * distance[rows, below, side] + share * distance[rows, below + 1, side]
-            end = middle + here * reach
+            near = np.maximum(1.0 - np.abs(place[:, None] - places), 0.0)  # weights of a linear interpolation
+            end = middle + (near * distance[:, :, side]).sum(axis=1) * reach
         ends.append(end)
     return np.column_stack([middle, *ends])

@@ -24,7 +24,7 @@ POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
     CHANNELS.index(name) for name in ("position", "pressure_a", "pressure_b", "spool_position")
 )
 
-_BIAS = 1_000_000_000
+FIRST_BIAS = 1_000_000_000
 """Index of the first bias among the numbers of the noise key; far beyond those of the steps."""
 
 Signals = named_tuple("Signals", CHANNELS, __name__)
@@ -81,7 +81,7 @@ def draw_biases(row, settings):
     """Draw the constant error of each sensor for this episode; exact sensors have none."""
     for channel in range(len(CHANNELS)):
         largest = settings.channels[channel].bias if settings.sensors.enabled else 0.0
-        row.bias[channel] = largest * between(row.noise_key, _BIAS + channel, -1.0, 1.0)
+        row.bias[channel] = largest * between(row.noise_key, FIRST_BIAS + channel, -1.0, 1.0)
 
 
 @inline
@@ -90,7 +90,7 @@ def _quantised(value, resolution):
 
 
 @inline
-def _reading(true, bias, noise, sensor):
+def sensor_reading(true, bias, noise, sensor):
     """Value that the acquisition reads: bias and noise added, limited to the range, in 16-bit steps."""
     value = min(max(true + bias + sensor.noise * noise, sensor.low), sensor.high)
     return min(max(sensor.low + _quantised(value - sensor.low, sensor.resolution), sensor.low), sensor.high)
@@ -121,7 +121,7 @@ def sample(row, s, settings):
             if row.faulty > 0.0:
                 value = misread(value, channel, row, sensor)
             if settings.sensors.enabled:
-                value = _reading(value, row.bias[channel], noise[channel - first], sensor)
+                value = sensor_reading(value, row.bias[channel], noise[channel - first], sensor)
             if row.faulty > 0.0:
                 value = lost_or_frozen(value, channel, row, sensor)
             row.measured[channel] = value

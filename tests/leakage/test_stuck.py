@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.leakage.stuck import run_lengths, stuck_sensors
+from agents.leakage.stuck import stuck_sensors
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS
@@ -21,11 +21,6 @@ def resting(windows=200, samples=400):
         noise = sensor.noise * generator.standard_normal((windows, samples))
         signals[:, row] = np.round((middle + noise) / sensor.resolution) * sensor.resolution
     return signals
-
-
-def test_lengths_of_runs():
-    mask = np.array([[False, True, True, False, True], [True, True, True, True, True]])
-    np.testing.assert_array_equal(run_lengths(mask), [[0, 1, 2, 0, 1], [1, 2, 3, 4, 5]])
 
 
 def test_working_sensors_at_rest_are_not_stuck():
