@@ -92,9 +92,7 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
 
 
 def _cylinder(values: _Values, area: float) -> list[Entry]:
-    bore, rod, stroke = (values.number(key) for key in ("bore", "rod", "stroke"))
-    swept = area * stroke
-    steel = STEEL * (0.25 * math.pi * rod**2 * 1.2 * stroke + 0.5 * bore * area)
+    swept = area * values.number("stroke")
     push = area * values.number("supply_pressure") / 0.5e-3
     return [
         values.given("cylinder.bore_diameter", "bore", ("", "")),
@@ -111,13 +109,17 @@ def _cylinder(values: _Values, area: float) -> list[Entry]:
         values.given(
             "cylinder.piston_mass",
             "piston_mass",
-            (f"{steel:.3g} kg", "computed: steel rod of 1.2 strokes, piston of half a bore"),
-            "",
-            "{factor: [0.7, 1.4]}; rods are hollow or longer",
+            (f"{_steel_mass(values, area):.3g} kg", "computed: steel rod of 1.2 strokes, piston of half a bore"),
         ),
         Entry("cylinder.end_stop_stiffness", in_unit(push, "kN/mm", "N/m"), "assumed: full force presses 0.5 mm"),
         Entry("cylinder.end_stop_damping", f"{1e-3 * push:.3g}", "assumed: 1 ms times the stiffness; N s/m"),
     ]
+
+
+def _steel_mass(values: _Values, area: float) -> float:
+    """Mass in kg of a steel rod of 1.2 strokes and a piston of half a bore."""
+    rod = 0.25 * math.pi * values.number("rod") ** 2
+    return STEEL * (1.2 * values.number("stroke") * rod + 0.5 * values.number("bore") * area)
 
 
 def _valve(values: _Values) -> list[Entry]:
@@ -216,8 +218,18 @@ def _fluid() -> list[Entry]:
 
 def _load(values: _Values, area: float) -> list[Entry]:
     damping = 4.0 * BAR * area
+    # Only the sum of load and piston acts: one range holds what is not sure of both.
+    unsure = 0.05 + (
+        0.0 if "piston_mass" in values.answers else 0.3 * _steel_mass(values, area) / values.number("mass")
+    )
+    low, high = max(1.0 - unsure, 0.5), 1.0 + unsure
     return [
-        values.given("load.mass", "mass", ("", ""), "{factor: [0.95, 1.05]}; weighed, or from a drawing"),
+        values.given(
+            "load.mass",
+            "mass",
+            ("", ""),
+            f"{{factor: [{low:.3g}, {high:.3g}]}}; weighed or from a drawing; piston and rod included",
+        ),
         values.given(
             "load.spring_stiffness", "spring", ("0", "assumed: no spring"), "{factor: [0.9, 1.1]}; tolerance of springs"
         ),
