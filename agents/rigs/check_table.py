@@ -46,8 +46,8 @@ def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> 
         files = [folder / CSV_FILE, folder / TABLE_FILE]
     console = PlainConsole()
     console.print(title, soft_wrap=True)
-    console.print(_brief(rows, parameters))
-    for line in _assumed(rig, parameters):
+    console.print(_brief(rows, given.plant))
+    for line in _assumed(rig, given.plant):
         console.print(line)
     console.print(_table(rows))
     return files
