@@ -15,6 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from hydro_env.errors import ConfigurationError, UnknownKeyError
+from hydro_env.units import in_si
 
 LARGEST_FILE = 100_000
 """Largest size of a configuration file in bytes; the largest of this project has two thousand."""
@@ -56,10 +57,12 @@ class Group(BaseModel, metaclass=_OneLine):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _true_is_no_number(cls, value: Any, info: Any) -> Any:
-        if isinstance(value, bool) and cls.model_fields[info.field_name].annotation in (int, float):
+    def _plain_numbers(cls, value: Any, info: Any) -> Any:
+        field = cls.model_fields[info.field_name]
+        if isinstance(value, bool) and field.annotation in (int, float):
             raise ValueError("must be a number, not true/false")
-        return value
+        extra = field.json_schema_extra
+        return in_si(value, str(extra["unit"])) if isinstance(extra, dict) and "unit" in extra else value
 
 
 ModelType = TypeVar("ModelType", bound=BaseModel)

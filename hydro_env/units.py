@@ -1,8 +1,10 @@
-"""Units in which practice quotes leaks, and fields of a configuration with unit, origin and bounds."""
+"""Units of practice, quantities written with their unit, and fields of a configuration with unit, origin and bounds."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
@@ -15,6 +17,66 @@ LEAKAGE_TEST_PRESSURE = 100e5
 
 FULL_VOLTAGE = 10.0
 """Largest input of the valve's amplifier (V); a command of 1."""
+
+
+UNITS: dict[str, dict[str, float]] = {
+    "m": {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 0.0254, "um": 1e-6, "µm": 1e-6},
+    "m³": {"l": 1e-3, "cm³": 1e-6, "ml": 1e-6, "dm³": 1e-3, "m³": 1.0},
+    "m/s": {"mm/s": 1e-3, "m/s": 1.0, "m/min": 1.0 / 60.0},
+    "m³/s": {"l/min": LITRE_PER_MINUTE, "cm³/min": 1e-3 * LITRE_PER_MINUTE, "l/s": 1e-3, "cm³/s": 1e-6, "m³/s": 1.0},
+    "Pa": {"bar": 1e5, "MPa": 1e6, "psi": 6894.757293168, "kPa": 1e3, "Pa": 1.0, "mbar": 1e2, "GPa": 1e9},
+    "kg": {"kg": 1.0, "t": 1e3, "g": 1e-3},
+    "N": {"N": 1.0, "kN": 1e3},
+    "N/m": {"N/mm": 1e3, "kN/mm": 1e6, "kN/m": 1e3, "N/m": 1.0},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "rad/s": {"Hz": 2.0 * math.pi, "rad/s": 1.0},
+    "A": {"mA": 1e-3, "A": 1.0},
+    "V": {"V": 1.0, "mV": 1e-3},
+    "1": {"%": 1e-2, "1": 1.0, "-": 1.0},
+}
+"""SI units per unit, by SI unit; the usual units come first. Pressures are gauge pressures."""
+
+_QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)([^\d\s.,].*)")
+
+
+def unit_factor(text: str, known: Mapping[str, float]) -> float:
+    """SI units per the unit that a text names, which may hold ``3`` or ``^3`` for ``³``, and either ``µ`` or ``μ``.
+
+    Args:
+        text: the name.
+        known: SI units per unit, as in :data:`UNITS`.
+
+    Raises:
+        ValueError: an unknown unit.
+    """
+    names = {_plain(name): factor for name, factor in known.items()}
+    if _plain(text) not in names:
+        raise ValueError(f"unit '{text.strip()[:40]}': must be one of {', '.join(known)}")
+    return names[_plain(text)]
+
+
+def _plain(unit: str) -> str:
+    letters = str.maketrans({"³": "3", "²": "2", "μ": "µ", "^": None, "·": None, "*": None, " ": None})
+    return unit.translate(letters)
+
+
+def in_si(value: Any, unit: str) -> Any:
+    """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else as it is.
+
+    Args:
+        value: text, or a list of texts; a text without a unit stays as it is.
+        unit: SI unit of the result; one without entry in :data:`UNITS` has no other name.
+
+    Raises:
+        ValueError: the text names a unit of another quantity.
+    """
+    if isinstance(value, list | tuple):
+        return [in_si(entry, unit) for entry in value]
+    found = _QUANTITY.fullmatch(value.strip()) if isinstance(value, str) else None
+    if found is None:
+        return value
+    factor = unit_factor(found[2], UNITS.get(unit, {unit: 1.0}))
+    return float(f"{float(found[1]) * factor:.15g}")  # 36 mm are 0.036 m, not 0.036000000000000004
 
 
 def resistance_from_flow(flow_lpm: float) -> float:

@@ -20,6 +20,7 @@ from hydro_env import PlantParameters, simulate
 COMMANDS = (
     "simulate",
     "check-rig",
+    "new-rig",
     "reproduce",
     "benchmark",
     "train",

@@ -20,6 +20,7 @@ from agents.commands.evaluate import evaluate
 from agents.commands.export import export
 from agents.commands.ladder import ladder
 from agents.commands.leak_bound import leak_bound
+from agents.commands.new_rig import new_rig
 from agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from agents.commands.record import record
 from agents.commands.render import render
@@ -119,6 +120,7 @@ app.command("simulate")(simulate)
 app.command("record")(record)
 app.command("render")(render)
 app.command("diagnose")(diagnose)
+app.command("new-rig")(new_rig)
 app.command("check-rig")(check_rig)
 app.command("train")(train)
 app.command("evaluate")(evaluate)

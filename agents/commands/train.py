@@ -139,10 +139,12 @@ def _controller(
 
 
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
+    from agents.leakage.training import HeadTrainingSettings
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
     from agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
+    (study.leakage_head or HeadTrainingSettings()).check(study.task)
     named = study.with_weights(agents)
     controllers = list(named.values())
     tell_rigs(study, named)

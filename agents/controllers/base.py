@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -80,6 +80,18 @@ class ObservationLayout:
         column = self.index(name)
         values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
         return values
+
+    def needs(self, names: Sequence[str], reader: str) -> None:
+        """Refuse an observation without the signals that a controller reads.
+
+        Raises:
+            ConfigurationError: the rig lacks a sensor.
+        """
+        absent = [name for name in names if name not in self.names]
+        if absent:
+            raise ConfigurationError(
+                f"{reader}: reads {', '.join(absent)}, and this rig has no such sensor; a PID needs the position alone"
+            )
 
     @property
     def preview_times(self) -> tuple[float, ...]:

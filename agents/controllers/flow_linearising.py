@@ -120,6 +120,9 @@ class FlowLinearising:
         self.gains = gains
         self.config = config
         self.layout = ObservationLayout.of(config)
+        self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")
+        # Without its sensor the spool counts as being where the last command sends it.
+        self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
         self.delay = _delay(config)
         self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
@@ -176,7 +179,7 @@ class FlowLinearising:
         si = self.layout.si
         position, spool, command_before = (
             si(batch, "position"),
-            si(batch, "spool_position"),
+            si(batch, self._spool),
             si(batch, "previous_command"),
         )
         pressures = np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])

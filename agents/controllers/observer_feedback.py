@@ -117,6 +117,7 @@ class ObserverFeedback:
         self.gains = gains
         self.config = config
         self.layout = ObservationLayout.of(config)
+        self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)
         self.preview = Preview(config)
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = FlowModel(plant)

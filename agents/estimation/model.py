@@ -31,6 +31,7 @@ FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first differences, in standard deviations of the prior, of parameters and of start states."""
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
+_SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
 _RESISTANCE, _ORIFICE, _EXTERNAL = (
     PARAMETER_PATHS.index(path) for path in ("leakage.internal_resistance", "leakage.orifice_gain", EXTERNAL_RESISTANCE)
 )
@@ -171,6 +172,8 @@ class Model:
                 start[:, STARTS.index(name)] = value
             else:
                 physical[:, PARAMETER_PATHS.index(name)] = value
+        if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
+            start[:, _SUPPLY] = physical[:, _SETTING]  # it never moves from there
         used = samples or self.samples
         commands = Commands(self.commands.command[:, :used], self.commands.durations[:, : used - 1])
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads)

@@ -33,6 +33,7 @@ from agents.running.weights import load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.sensors import CHANNELS
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
@@ -72,8 +73,15 @@ class HeadTrainingSettings(Group):
         """Check that the leaks of the training and the window suit a task.
 
         Raises:
-            ConfigurationError: a bound lies on the wrong side of the task's bound, or an episode is too short.
+            ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
+                lacks a sensor.
         """
+        absent = [name for name in CHANNELS if not getattr(config.sensors, name).fitted]
+        if absent:
+            raise ConfigurationError(
+                f"leakage_head: reads {', '.join(absent)}, and this rig has no such sensor; hydro diagnose reads the "
+                "leak without it"
+            )
         if config.steps < SHORTEST_WINDOW:
             raise ConfigurationError(
                 f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "

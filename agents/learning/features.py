@@ -111,7 +111,8 @@ class PolicyFeatures:
         self.layout = layout = ObservationLayout.of(config)
         self.base = base
         self.residual_scale = residual_scale if base is not None else 1.0
-        self._columns = np.array([layout.index(name) for name in HISTORY_SIGNALS])
+        self.history = tuple(name for name in HISTORY_SIGNALS if name in layout.names)  # a rig may lack sensors
+        self._columns = np.array([layout.index(name) for name in self.history])
         self._lags = np.array(HISTORY_LAGS)
         self._length = max(HISTORY_LAGS) + 1
         self.see_correction = see_correction and base is not None
@@ -123,7 +124,7 @@ class PolicyFeatures:
         own = 0 if base is None else 3 if self.see_correction else 1
         rebuilt = len(self._rebuilt) if full_preview else 0
         own += len(estimates) if self.see_estimates else 0
-        self.size = len(layout.names) + own + rebuilt + len(HISTORY_SIGNALS) * len(HISTORY_LAGS)
+        self.size = len(layout.names) + own + rebuilt + len(self.history) * len(HISTORY_LAGS)
 
     def __call__(
         self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -218,6 +219,6 @@ class PolicyFeatures:
             "full_preview": self.full_preview,
             "see_estimates": self.see_estimates,
             "normalised": self.normalisation is not None,
-            "history_signals": list(HISTORY_SIGNALS),
+            "history_signals": list(self.history),
             "history_lags": list(HISTORY_LAGS),
         }

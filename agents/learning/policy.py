@@ -12,7 +12,7 @@ from pydantic import ConfigDict, Field
 
 from agents.controllers.base import Floats, as_batch
 from agents.controllers.registry import CONTROLLERS, make_controller
-from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, HISTORY_SIGNALS, FeatureState, PolicyFeatures
+from agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, FeatureState, PolicyFeatures
 from agents.learning.normalisation import Normalisation
 from agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
@@ -231,8 +231,6 @@ class PolicyController:
         tensors, settings = load_weights(path, KIND)
         stored = validate(_StoredPolicy, settings, str(path))
         described, sizes = stored.features, stored.layer_sizes
-        if (described.history_signals, described.history_lags) != (HISTORY_SIGNALS, HISTORY_LAGS):
-            raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         try:
             base: Any = described.base
             if base is not None:
@@ -249,6 +247,8 @@ class PolicyController:
             )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
+        if (described.history_signals, described.history_lags) != (features.history, HISTORY_LAGS):
+            raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         critic_sizes = stored.critic_layer_sizes or sizes
         for name, found in (("layer_sizes", sizes), ("critic_layer_sizes", critic_sizes)):
             fits = found[0] == features.size or (name[0] == "c" and found[0] > features.size)

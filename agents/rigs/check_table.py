@@ -17,6 +17,8 @@ from agents.running.folders import output_folder
 from hydro_env import PlantParameters
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.task.rig import Rig, read_rig
+from hydro_env.task.sensors import CHANNELS
 
 CSV_FILE = "check.csv"
 TABLE_FILE = "check.md"
@@ -33,9 +35,9 @@ def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> 
     Raises:
         ConfigurationError: the rig is wrong or cannot work, or the folder cannot be used.
     """
-    parameters = PlantParameters.from_yaml(rig) if rig is not None else PlantParameters()
-    rows = check_rig(parameters, str(rig) if rig is not None else "rig")
-    title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(parameters)}"
+    given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
+    rows = check_rig(given.plant, given.source)
+    title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
         with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
@@ -44,14 +46,15 @@ def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> 
         files = [folder / CSV_FILE, folder / TABLE_FILE]
     console = PlainConsole()
     console.print(title, soft_wrap=True)
-    console.print(_brief(rows, parameters))
-    for line in _assumed(rig, parameters):
+    console.print(_brief(rows, given.plant))
+    for line in _assumed(rig, given.plant):
         console.print(line)
     console.print(_table(rows))
     return files
 
 
-def _summary(parameters: PlantParameters) -> str:
+def _summary(rig: Rig) -> str:
+    parameters = rig.plant
     cylinder = parameters.cylinder
     rods = f"{1e3 * cylinder.rod_diameter:.4g}"
     rods += f" and {1e3 * cylinder.rod_diameter_a:.4g}" if cylinder.rod_diameter_a else ""
@@ -60,6 +63,7 @@ def _summary(parameters: PlantParameters) -> str:
         f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
         f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "
         f"own leak {leak:.3g} l/min at 100 bar"
+        + "".join(f", no sensor for {name}" for name in CHANNELS if rig.sensors.get(f"sensors.{name}.fitted") is False)
     )
 
 

@@ -179,7 +179,9 @@ def _head(
     controllers: dict[str, Controller],
     phases: Phases,
     display: ProgressDisplay,
-) -> LeakageHead:
+) -> LeakageHead | None:
+    if study.leakage_head is None:
+        return None
     if HEAD_PHASE in phases.done:
         display.say("leakage head: already trained")
         return LeakageHead.load(folder / HEAD_WEIGHTS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
 from agents.running.settings_files import read_settings, read_task
+from agents.study.absent_sensors import without_absent_sensors
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
@@ -71,7 +73,9 @@ class StudySettings(Group):
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
     )
-    leakage_head: HeadTrainingSettings = Field(default_factory=HeadTrainingSettings)
+    leakage_head: HeadTrainingSettings | None = Field(
+        default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
+    )
     evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
 
     @model_validator(mode="after")
@@ -150,7 +154,8 @@ class StudySettings(Group):
                         "NAME' of the controller that it corrects"
                     )
         try:
-            self.leakage_head.check(self.task)
+            if self.leakage_head is not None:
+                self.leakage_head.check(self.task)
         except ConfigurationError as error:
             raise ConfigurationError(f"{source}: {error}") from None
 
@@ -226,7 +231,8 @@ def default_study(
 ) -> StudySettings:
     """The study of a file, or that of ``make study``; of another task or on another rig.
 
-    Gains belong to a rig. On another rig every classical controller is therefore tuned first.
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first. What needs sensors that
+    the rig lacks is left out; one line on standard error says so.
 
     Args:
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
@@ -248,6 +254,8 @@ def default_study(
             else entry
             for name, entry in study.controllers.items()
         }
-    study = study.model_copy(update=changes)
+    study, notes = without_absent_sensors(study.model_copy(update=changes))
+    for note in notes:
+        print(f"hydro: {note}", file=sys.stderr)
     study.check("study" if path is None else str(path))
     return study

@@ -11,7 +11,7 @@ import pandas as pd
 from agents.controllers.base import Controller
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
-from agents.leakage.training import train_head
+from agents.leakage.training import HeadTrainingSettings, train_head
 from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from agents.learning.tuning import Tuned, tune
 from agents.running.console import ProgressDisplay
@@ -177,11 +177,17 @@ def train_leakage_head(
     controllers: Sequence[Controller],
     display: ProgressDisplay,
 ) -> LeakageHead:
-    """Train the leakage head on episodes under each controller; write its weights into the folder."""
+    """Train the leakage head on episodes under each controller; write its weights into the folder.
+
+    Raises:
+        ConfigurationError: impossible settings, or a rig that lacks a sensor that the head reads.
+    """
+    settings = study.leakage_head or HeadTrainingSettings()
+    settings.check(study.task)
 
     def report(phase: str, done: int, total: int, loss: float) -> None:
         display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
 
-    head = train_head(study.task, controllers, study.leakage_head, seed, report, folder=folder, resume=resume)
+    head = train_head(study.task, controllers, settings, seed, report, folder=folder, resume=resume)
     head.save(folder / HEAD_WEIGHTS)
     return head

@@ -26,6 +26,9 @@ from hydro_env.plant.parts.load import Load
 from hydro_env.plant.parts.supply import Supply
 from hydro_env.plant.parts.valve import Valve
 
+OF_THE_TASK = ("randomisation", "sensors")
+"""Groups in the file of a rig that belong to the task."""
+
 
 class PlantParameters(Group):
     """All physical parameters of one axis; the default is the test rig of Kovari (2015), Table 1.
@@ -59,12 +62,12 @@ class PlantParameters(Group):
     def from_yaml(cls, path: str | Path) -> PlantParameters:
         """Read a YAML file with the same groups and fields; see ``configs/rigs``.
 
-        The file may also hold ``randomisation``, which belongs to the task (:mod:`hydro_env.task.rig`).
+        The file may also hold ``randomisation`` and ``sensors``, which belong to the task (:mod:`hydro_env.task.rig`).
 
         Raises:
             ConfigurationError: unreadable file, unknown key, or a value outside its bounds.
         """
-        values = {key: value for key, value in read_yaml(path).items() if key != "randomisation"}
+        values = {key: value for key, value in read_yaml(path).items() if key not in OF_THE_TASK}
         return cls.from_dict(values, source=str(path))
 
     def to_yaml(self, path: str | Path) -> None:
@@ -97,6 +100,11 @@ def _fields() -> dict[str, Any]:
 
 PARAMETER_PATHS: tuple[str, ...] = tuple(_fields())
 """``group.field`` of every parameter, in the order of :func:`to_vector`."""
+
+PARAMETER_UNITS: dict[str, str] = {
+    path: str((info.json_schema_extra or {}).get("unit", "1")) for path, info in _fields().items()
+}
+"""Unit of each parameter."""
 
 MODEL_CODES: dict[str, tuple[str, ...]] = {
     path: tuple(str(model) for model in info.annotation)

@@ -18,7 +18,7 @@ from hydro_env.folders import config_file
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
-from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation
+from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
@@ -173,7 +173,7 @@ class TaskConfig(TaskGroup):
     plant: PlantParameters = Field(
         default_factory=PlantParameters, description="the nominal rig, which randomisation varies"
     )
-    randomisation: dict[str, Distribution] = Field(default_factory=default_randomisation)
+    randomisation: Randomisation = Field(default_factory=default_randomisation)
     leakage: LeakageDraw = Field(default_factory=LeakageDraw)
     references: References = Field(default_factory=References)
     initial_position_range: Range = interval(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from hydro_env.files import Group
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters
-from hydro_env.units import Number
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
+from hydro_env.units import Number, in_si
 
 LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
 """Parameters that the group ``leakage`` of the task draws."""
@@ -21,9 +22,9 @@ Bounds = tuple[Number, Number]
 class Distribution(Group):
     """Distribution of one parameter: uniform or log-uniform between two bounds.
 
-    ``uniform`` and ``log_uniform`` give the bounds in SI units; ``factor`` and ``log_factor`` give them as multiples of
-    the rig's own value, so that they fit any rig. ``times`` multiplies a draw in SI units by another parameter. The
-    value is ``otherwise`` with ``otherwise_probability``.
+    ``uniform`` and ``log_uniform`` give the bounds in SI units, or written with their unit; ``factor`` and
+    ``log_factor`` give them as multiples of the rig's own value, so that they fit any rig. ``times`` multiplies a draw
+    in SI units by another parameter. The value is ``otherwise`` with ``otherwise_probability``.
     """
 
     uniform: Bounds | None = None
@@ -69,6 +70,24 @@ class Distribution(Group):
             return low, high
         return (low * own, high * own) if own >= 0.0 else (high * own, low * own)
 
+
+def _in_si(ranges: Any) -> Any:
+    """Ranges with bounds in SI, which may be written with a unit: ``load.mass: {uniform: [118 kg, 0.122 t]}``."""
+    if not isinstance(ranges, Mapping):
+        return ranges
+    result = dict(ranges)
+    for path, given in ranges.items():
+        if isinstance(given, Mapping) and path in PARAMETER_UNITS and given.get("times") is None:
+            units = dict.fromkeys(("uniform", "log_uniform", "otherwise"), PARAMETER_UNITS[path])
+            try:
+                result[path] = {name: in_si(value, units.get(name, "1")) for name, value in given.items()}
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from None
+    return result
+
+
+Randomisation = Annotated[dict[str, Distribution], BeforeValidator(_in_si)]
+"""Distributions by ``group.field``."""
 
 PUBLISHED_RANGES = {
     "cylinder.dead_volume": (20e-6, 60e-6),

@@ -10,24 +10,26 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, ModelType, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.plant.parameters import PlantParameters
-from hydro_env.task.randomisation import Distribution, check_draws, default_randomisation, own_value
-from hydro_env.task.sensors import SCALED_FIELDS
+from hydro_env.plant.parameters import OF_THE_TASK, PlantParameters
+from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation, own_value
+from hydro_env.task.sensors import SCALED_FIELDS, Sensors
 
 SHARE_OF_ACCELERATION = 0.25
 """Smooth references need at most this share of the acceleration that the supply can give."""
 
 
 class Rig(NamedTuple):
-    """A rig: the numbers of its data sheet, and the ranges of those that its owner does not know exactly."""
+    """A rig: the numbers of its data sheet, the ranges of those that its owner does not know exactly, its sensors."""
 
     plant: PlantParameters
     randomisation: dict[str, Distribution]
+    sensors: dict[str, Any]  # what its file says of them, by path: ``sensors.pressure_a.high``
     source: str  # for messages
 
 
-class _Ranges(Group):
-    randomisation: dict[str, Distribution] = {}
+class _OfTheTask(Group):
+    randomisation: Randomisation = {}
+    sensors: Sensors = Sensors()
 
 
 def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
@@ -40,18 +42,45 @@ def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
     Raises:
         ConfigurationError: no such rig, unreadable file, unknown key, an impossible value, or a rig that cannot work.
     """
+    file = config_file("rigs", given, folder)
+    return rig_from(read_yaml(file), str(file))
+
+
+def rig_from(values: Mapping[str, Any], source: str) -> Rig:
+    """A rig from the groups of its file.
+
+    Raises:
+        ConfigurationError: unknown key, an impossible value, or a rig that cannot work; the message names ``source``.
+    """
     from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed for a rig from a file alone
 
-    file = config_file("rigs", given, folder)
-    values = read_yaml(file)
-    ranges = validate(_Ranges, {"randomisation": values.pop("randomisation", {})}, str(file)).randomisation
-    plant = PlantParameters.from_dict(values, str(file))
-    refuse_unworkable(plant, str(file))
+    own = {name: values[name] for name in OF_THE_TASK if name in values}
+    checked = validate(_OfTheTask, own, source)
+    plant = PlantParameters.from_dict({name: group for name, group in values.items() if name not in own}, source)
+    refuse_unworkable(plant, source)
     try:
-        check_draws(default_randomisation(plant) | ranges, plant)
+        check_draws(default_randomisation(plant) | checked.randomisation, plant)
     except ValueError as error:
-        raise ConfigurationError(f"{file}: {error}") from None
-    return Rig(plant, ranges, str(file))
+        raise ConfigurationError(f"{source}: {error}") from None
+    sensors = {path: _at(checked.model_dump(), path) for path in _paths({"sensors": own.get("sensors", {})})}
+    return Rig(plant, checked.randomisation, sensors, source)
+
+
+def _paths(values: Mapping[str, Any]) -> list[str]:
+    """``group.field`` of every value in nested groups."""
+    return [
+        f"{name}{rest}"
+        for name, value in values.items()
+        for rest in ([f".{path}" for path in _paths(value)] if isinstance(value, Mapping) else [""])
+    ]
+
+
+def _at(values: Mapping[str, Any], path: str) -> Any:
+    """The value at a path ``group.field`` of nested groups."""
+    value: Any = values
+    for part in path.split("."):
+        value = value[part]
+    return value
 
 
 def task_from(
@@ -96,6 +125,8 @@ def task_from(
 def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
     """A task on another rig: what followed from the old rig follows from the new one; what the user set stays.
 
+    What the file of the new rig says of its sensors counts more than what follows from its size.
+
     Args:
         task: all settings of the task, by group.
         defaults: all settings of the default task.
@@ -107,14 +138,11 @@ def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dic
     old = PlantParameters.from_dict(task["plant"])
     result = deepcopy(dict(task))
     result["plant"] = rig.plant.model_dump()
-    before, after = _following(old, defaults), _following(rig.plant, defaults)
-    for path, value in before.items():
-        *groups, name = path.split(".")
-        group = result
-        for part in groups:
-            group = group[part]
-        if group[name] == value:
-            group[name] = after[path]
+    before, after = _following(old, defaults), _following(rig.plant, defaults) | rig.sensors
+    for path, value in after.items():
+        group, name = path.rsplit(".", 1)
+        if _at(result, path) == before.get(path, _at(defaults, path)):
+            _at(result, group)[name] = value
     result["randomisation"] = _moved_ranges(task["randomisation"], old, rig)
     return result
 
@@ -139,9 +167,7 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
         factors |= {f"sensors.{sensor}.{name}": factor for name in SCALED_FIELDS}
     values = {}
     for path, factor in factors.items():
-        value: Any = defaults
-        for part in path.split("."):
-            value = value[part]
+        value = _at(defaults, path)
         values[path] = tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value
     return values
 
@@ -181,7 +207,7 @@ def _scales(plant: PlantParameters) -> _Scales:
 
 def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:
     """Randomisation of a task on another rig; refuses a range of the user that the new rig lies outside."""
-    given = validate(_Ranges, {"randomisation": ranges}, "task").randomisation
+    given = validate(_OfTheTask, {"randomisation": ranges}, "task").randomisation
     before = default_randomisation(old)
     after = default_randomisation(rig.plant) | rig.randomisation
     own = {path: draw for path, draw in given.items() if draw != before.get(path)}

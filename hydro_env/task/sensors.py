@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from hydro_env.files import Group
-from hydro_env.units import Number, quantity
+from hydro_env.units import Number, in_si, quantity
 
 
 class Sensor(Group):
@@ -42,6 +42,25 @@ def _current_loop(span: float) -> float:
     return span / (65536 * 8.0 / 20.0)
 
 
+CHANNEL_UNITS = {
+    "position": "m",
+    "pressure_a": "Pa",
+    "pressure_b": "Pa",
+    "spool_position": "1",
+}
+"""SI unit of each measured signal."""
+
+
+def _in_si(channel: str, fields: Mapping[str, Any]) -> dict[str, Any]:
+    result = {}
+    for name, value in fields.items():
+        try:
+            result[name] = in_si(value, CHANNEL_UNITS[channel])
+        except ValueError as error:
+            raise ValueError(f"{channel}.{name} = {value!r}: {error}") from None
+    return result
+
+
 class Sensors(Group):
     """The measured signals (Table 1 of the paper; noise and bias from data sheets of this class of transducers)."""
 
@@ -62,16 +81,16 @@ class Sensors(Group):
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, values: Any) -> Any:
-        """Fill the missing fields of a sensor with its defaults."""
+        """Fill the missing fields of a sensor with its defaults; a field may be written with a unit."""
         if not isinstance(values, Mapping):
             return values
         return {
-            name: {**cls.model_fields[name].default.model_dump(), **value}
-            if isinstance(value, Mapping) and name in cls.model_fields and cls.model_fields[name].annotation is Sensor
+            name: {**cls.model_fields[name].default.model_dump(), **_in_si(name, value)}
+            if isinstance(value, Mapping) and name in CHANNEL_UNITS
             else value
             for name, value in values.items()
         }
 
 
-CHANNELS = tuple(name for name, info in Sensors.model_fields.items() if info.annotation is Sensor)
+CHANNELS = tuple(CHANNEL_UNITS)
 """Names of the measured signals."""

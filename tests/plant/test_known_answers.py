@@ -228,6 +228,33 @@ def test_unequal_edges_change_the_speed_by_the_formula():
         assert abs(speed) < 0.9 * abs(no_load_speed(voltage)[0])
 
 
+def test_a_spool_cut_to_the_areas_keeps_the_pressures_at_a_reversal():
+    """Edges in the ratio of the areas: p_a + p_b = P_s and p_a A_a = p_b A_b in both directions.
+
+    Equal edges need p_a = P_s A_b³/(A_a³ + A_b³) to extend and P_s A_a² A_b/(A_a³ + A_b³) to retract.
+    """
+    area_a, area_b = 0.25 * math.pi * 0.040**2, 0.25 * math.pi * (0.040**2 - 0.028**2)
+    cubes = area_a**3 + area_b**3
+    matched = 70e5 * area_b / (area_a + area_b)
+    equal = (70e5 * area_b**3 / cubes, 70e5 * area_a**2 * area_b / cubes)
+    speeds = []
+    for ratio, expected in ((area_b / area_a, (matched, matched)), (1.0, equal)):
+        parameters = PlantParameters().replace(
+            valve={"underlap": 0.0, "edge_ratio": ratio, "transition_pressure": 1e3},
+            load={"mass": 1.0, "spring_stiffness": 0.0, "viscous_damping": 0.0},
+            friction=NO_FRICTION,
+            supply={**CONSTANT_SUPPLY, "pressure": 70e5},
+            leakage=TIGHT,
+        )
+        for voltage, pressure in zip((5.0, -5.0), expected, strict=True):
+            run = simulate(parameters, np.full(100, voltage), 5e-3, {"position": 0.0})
+            assert run.pressure_a[-1] == pytest.approx(pressure, rel=1e-3)
+            speeds.append(abs(run.velocity[-1]))
+    root = math.sqrt(area_a / area_b)
+    assert speeds[0] == pytest.approx(root * speeds[1], rel=1e-3)
+    assert speeds[2] == pytest.approx(root * speeds[3], rel=1e-3)
+
+
 def test_a_hose_lowers_the_natural_frequency_as_its_compliance_says():
     stiff = double_rod_cylinder()
     hose = {"volume_a": 40e-6, "volume_b": 40e-6, "wall_bulk_modulus": 0.2e9}

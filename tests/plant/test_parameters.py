@@ -104,7 +104,7 @@ WRONG = {
     "infinite": ("load: {mass: .inf}", r"load.mass = inf: must be a number within 0.01 to 1e.06 .unit: kg"),
     "bool": ("load: {mass: true}", "load.mass = true: must be a number, not true/false .*unit: kg"),
     "text": ("load: {mass: heavy}", "load.mass = 'heavy': .* number.*unit: kg"),
-    "number and unit": ("load: {mass: 60 kg}", "load.mass = '60 kg': .* number.*unit: kg"),
+    "wrong unit": ("load: {mass: 60 bar}", "load.mass = '60 bar': unit 'bar': must be one of kg, t, g .*unit: kg"),
     "list": ("load: {mass: [60]}", r"load.mass = \[60\]: .* number.*unit: kg"),
     "nothing": ("load: {mass: }", "load.mass: .* number.*unit: kg"),
     "choice": ("friction: {model: sticky}", "friction.model = 'sticky': .*none, coulomb, stribeck, lugre"),

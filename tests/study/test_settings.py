@@ -160,7 +160,7 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("task: nothing\n" + PLAIN, r"task 'nothing': unknown; known: default, "),
+        ("task: nothing\n" + PLAIN, r"task 'nothing': unknown; known: as_given, default, "),
         ("task: {plant: nothing}\n" + PLAIN, r"rig 'nothing': unknown; known: aalborg_svsdp_2017, "),
         (PLAIN + '  mine: {kind: "my_algorithm:Mine", tune: {}}\n', r"controllers.mine: tune: only pid"),
         (

@@ -261,10 +261,11 @@ def test_a_wrong_rig_is_named_with_its_key(text, message, tmp_path):
 
 def test_the_rig_of_the_page_works(tmp_path):
     page = (Path(__file__).parents[2] / "docs" / "own_rig.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL)
     file = tmp_path / "rig.yaml"
-    file.write_text(block)
-    values = drawn(task_config(rig=file))
+    for block in re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL):
+        file.write_text(block)
+        config = task_config(rig=file)
+    values = drawn(config)  # of the last block
     assert 118.0 <= values["load.mass"].min() < values["load.mass"].max() <= 122.0
     assert 0.95 * 70e5 <= values["supply.pressure"].min() < values["supply.pressure"].max() <= 1.05 * 70e5
     for name in TASKS:
@@ -287,3 +288,20 @@ def test_an_installed_package_finds_its_configurations(tmp_path):
         check=False,
     )
     assert answer.stdout.strip() == (root / "configs" / "tasks" / "worn.yaml").read_text().strip(), answer.stderr
+
+
+def test_a_rig_says_which_sensors_it_has(small):
+    with small.open("a") as file:
+        file.write("sensors:\n  pressure_a: {high: 250 bar, noise: 0.1 bar}\n  spool_position: {fitted: false}\n")
+    config, without = task_config(rig=small), task_config(rig="kovari_2015")
+    assert (config.sensors.pressure_a.high, config.sensors.pressure_a.noise) == (250e5, 0.1e5)
+    assert not config.sensors.spool_position.fitted
+    assert "spool_position" not in ServoHydraulicEnv(config).observation_names
+    # What the file leaves out follows from stroke and supply pressure.
+    assert config.sensors.pressure_a.bias == pytest.approx(2.0 * without.sensors.pressure_a.bias)
+    assert config.sensors.position.high == pytest.approx(0.05)
+    # A number that the task sets counts more; a sensor that is absent stays absent.
+    mine = task_config({"sensors": {"pressure_a": {"noise": 3e4}}}, rig=small)
+    assert (mine.sensors.pressure_a.noise, mine.sensors.pressure_a.high) == (3e4, 250e5)
+    assert not mine.sensors.spool_position.fitted
+    assert PlantParameters.from_yaml(small).load.mass == 20.0

@@ -1,0 +1,36 @@
+"""A constant supply has no dynamics: its pressure is a parameter, and the readings tell it."""
+
+import numpy as np
+
+from agents.estimation.estimate import EstimationSettings, estimate
+from agents.estimation.names import LEAKAGE
+from agents.evaluation.opponents import shipped
+from agents.leakage.features import SIGNALS
+from agents.running.cases import Cases, run_cases
+from hydro_env import TaskConfig
+from hydro_env.task.signals import observation_layout
+
+RANGES = {"supply.pressure": {"factor": [0.9, 1.1]}}
+UNKNOWN = (LEAKAGE, "supply.pressure", "start.position", "start.pressure_a", "start.pressure_b", "start.spool_position")
+
+
+def supplied(pressure, **more):
+    """A task without biases whose supply is constant."""
+    sensors = {name: {"bias": 0.0} for name in ("position", "pressure_a", "pressure_b", "spool_position")}
+    plant = {"supply": {"model": "constant", "pressure": pressure}}
+    return TaskConfig(episode_duration=0.8, plant=plant, sensors=sensors, **more)
+
+
+def test_the_pressure_of_a_constant_supply_is_found():
+    """The data sheet says 70 bar, the axis has 73."""
+    config = supplied(73e5, randomisation={})
+    names, _, scale, _ = observation_layout(config)
+    columns = [names.index(name) for name in SIGNALS]
+    cases = Cases(np.array([1_300_000, 1_300_001]), np.full(2, 0.5), np.full(2, "multi_sine"))
+    run = run_cases(config, shipped("pid", config), cases, columns)
+    signals = run.signals.astype(np.float64) * np.array(scale)[columns][:, None]
+    quick = EstimationSettings(horizons=(0.2,), restarts=1)
+    found = estimate(signals, supplied(70e5, randomisation=RANGES), UNKNOWN, settings=quick)
+    deviation = found.deviation("supply.pressure")
+    assert (deviation < 0.5e5).all()
+    assert (np.abs(found.value("supply.pressure") - 73e5) < 4.0 * deviation + 0.1e5).all()

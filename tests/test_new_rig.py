@@ -1,0 +1,209 @@
+"""A rig's file from nameplates: what it holds, what it computes, what it refuses, and how it asks."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro
+
+from agents.rigs.new_rig import new_rig
+from agents.rigs.questions import QUESTIONS, answers_from
+from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import read_rig
+
+LEAST = {
+    "bore": "63 mm",
+    "rod": "36mm",
+    "stroke": "0.5 m",
+    "rated_flow": "40 l/min",
+    "supply_pressure": "160 bar",
+    "mass": "200 kg",
+}
+EVERYTHING = {question.key: question.example for question in QUESTIONS} | {"bandwidth": "60 Hz"}
+
+
+def made(**more):
+    """The rig of the least answers and some more."""
+    texts = LEAST | more
+    return new_rig(answers_from(texts), texts, "rig.yaml")
+
+
+def as_options(texts):
+    return [part for key, text in texts.items() for part in (f"--{key.replace('_', '-')}", text)]
+
+
+def test_figures_that_were_given_stand_in_the_rig():
+    _, rig = made(bandwidth="60 Hz", external_force="-2 kN", tank_pressure="3 bar")
+    plant = rig.plant
+    assert (plant.cylinder.bore_diameter, plant.cylinder.rod_diameter, plant.cylinder.stroke) == (0.063, 0.036, 0.5)
+    assert plant.valve.rated_flow == pytest.approx(40e-3 / 60)
+    assert plant.valve.natural_frequency == pytest.approx(2 * np.pi * 60)
+    assert (plant.supply.pressure, plant.supply.tank_pressure, plant.supply.model) == (160e5, 3e5, "constant")
+    assert (plant.load.mass, plant.load.external_force) == (200.0, -2000.0)
+
+
+def test_every_line_says_where_its_value_comes_from():
+    text, _ = made(bandwidth="60 Hz", line_length="2 m", line_diameter="10 mm")
+    body = [line for line in text.splitlines() if line.startswith("  ")]
+    assert len(body) > 40
+    for line in body:
+        assert "  # " in line, line
+    assert "  natural_frequency: 60 Hz  # given" in text
+    assert "  bore_diameter: 63 mm  # given" in text
+    assert "  volume_a: 157 cm³  # computed: 2 m of 10 mm" in text
+
+
+def test_all_that_is_not_given_has_a_range():
+    """No number that matters comes from the paper's rig in silence."""
+    _, rig = made()
+    paper = PlantParameters()
+    sure = {"friction", "fluid.density", "valve.transition_pressure", "supply.polytropic_index", "lines"}
+    same = [
+        f"{group}.{name}"
+        for group, fields in rig.plant.model_dump().items()
+        for name, value in fields.items()
+        if value == getattr(getattr(paper, group), name) and f"{group}.{name}" not in rig.randomisation
+    ]
+    written = yaml.safe_load(made()[0])
+    silent = [path for path in same if path.split(".")[1] not in written.get(path.split(".")[0], {})]
+    assert not [path for path in silent if path.split(".")[0] not in sure and path not in sure | USELESS_FIELDS]
+    for path in ("cylinder.dead_volume", "fluid.bulk_modulus", "fluid.air_fraction", "friction.coulomb_force"):
+        assert path in rig.randomisation
+
+
+USELESS_FIELDS = {
+    "valve.coil_inductance",  # without effect where the current follows at once
+    "valve.knee_position",
+    "valve.knee_opening",  # straight: both one half
+    "leakage.external_resistance",
+    "leakage.orifice_gain",  # of the task
+    "supply.pump_flow",
+    "supply.relief_slope",
+    "supply.line_volume",
+    "supply.accumulator_volume",
+    "supply.precharge_pressure",  # without effect at a constant supply
+}
+
+
+def test_the_null_flow_gives_the_underlap():
+    """The valve then passes this flow at rest: both edges of each chamber in series, two chambers side by side."""
+    _, rig = made(null_flow="1 l/min")
+    plant = rig.plant.replace(leakage={"internal_resistance": np.inf}, valve={"transition_pressure": 1.0})
+    balanced = plant.replace(
+        cylinder={"rod_diameter_a": plant.cylinder.rod_diameter}, supply={"tank_pressure": 0.0}
+    )  # equal areas: half the supply in both chambers
+    state, voltage = equilibrium(balanced, 0.0)
+    run = simulate(balanced, np.full(20, voltage), 1e-3, state)
+    assert run.supply_flow[-1] == pytest.approx(1e-3 / 60, rel=0.01)
+
+
+@pytest.mark.parametrize("signal", ["5 V", "40 mA", "10 V"])
+def test_the_full_signal_opens_the_valve_fully(signal):
+    """A current is what the amplifier sends at 10 V; a voltage is the command itself."""
+    _, rig = made(full_signal=signal)
+    plant = rig.plant.replace(valve={"null_shift": 0.0})
+    full = 5.0 if signal == "5 V" else 10.0
+    run = simulate(plant, np.full(60, 0.6 * full), 5e-3, {"position": -0.2})
+    assert run.spool_position[-1] == pytest.approx(0.6, abs=1e-3)
+    if signal == "40 mA":
+        assert run.coil_current[-1] == pytest.approx(0.6 * 0.040, rel=1e-3)
+
+
+def test_a_pump_makes_the_supply_limited():
+    assert made(pump_flow="20 l/min")[1].plant.supply.model == "pump"
+    plant = made(pump_flow="20 l/min", accumulator="4 l", precharge="120 bar")[1].plant
+    assert (plant.supply.model, plant.supply.accumulator_volume, plant.supply.precharge_pressure) == (
+        "accumulator",
+        0.004,
+        120e5,
+    )
+
+
+def test_sensors_are_those_that_were_given(tmp_path):
+    text, _ = made(absent="spool_position", pressure_range="250 bar", position_noise="0.02 mm")
+    (tmp_path / "rig.yaml").write_text(text)
+    sensors = task_config(rig=tmp_path / "rig.yaml").sensors
+    assert (sensors.pressure_a.high, sensors.pressure_b.high, sensors.position.noise) == (250e5, 250e5, 2e-5)
+    assert (sensors.spool_position.fitted, sensors.pressure_b.fitted) == (False, True)
+
+
+def test_every_question_has_an_answer_that_is_read(tmp_path):
+    text, rig = new_rig(answers_from(EVERYTHING), EVERYTHING, "rig.yaml")
+    (tmp_path / "rig.yaml").write_text(text)
+    assert read_rig(tmp_path / "rig.yaml").plant == rig.plant
+    assert rig.plant.lines.wall_bulk_modulus == 3e8
+
+
+def test_plants_can_be_drawn_from_the_ranges(tmp_path):
+    (tmp_path / "rig.yaml").write_text(made()[0])
+    envs = ServoHydraulicVectorEnv(40, rig=tmp_path / "rig.yaml")
+    observation, _ = envs.reset(seed=0)
+    assert np.isfinite(observation).all()
+    assert envs.axes.column("redraws").mean() < 0.2
+    assert max(speed_limits(read_rig(tmp_path / "rig.yaml").plant)) < 1.0
+
+
+def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
+    file = tmp_path / "mine.yaml"
+    answer = hydro("new-rig", *as_options(LEAST), "--output", file)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.splitlines()[0].startswith(f"{file}: 6 values given")
+    checked = hydro("check-rig", "--rig", file)
+    assert checked.returncode == 0, checked.stderr
+    assert "63/36 x 500 mm" in checked.stdout
+    assert_one_clear_line(hydro("new-rig", *as_options(LEAST), "--output", file), "exists; --overwrite replaces it")
+    assert hydro("new-rig", *as_options(LEAST), "--output", file, "--overwrite").returncode == 0
+
+
+WRONG = {
+    "missing": ({"bore": None}, "--bore: must be given"),
+    "another quantity": ({"bore": "63 bar"}, "--bore '63 bar': unit 'bar': must be one of mm, m, cm"),
+    "no unit": ({"rod": "36"}, "--rod '36': needs a unit, such as 36 mm"),
+    "no number": ({"mass": "heavy"}, "--mass 'heavy': must be a number with its unit, such as 200 kg"),
+    "a comma": ({"mass": "1,5 t"}, "--mass '1,5 t': must be a number with its unit"),
+    "negative": ({"stroke": "-1 m"}, "--stroke '-1 m': must not be negative"),
+    "zero": ({"step_time": "0 ms"}, "--step-time '0 ms': must be above 0"),
+    "a rod too thick": ({"rod": "70 mm"}, "cylinder: rod_diameter = 0.07 m does not fit"),
+    "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
+    "no pump": ({"accumulator": "4 l"}, "--accumulator: needs --pump-flow"),
+    "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),
+    "an unknown sensor": ({"absent": "position"}, "--absent 'position': 'position': must be one of pressure_a"),
+    "an unknown line": ({"line_kind": "wire"}, "--line-kind 'wire': 'wire': must be one of pipe, hose"),
+}
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
+def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path):
+    texts = {key: text for key, text in (LEAST | changes).items() if text is not None}
+    answer = hydro("new-rig", *as_options(texts), "--output", tmp_path / "rig.yaml")
+    assert_one_clear_line(answer, message)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ConfigurationError):
+        new_rig(answers_from(texts), texts, "rig.yaml")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
+def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
+    import pty
+
+    typed = {**LEAST, "absent": "spool_position"}
+    lines = ["63"] + [typed.get(question.key, "") for question in QUESTIONS]
+    ours, theirs = pty.openpty()
+    file = tmp_path / "rig.yaml"
+    process = subprocess.Popen(
+        [*COMMAND, "new-rig", "--output", file], stdin=theirs, stdout=subprocess.PIPE, env=environment(), cwd=ROOT
+    )
+    os.write(ours, ("\n".join(lines) + "\n").encode())
+    shown = process.communicate(timeout=300)[0].decode()
+    for end in (ours, theirs):
+        os.close(end)
+    assert process.returncode == 0
+    assert "--bore '63': needs a unit, such as 63 mm" in shown
+    assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
+    assert read_rig(file).plant.cylinder.bore_diameter == 0.063
+    assert read_rig(file).sensors == {"sensors.spool_position.fitted": False}
