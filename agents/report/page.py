@@ -14,7 +14,7 @@ from agents.report.text import templates
 from agents.running.machine import Origin
 from hydro_env.files import write_whole
 
-LETTER = re.compile(r'<path id="DejaVuSans[^"]*"[^>]*/>\s*')
+LETTER = re.compile(r'<path id="DejaVuSans[^"]*"[^>]*/>')
 """Outline of a letter in a drawing."""
 
 FIGURE_FILES = "figures/*.svg"

@@ -9,15 +9,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 import pytest
+from browser import open_page, problems_everywhere
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from agents.evaluation.statistics import Interval
+from agents.experiments.leak_price import leak_price
 from agents.leakage.training import untrained_head
 from agents.report.canvas import controllers_of, looks_of
 from agents.report.findings import caution, failures, findings, interval_text, verdict
 from agents.report.leaks import LOOKS
-from agents.report.palette import LEAKS, NEUTRALS, SERIES, contrast, mixed
+from agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
 from agents.report.plots import example_plot
 from agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
 from agents.report.text import correction_name, duration, number
@@ -468,3 +470,52 @@ def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
 def test_a_correction_is_named_after_what_it_corrects():
     assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
     assert correction_name("PPO", "PID mended") == "PPO on PID mended"
+
+
+# In a browser -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(evaluation, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    names = controllers_of(evaluation)
+    examples = [replace(example(names), leak=leak, preview=0.04) for leak in (0.01, 4.0)]
+    price = leak_price(CONFIG, (0.01, 4.0))
+    write_report(path, evaluation, replace(record(examples), leak_price=price, corrects={ODD_NAME: "PID"}))
+    return path
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, written):
+    assert problems_everywhere(browser, written) == []
+
+
+def test_the_slider_shows_one_leak_at_a_time(browser, written):
+    with open_page(browser, written) as page:
+        shown = page.locator(".level >> visible=true")
+        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "0.01"]
+        page.locator(".slider input").fill("1")
+        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "4"]
+        assert page.locator(".slider output").text_content() == "4"
+        assert "Whatever the controller" in shown.first.text_content()
+
+
+def test_without_scripts_every_leak_is_shown(browser, written):
+    with open_page(browser, written, java_script_enabled=False) as page:
+        assert page.locator(".level >> visible=true").count() == 2
+        assert not page.locator(".slider").is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_and_figures_follow_the_reader_s_theme(browser, written, scheme):
+    with open_page(browser, written, scheme=scheme) as page:
+
+        def shown(selector, what):
+            red, green, blue = re.findall(
+                r"\d+", page.locator(selector).first.evaluate(f"element => getComputedStyle(element).{what}")
+            )[:3]
+            return f"#{int(red):02x}{int(green):02x}{int(blue):02x}"
+
+        assert shown("body", "backgroundColor") == getattr(NEUTRALS["paper"], scheme)
+        assert shown("body", "color") == getattr(NEUTRALS["ink"], scheme)
+        assert shown("figure svg g[id$='-line2d_1'] path", "stroke") in {getattr(c, scheme) for c in VARIABLES.values()}
+        assert shown("figure svg g[id*='text_'] g", "fill") == getattr(NEUTRALS["ink"], scheme)

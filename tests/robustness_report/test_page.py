@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
 from agents.report.findings import Finding
@@ -127,3 +128,8 @@ def test_energy_is_told_for_every_leak(record):
 
 def test_the_page_is_the_same_every_time(record, page):
     assert render_page(record).html == page
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, record, tmp_path):
+    render_page(record).write(tmp_path / "robustness.html")
+    assert problems_everywhere(browser, tmp_path / "robustness.html") == []
