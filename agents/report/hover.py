@@ -30,8 +30,10 @@ def name_categories(axis: Axis, places: Any, labels: Any) -> None:
     def nearest(value: float) -> str:
         return str(words[int(np.argmin(np.abs(ends - value)))])
 
-    assert axis.axes is not None
-    setattr(axis.axes, f"fmt_{axis.axis_name}data", nearest)
+    if axis is axis.axes.xaxis:
+        axis.axes.fmt_xdata = nearest
+    else:
+        axis.axes.fmt_ydata = nearest
 
 
 def with_values(svg: bytes, figure: Figure) -> bytes:
@@ -49,7 +51,7 @@ def _marks(figure: Figure) -> Iterator[str]:
     for axes in figure.findobj(Axes):
         assert isinstance(axes, Axes)
         for line in axes.lines:
-            if line.get_transform() != axes.transData or len(line.get_xdata(orig=False)) == 0:
+            if line.get_transform() != axes.transData or np.size(line.get_xdata(orig=False)) == 0:
                 continue  # lines that mark a place have no values
             name = labels.get(line) or labels.get(line.get_color(), "")
             for x, y in _points(axes, line):
