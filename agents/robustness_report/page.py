@@ -12,7 +12,7 @@ from agents.controllers.base import Controller
 from agents.experiments.series import run_experiments
 from agents.report.page import Page, make_page
 from agents.report.price_plots import price_plots
-from agents.report.text import Table, setting
+from agents.report.text import Table, correction_name, setting
 from agents.report.training_plots import SEED_MARK
 from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import SCALE, colour_share, heat_map
@@ -94,6 +94,7 @@ def render_page(record: Record) -> Page:
         title=facts.get("title", "Robustness of servo axis controllers"),
         names=record.names,
         baseline=record.baseline,
+        corrects=[(name, correction_name(name, base), base) for name, base in record.corrects().items()],
         findings=findings(record),
         problems=problems(record),
         heat=heat_map(record),

@@ -93,6 +93,12 @@ def test_every_section_and_number_stands_on_the_page(page):
     assert not re.search(r'(src|href)="http', page)
 
 
+def test_a_policy_that_corrects_is_called_so(record):
+    sees = record.table("sees").assign(note=["", "corrects Fair", *[""] * (len(record.table("sees")) - 2)])
+    page = render_page(Record({**record.tables, "sees": sees})).html
+    assert "Good is a policy that adds a correction to the command of Fair: Good on fair." in page
+
+
 def test_missing_tables_leave_their_sections_out():
     tables = protocol_tables()
     page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]})).html
