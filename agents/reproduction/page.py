@@ -50,7 +50,9 @@ def render_page(figures: list[PageFigure], origin: Origin, rig: Rig) -> Page:
     table = equation_table()
     equations = Table("Equations", tuple(table.columns), list(table.itertuples(index=False, name=None)))
     bounds = TaskConfig().leakage.class_bounds
-    verdicts = Table("Conclusions", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)])
+    verdicts = Table(
+        "Conclusions", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)]
+    )
     return make_page(
         HERE / "page.html.j2", origin, figures=figures, equations=equations, verdicts=verdicts, rig=rig, bounds=bounds
     )
