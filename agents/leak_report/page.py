@@ -72,7 +72,7 @@ def render_page(record: Record) -> Page:
         masking_tables=masking_tables(record),
         detection=detection_tables(record),
         sizes=size_tables(record),
-        facts=Table("", ("Fact", "Value"), list(facts.items())),
+        facts=Table("Facts of this run", ("Fact", "Value"), list(facts.items())),
         conditions=conditions_tables(record),
     )
 

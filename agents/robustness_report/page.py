@@ -114,7 +114,7 @@ def render_page(record: Record) -> Page:
         price=price_plots(record.table("leak_price")),
         price_tables=[*price_table(record), *energy_table(record)],
         sees=sees_table(record),
-        facts=Table("", ("Fact", "Value"), list(facts.items())),
+        facts=Table("Facts of this run", ("Fact", "Value"), list(facts.items())),
         conditions=conditions_table(record),
     )
 
