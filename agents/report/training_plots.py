@@ -66,7 +66,7 @@ def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float)
             axes.fill_between(steps, band["min"], band["max"], color=look.colour, alpha=0.2, linewidth=0)
             axes.plot(steps, band["median"], label=name, marker=look.marker, **look.stroke)
         axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
-        highest = max(1.0, *(float(band["max"].iloc[1:].max()) for band in bands.values() if len(band) > 1))
+        highest = max([1.0, *(float(band["max"].iloc[min(1, len(band) - 1) :].max()) for band in bands.values())])
         axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}", ylim=(0.0, 1.1 * highest))
 
     title = f"Error while learning, against {baseline}"

@@ -464,6 +464,7 @@ def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
     assert "PPO: after 100 thousand steps 0.600, after 300 thousand steps 0.600" in plot.alt  # the median seed
     assert "median of 3 training seeds" in plot.note
     assert learning_plots(pd.concat(seeds), "PID", float("nan")) == []
+    assert len(learning_plots(seeds[0].head(1), "PID", 0.5)) == 1  # validated once
     assert learning_plots(pd.DataFrame({"steps": steps}), "PID", 0.5) == []
 
 
