@@ -32,7 +32,7 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
 
     def paint_power(axes: Axes) -> None:
         axes.plot(leaks, table["holding_power_w"], color=COLOURS[0], marker="o")
-        axes.set(ylabel="power from the supply, W", ylim=(0.0, None))
+        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * float(table["holding_power_w"].max())))
         log_leak_axis(axes, marks)
 
     def paint_left(axes: Axes) -> None:

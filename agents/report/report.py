@@ -94,7 +94,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
         "energy, J",
         "mean",
         "Energy from the supply by leak size",
-        "One run of every kind of reference: the same motion, and the leak beside it.",
+        "Mean over all runs; every leak has the same motions.",
     )
     return make_page(
         HERE / "report.html.j2",

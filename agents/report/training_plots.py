@@ -68,6 +68,7 @@ def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float)
         axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
         highest = max([1.0, *(float(band["max"].iloc[min(1, len(band) - 1) :].max()) for band in bands.values())])
         axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}", ylim=(0.0, 1.1 * highest))
+        axes.set_xlim(left=0.0)
 
     title = f"Error while learning, against {baseline}"
     note = f"Mean error on validation plants over that of {baseline} on the same plants; no policy is trained on them."
