@@ -32,9 +32,13 @@ from agents.report.canvas import (
     row_axis,
     ticks,
 )
+from agents.report.text import correction_name
 from agents.running.folders import config_folder
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
+
+NAMES = {"PPO": correction_name("PPO", "Flow linearisation")}
+"""Names in the pictures of the controllers of the default study."""
 
 DOCS = Path(__file__).parent
 FOLDER, TABLES = DOCS / "images", DOCS / "tables"
@@ -45,8 +49,8 @@ def results(tables: Path) -> None:
 
     The ratio is paired by plant: its interval shows what overlapping intervals of two means hide.
     """
-    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str})
-    rates = pd.read_csv(tables / "detection_rates.csv")
+    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str}).replace(NAMES)
+    rates = pd.read_csv(tables / "detection_rates.csv").replace(NAMES)
     base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
     looks = looks_of(names)
 

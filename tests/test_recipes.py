@@ -197,7 +197,7 @@ def try_agents() -> None:
     from agents.study.training import train_controller
 
     study = StudySettings.from_yaml("configs/studies/quick.yaml")
-    assert list(study.controllers) == ["PID", "damped", "Flow-linearising", "PPO", "TD3"]
+    assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO", "TD3"]
     assert study.trained == ["PPO", "TD3"]
     damped = study.make("damped")
     trainer = study.controllers["TD3"].trainer

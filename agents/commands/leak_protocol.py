@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 
 import joblib
@@ -20,12 +19,13 @@ from agents.leak_protocol.tables import LeakTables, make_tables
 from agents.leak_protocol.timings import timings_table
 from agents.leak_report.page import PAGE_FILE, write_leak_report
 from agents.leakage.head import LeakageHead
+from agents.report.page import FIGURE_FILES
 from agents.report.text import number, setting
 from agents.robustness.conditions import file_sha256
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.jobs import JOBS_FOLDER, default_jobs
-from agents.running.machine import machine_description, package_versions
+from agents.running.machine import date_now, machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
@@ -57,13 +57,13 @@ def evaluate_leak_protocol(
     facts = {
         "file": str(file),
         "file_sha256": file_sha256(file),
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "date": date_now(),
         "command": command,
         "machine": machine_description(),
         **package_versions(),
     }
     output = place.output if place.output is not None else Path("results") / file.stem
-    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE]
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
         alarms: list[AlarmJob] = []

@@ -10,6 +10,7 @@ from agents.reproduction.rig import Rig, rig_from
 from agents.reproduction.verdicts import verdict_table
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
+from agents.running.machine import Origin
 from hydro_env import HydroError
 from hydro_env.files import write_text, write_whole
 
@@ -48,7 +49,7 @@ def reproduce_to_folder(
             display.update("figures", number, len(FIGURES), entry.title)
         verdicts = verdict_table(all_verdicts(done))
         write_text(folder / VERDICTS_FILE, verdicts.to_csv(index=False))
-        write_text(folder / PAGE_FILE, render_page(done, command, rig))
+        render_page(done, Origin.now(command), rig).write(folder / PAGE_FILE)
     return folder / PAGE_FILE
 
 

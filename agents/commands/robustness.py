@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -14,6 +13,7 @@ from rich.table import Table
 
 from agents.bound.best_found import best_found
 from agents.controllers.base import Controller
+from agents.report.page import FIGURE_FILES
 from agents.robustness.conditions import Protocol, file_sha256, protocol_named
 from agents.robustness.participants import (
     CONDITION_MARK,
@@ -29,7 +29,7 @@ from agents.robustness_report.page import PAGE_FILE, write_robustness_report
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.jobs import JOBS_FOLDER, default_jobs
-from agents.running.machine import machine_description, package_versions
+from agents.running.machine import date_now, machine_description, package_versions
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
@@ -77,7 +77,7 @@ def evaluate_protocol(
         protocol = protocol.moved(place.task, place.rig)
     chosen = _participants(protocol, agents, study_file)
     output = place.output if place.output is not None else Path("results") / file.stem
-    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE]
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
         best = partial(best_found, settings={"threads": 1})  # as many jobs as cores run side by side
@@ -86,7 +86,7 @@ def evaluate_protocol(
         facts = {
             "file": str(file),
             "file_sha256": file_sha256(file),
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "date": date_now(),
             "command": command,
             "machine": machine_description(),
             **package_versions(),

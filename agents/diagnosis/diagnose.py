@@ -22,12 +22,13 @@ from agents.recordings.findings import Finding
 from agents.recordings.quality import Checked, check_recording
 from agents.recordings.recording import Recording, read_recording
 from agents.report.canvas import WIDE, render
+from agents.report.page import FIGURE_FILES
 from agents.running.folders import output_folder
 from hydro_env import TaskConfig
 from hydro_env.files import write_text, write_whole
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
-FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE)
+FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
 Progress = Callable[[str, int, int], None]

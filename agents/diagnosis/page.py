@@ -5,15 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from markupsafe import Markup
-
 from agents.diagnosis.picture import paint
 from agents.diagnosis.verdict import Kind, Reading, combined, named_fault
 from agents.recordings.findings import Weight
-from agents.report.canvas import WIDE, inline, render
-from agents.report.text import Table, number, templates
-from hydro_env import __version__
-from hydro_env.files import write_text
+from agents.report.canvas import WIDE, Plot, make_plot
+from agents.report.page import Page, make_page
+from agents.report.text import Table, number, setting
+from agents.running.machine import Origin
 
 if TYPE_CHECKING:
     from agents.diagnosis.diagnose import Diagnosis
@@ -29,6 +27,9 @@ ADVICE = {
     Kind.UNKNOWN: "This recording gives no answer. The reason stands in the verdict; mend it and record again.",
 }
 
+STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
+"""Class of the verdict in the style of the pages."""
+
 MEANING = {
     Weight.SEVERE: "rules out a verdict",
     Weight.FAULT: "a sensor is faulty",
@@ -40,45 +41,48 @@ MOST_ROWS = 200
 
 
 def write_page(path: Path, diagnosis: Diagnosis, command: str) -> None:
-    """Write the page."""
-    write_text(path, render_page(diagnosis, command))
+    """Write the page, and its figure into a folder beside it."""
+    render_page(diagnosis, Origin.now(command)).write(path)
 
 
-def render_page(diagnosis: Diagnosis, command: str) -> str:
-    """The page as HTML."""
-    (svg,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "svg")
+def render_page(diagnosis: Diagnosis, origin: Origin) -> Page:
+    """The page."""
     verdict, recording = diagnosis.verdict, diagnosis.recording
-    alt = f"Leak over time and measured signals. {verdict.line()}"
     samples = diagnosis.checked.samples
     facts = [
         ("Recording", recording.source),
         ("Duration", f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows"),
         ("Control period", f"{1e3 * samples.period:g} ms, {len(samples.time)} samples"),
         ("Windows", _counts(diagnosis)),
-        ("Command", command),
-        ("Version", f"hydro_env {__version__}"),
     ]
-    return (
-        templates(HERE)
-        .get_template("page.html.j2")
-        .render(
-            line=sentence(verdict.line()),
-            verdict=verdict,
-            colour={Kind.HEALTHY: "#00805c", Kind.LEAK: "#d55e00", Kind.OTHER: "#8a6d00", Kind.UNKNOWN: "#5c5c63"}[
-                verdict.kind
-            ],
-            advice=ADVICE[verdict.kind],
-            findings=findings_table(diagnosis),
-            svg=Markup(inline(svg, "diagnosis", alt)),
-            table=leak_table(diagnosis),
-            more=max(len(diagnosis.windows.begin) - MOST_ROWS, 0),
-            limits=diagnosis.limits,
-            alarm=diagnosis.alarm.line() if diagnosis.alarm is not None else "",
-            head=head_line(diagnosis.head),
-            note=diagnosis.note,
-            facts=Table("", ("Fact", "Value"), facts),
-        )
+    return make_page(
+        HERE / "page.html.j2",
+        origin,
+        line=sentence(verdict.line()),
+        verdict=verdict,
+        style=STYLES[verdict.kind],
+        advice=ADVICE[verdict.kind],
+        findings=findings_table(diagnosis),
+        plot=_plot(diagnosis),
+        table=leak_table(diagnosis),
+        more=max(len(diagnosis.windows.begin) - MOST_ROWS, 0),
+        alarm=diagnosis.alarm.line() if diagnosis.alarm is not None else "",
+        head=head_line(diagnosis.head),
+        note=diagnosis.note,
+        facts=Table("", ("Fact", "Value"), facts),
     )
+
+
+def _plot(diagnosis: Diagnosis) -> Plot:
+    limits = diagnosis.limits
+    note = (
+        f"Each point is one window with its 90 % interval. Green: leaks of healthy seals, up to "
+        f"{setting(limits.healthy)} l/min at 100 bar. Orange: leaks that count as a fault, from "
+        f"{setting(limits.fault)} l/min. Shaded in the measured signals: the first place of each finding."
+    )
+    alt = f"Leak over time and measured signals. {diagnosis.verdict.line()}"
+    title = "Leak and measured signals"
+    return make_plot("diagnosis", title, note, alt, lambda figure: paint(figure, diagnosis), 9.5, WIDE)
 
 
 def sentence(text: str) -> str:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from agents.diagnosis.verdict import Kind, Reading
 from agents.recordings.findings import Finding, Weight
-from agents.report.canvas import COLOURS, GREY, INK, looks_of
+from agents.report.canvas import GREY, INK, PAPER, looks_of
+from agents.report.palette import MEANINGS
 
 if TYPE_CHECKING:
     from agents.diagnosis.diagnose import Diagnosis
@@ -20,7 +21,8 @@ if TYPE_CHECKING:
 MOST_POINTS = 4000
 """Points of a line; longer ones show the lowest and highest value of each stretch."""
 
-COLOUR = {Weight.SEVERE: COLOURS[1], Weight.FAULT: COLOURS[1], Weight.NOTE: "#b9b9c0"}
+GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
+COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
 LOWEST, HIGHEST = 1e-3, 20.0
 """l/min at 100 bar; ends of the scale."""
 
@@ -45,8 +47,8 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
     axes.set_ylim(LOWEST, HIGHEST)
     axes.set_ylabel("leak, l/min at 100 bar")
     axes.set_yticks([0.001, 0.01, 0.1, 1.0, 10.0], ["≤ 0.001", "0.01", "0.1", "1", "10"])
-    axes.axhspan(LOWEST, limits.healthy, color="#00805c", alpha=0.10, linewidth=0)
-    axes.axhspan(limits.fault, HIGHEST, color="#d55e00", alpha=0.07, linewidth=0)
+    axes.axhspan(LOWEST, limits.healthy, color=GOOD, alpha=0.10, linewidth=0)
+    axes.axhspan(limits.fault, HIGHEST, color=WORSE, alpha=0.07, linewidth=0)
     for height, text in ((LOWEST, "healthy seal"), (limits.fault, "faulty seal")):
         axes.annotate(
             text, (0.004, height), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
@@ -77,7 +79,7 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: st
     counts, known = reading.holds, np.isfinite(reading.leak)
     for chosen, options, label in (
         (known & counts, {"markerfacecolor": colour}, name),
-        (known & ~counts, {"markerfacecolor": "white", "alpha": 0.5}, f"{name}, does not count"),
+        (known & ~counts, {"markerfacecolor": PAPER, "alpha": 0.5}, f"{name}, does not count"),
     ):
         if chosen.any():
             value, low, high = (shown(values[chosen]) for values in (reading.leak, reading.low, reading.high))

@@ -28,8 +28,9 @@ from agents.leak_report.tables import (
     masking_tables,
     size_tables,
 )
-from agents.report.text import Table, templates
-from hydro_env.files import write_whole
+from agents.report.page import Page, make_page
+from agents.report.text import Table
+from agents.running.machine import Origin
 
 HERE = Path(__file__).parent
 PAGE_FILE = "leakage.html"
@@ -46,35 +47,33 @@ def write_leak_report(folder: Path, tables: Mapping[str, pd.DataFrame], protocol
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    write_whole(folder / PAGE_FILE, render_page(Record(tables, protocol.base)).encode())
+    render_page(Record(tables, protocol.base)).write(folder / PAGE_FILE)
 
 
-def render_page(record: Record) -> str:
-    """The page as HTML."""
+def render_page(record: Record) -> Page:
+    """The page."""
     facts = record.facts()
-    return (
-        templates(HERE)
-        .get_template("page.html.j2")
-        .render(
-            title=facts.get("title", "Leak detection"),
-            detectors=record.detectors,
-            findings=findings(record),
-            problems=problems(record),
-            floors=floors_table(record),
-            small=[*detection_plot(record), *size_plot(record)],
-            alarms=alarm_tables(record),
-            motions=motion_plots(record),
-            faults=fault_plots(record),
-            confusions=confusions(record),
-            reliability=reliability_plot(record),
-            coverage=coverage_plots(record),
-            masking=masking_plot(record),
-            masking_tables=masking_tables(record),
-            detection=detection_tables(record),
-            sizes=size_tables(record),
-            facts=Table("", ("Fact", "Value"), list(facts.items())),
-            conditions=conditions_tables(record),
-        )
+    return make_page(
+        HERE / "page.html.j2",
+        Origin.of(facts),
+        title=facts.get("title", "Leak detection"),
+        detectors=record.detectors,
+        findings=findings(record),
+        problems=problems(record),
+        floors=floors_table(record),
+        small=[*detection_plot(record), *size_plot(record)],
+        alarms=alarm_tables(record),
+        motions=motion_plots(record),
+        faults=fault_plots(record),
+        confusions=confusions(record),
+        reliability=reliability_plot(record),
+        coverage=coverage_plots(record),
+        masking=masking_plot(record),
+        masking_tables=masking_tables(record),
+        detection=detection_tables(record),
+        sizes=size_tables(record),
+        facts=Table("Facts of this run", ("Fact", "Value"), list(facts.items())),
+        conditions=conditions_tables(record),
     )
 
 

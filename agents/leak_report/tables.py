@@ -12,10 +12,8 @@ from agents.leak_protocol.detectors import VERDICTS
 from agents.leak_protocol.protocol import DRAWN, HEALTHY
 from agents.leak_report.record import Record, level_text, percent_of
 from agents.report.findings import interval_text
+from agents.report.palette import STRONGEST
 from agents.report.text import Table, number, setting, unbroken
-
-WRONG, RIGHT, SILENT = (213, 94, 0), (0, 114, 178), (107, 107, 107)
-"""Colours of a verdict that is wrong, right, and of "cannot tell", at 100 %."""
 
 RIGHT_VERDICT = {
     "valve": "valve fault",
@@ -30,7 +28,8 @@ class Cell:
     """One share of a confusion table."""
 
     text: str
-    background: str
+    meaning: str  # better (right), worse (wrong), or silent (cannot tell)
+    share: int  # percent of the meaning's colour
 
 
 @dataclass(frozen=True)
@@ -63,10 +62,8 @@ def confusions(record: Record) -> list[Confusion]:
 
 def _cell(record: Record, condition: str, level: float, verdict: str, value: float) -> Cell:
     right = verdict in right_verdicts(record, condition, level)
-    colour = RIGHT if right else SILENT if verdict == "cannot tell" else WRONG
-    strength = 0.75 * value
-    red, green, blue = (round(255 + strength * (part - 255)) for part in colour)
-    return Cell(number(100.0 * value, 0) if value > 0.0 else "", f"rgb({red},{green},{blue})")
+    meaning = "better" if right else "silent" if verdict == "cannot tell" else "worse"
+    return Cell(number(100.0 * value, 0) if value > 0.0 else "", meaning, round(STRONGEST * value))
 
 
 def right_verdicts(record: Record, condition: str, level: float) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
+from agents.report.hover import name_categories, with_values
+from agents.report.palette import NEUTRALS, SERIES, themed
 from agents.report.text import number, setting
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ WIDTH, HEIGHT = 4.6, 3.0
 WIDE = 8.6
 """inches; a figure of several panels side by side."""
 
-INK, GREY, PALE = "#222222", "#6b6b6b", "#dddddd"
+INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line", "paper"))
 
 STYLE: Any = {
     "svg.hashsalt": "hydro_env",
@@ -48,6 +50,7 @@ STYLE: Any = {
     "axes.titlelocation": "left",
     "axes.edgecolor": GREY,
     "axes.labelcolor": INK,
+    "text.color": INK,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -72,12 +75,15 @@ STYLE: Any = {
 
 @dataclass(frozen=True)
 class Plot:
-    """A figure with title, note and description."""
+    """A figure of a page, with title, note and description."""
 
+    key: str  # name of its file
     title: str
     note: str  # how to read it
     alt: str  # description for readers who cannot see it
-    svg: str
+    svg: str  # element of the page, in the colours of the reader's theme
+    file: bytes  # SVG in light colours
+    wide: bool = False  # as wide as the page
 
 
 @dataclass(frozen=True)
@@ -94,8 +100,7 @@ class Look:
         return {"color": self.colour, "linestyle": self.line}
 
 
-COLOURS = ("#0072b2", "#d55e00", "#00805c", "#b3508a", "#8a6d00", "#2e8bc0")
-"""After Okabe and Ito, darkened to a contrast of 3 : 1 on white; colour-blind readers can distinguish them."""
+COLOURS = tuple(colour.light for colour in SERIES)
 
 MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
 
@@ -127,22 +132,45 @@ def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: s
             nothing: dict[str, Any] = dict.fromkeys(
                 ("Date", "Creator", "Format", "Type") if kind == "svg" else ["Software"]
             )
-            figure.savefig(file, format=kind, dpi=120, metadata=nothing, facecolor="white")
-            files.append(file.getvalue())
+            figure.savefig(file, format=kind, dpi=120, metadata=nothing, facecolor=PAPER)
+            files.append(with_values(file.getvalue(), figure) if kind == "svg" else file.getvalue())
     return files
 
 
-def inline(file: bytes, key: str, alt: str) -> str:
-    """The SVG element for a page; its ids start with ``key``, and ``alt`` describes it."""
+def make_plot(
+    key: str,
+    title: str,
+    note: str,
+    alt: str,
+    paint: Callable[[Figure], None],
+    height: float = HEIGHT,
+    width: float = WIDTH,
+) -> Plot:
+    """A figure of a page (inches); ``key`` is unique on it."""
+    (file,) = render(paint, (width, height), "svg")
+    return as_plot(key, title, note, alt, file, wide=width > WIDTH)
+
+
+def as_plot(key: str, title: str, note: str, alt: str, file: bytes, wide: bool = False) -> Plot:
+    """The figure of a page from its drawing."""
+    return Plot(key, title, note, alt, _inline(file, key, alt), file, wide)
+
+
+def _inline(file: bytes, key: str, alt: str) -> str:
+    """The SVG element for a page; its ids start with ``key``, except those of letters, which all figures share."""
     svg = file.decode()
-    text = re.sub(r'\bid="|url\(#|href="#', lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
+    own = r'(\bid="|url\(#|href="#)(?!DejaVuSans)'
+    text = re.sub(own, lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
+    short = re.sub(r'(?<= )(d|x|y)="[^"]*"', lambda match: _shortened(match.group(0)), text)
     label = f'role="img" aria-label="{escape(alt)}"'
-    return re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, text, count=1)
+    return themed(re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, short, count=1))
 
 
-def draw(key: str, alt: str, paint: Callable[[Figure], None], height: float = HEIGHT) -> str:
-    """The SVG element of a figure of one panel's width."""
-    return inline(render(paint, (WIDTH, height), "svg")[0], key, alt)
+def _shortened(path: str) -> str:
+    """A path of an SVG with a tenth of a point, and without the letters of its straight lines."""
+    rounded = re.sub(r"\.(\d)\d+", r".\1", path)
+    lines = r"[ML][^A-Za-z]+(?:L[^A-Za-z]+)+"
+    return re.sub(lines, lambda match: re.sub(r"\s+L ", " ", match.group(0)), rounded)
 
 
 def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
@@ -153,7 +181,7 @@ def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes],
         paint(axes)
         add_legend(axes)
 
-    return Plot(title, note, alt, draw(key, alt, painted, height))
+    return make_plot(key, title, note, alt, painted, height)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -195,7 +223,7 @@ def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
     """Scale the axis by the logarithm of the levels, with a leak of zero at the left end; returns their places."""
     zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
     places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
-    axes.set_xticks(list(places.values()), [setting(level) for level in places])
+    name_categories(axes.xaxis, places.values(), [setting(level) for level in places])
     axes.set_xlabel("leak, l/min at 100 bar")
     axes.grid(visible=False, axis="x")
     return places
@@ -203,7 +231,7 @@ def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
 
 def row_axis(axes: Axes, labels: Sequence[str]) -> None:
     """Categories from top to bottom."""
-    axes.set_yticks(range(len(labels)), labels)
+    name_categories(axes.yaxis, range(len(labels)), labels)
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.grid(visible=False, axis="y")
 

@@ -11,6 +11,8 @@ from matplotlib.axes import Axes
 from agents.report.canvas import (
     GREY,
     INK,
+    PALE,
+    PAPER,
     Array,
     Plot,
     bars_by,
@@ -20,6 +22,7 @@ from agents.report.canvas import (
     one_panel,
     ticks,
 )
+from agents.report.hover import name_categories
 from agents.report.text import number, setting
 
 if TYPE_CHECKING:
@@ -54,7 +57,7 @@ def _rates(evaluation: Evaluation) -> Plot:
     def paint(axes: Axes) -> None:
         axes.axvline(0.5, color=GREY, linewidth=0.8, linestyle=":")
         bars_by(axes, parts, "value", values, "flagged_share", looks, "points")
-        axes.set_xticks(range(len(values)), values)
+        name_categories(axes.xaxis, range(len(values)), values)
         axes.grid(visible=False, axis="x")
         axes.set_ylim(-2.0, 102.0)
         axes.set_ylabel("flagged, % of episodes")
@@ -101,7 +104,7 @@ def _roc(evaluation: Evaluation) -> Plot:
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
             alarms, detected = _operating_point(evaluation.detection, name, evaluation.bounds)
-            point: dict[str, Any] = {"color": look.colour, "markeredgecolor": "white", "markersize": 7.5}
+            point: dict[str, Any] = {"color": look.colour, "markeredgecolor": PAPER, "markersize": 7.5}
             axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * detected, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
         axes.set_xlim(FEWEST_FALSE_ALARMS, 1.0)
@@ -162,7 +165,7 @@ def _size(evaluation: Evaluation) -> Plot:
 
     def paint(axes: Axes) -> None:
         true = np.array([low, high])
-        axes.fill_between(true, 0.5 * true, 2.0 * true, color="#ececec", linewidth=0.0, label="factor of 2")
+        axes.fill_between(true, 0.5 * true, 2.0 * true, color=PALE, linewidth=0.0, label="factor of 2")
         axes.plot(true, true, color=INK, linewidth=0.9)
         for name, look in looks.items():
             part = leaking[leaking["controller"] == name]

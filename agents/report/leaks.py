@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from agents.report.canvas import Look
+from agents.report.palette import LEAKS
 
 TIGHT, MODERATE, SEVERE = 0.01, 1.0, 4.0
 """A new seal; the bound between moderate and severe; the largest leak of the task."""
@@ -21,15 +24,13 @@ FEW_LINES = (0.01, 0.3, 1.0, 4.0)
 SCAN = (0.01, 0.1, 0.3, 1.0, 4.0)
 """Like LINES, for figures with room for fewer lines, or with more weight on incipient leaks."""
 
+_DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.5, 1)), "-")
+
 LOOKS = {
-    0.01: Look("#14213d", "o", "-"),
-    0.1: Look("#47207a", "s", (0, (7, 1.5))),
-    0.3: Look("#8a2387", "D", (0, (4, 1.2))),
-    1.0: Look("#bf2f5f", "^", (0, (5, 1.2, 1, 1.2))),
-    2.0: Look("#d1493a", "v", (0, (1.5, 1))),
-    4.0: Look("#de6a10", "P", "-"),
+    leak: Look(colour.light, marker, line)
+    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
 }
-"""From a tight seal (dark) to a severe leak (light)."""
+"""From a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
 
 
 def flow(leak: float) -> str:

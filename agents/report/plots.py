@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
+from agents.evaluation.statistics import mean_interval
 from agents.report.canvas import (
     HEIGHT,
     INK,
@@ -24,9 +25,9 @@ from agents.report.canvas import (
     controllers_of,
     description,
     dodge,
-    draw,
     level_axis,
     looks_of,
+    make_plot,
     one_panel,
     row_axis,
     ticks,
@@ -44,37 +45,60 @@ RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0,
 
 
 def tracking_plots(evaluation: Evaluation) -> list[Plot]:
-    """Errors over leak and by reference, ratios, worst cases."""
-    ratios = (("level", "Ratio of errors by leak size"), ("family", "Ratio of errors by kind of reference"))
+    """Errors over leak and by reference, paired comparisons, valve travel, worst cases."""
     tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
+    error = ("mean_error_mm", "error, mm")
+    travel = ("valve_travel_per_s", "travel, strokes per second", "mean", "Valve travel by leak size")
+    reversals = ("reversals_per_s", "reversals, per second", "mean", "Reversals of the command by leak size")
+    compared = not evaluation.ratios.empty
     return [
-        _by_level(evaluation, "mean", "Mean error by leak size", "Mean over all runs; bars: 95 % interval."),
+        level_plot(evaluation, *error, "mean", "Mean error by leak size", "Mean over all runs."),
+        level_plot(evaluation, *travel, "What the position costs: the way of the valve's spool."),
+        *([_difference_plot(evaluation)] if compared else []),
+        level_plot(evaluation, *reversals, "Changes of direction that the valve answers; they wear it."),
         _by_family(evaluation),
-        *(_ratio_plot(evaluation, *ratio) for ratio in ratios if not evaluation.ratios.empty),
-        _by_level(evaluation, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
-        _by_level(evaluation, "worst", "Worst run by leak size", "Mean error of the single worst run."),
+        *([_ratio_plot(evaluation)] if compared else []),
+        level_plot(evaluation, *error, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
+        level_plot(evaluation, *error, "worst", "Worst run by leak size", "Mean error of the single worst run."),
     ]
 
 
-def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plot:
-    frame = evaluation.levels[evaluation.levels["metric"] == "mean_error_mm"]
+def _hint(evaluation: Evaluation) -> str:
+    """How far single means are known: with several controllers their intervals, which overlap, mislead."""
+    if evaluation.ratios.empty:
+        return " Bars: 95 % interval."
+    return " Intervals stand in the tables; the paired comparison tells which differences are certain."
+
+
+def level_plot(evaluation: Evaluation, metric: str, label: str, column: str, title: str, note: str) -> Plot:
+    """A column of the table ``levels`` for one metric over the leak.
+
+    Args:
+        evaluation: the evaluation.
+        metric: name of the metric.
+        label: of the vertical axis, with the unit.
+        column: ``mean``, ``cvar_5_percent`` or ``worst``.
+        title: of the figure.
+        note: how to read it.
+    """
+    frame = evaluation.levels[evaluation.levels["metric"] == metric]
     looks = looks_of(controllers_of(evaluation))
     levels = sorted({float(level) for level in frame["leakage_flow_lpm"]})
     parts = {name: frame[frame["controller"] == name].sort_values("leakage_flow_lpm") for name in looks}
+    alone = column == "mean" and evaluation.ratios.empty
 
     def paint(axes: Axes) -> None:
         places = level_axis(axes, levels)
-        for index, (name, part) in enumerate(parts.items()):
+        for name, part in parts.items():
             look = looks[name]
             x = np.array([places[float(level)] for level in part["leakage_flow_lpm"]])
-            x = x + dodge(len(parts), index, 0.025)
-            if column == "mean":
+            if alone:
                 bars(axes, x, part, column, look, name)
             else:
-                axes.plot(x, part[column], color=look.colour, marker=look.marker, linestyle=look.line, label=name)
-        axes.set_ylabel("error, mm")
+                axes.plot(x, part[column], marker=look.marker, label=name, **look.stroke)
+        axes.set_ylabel(label)
         axes.margins(x=0.06)  # no marker is cut at the edge
-        _error_scale(axes, _ends(frame, column))
+        _error_scale(axes, _ends(frame, column, alone))
 
     rows = {
         name: [
@@ -83,7 +107,39 @@ def _by_level(evaluation: Evaluation, column: str, title: str, note: str) -> Plo
         ]
         for name, part in parts.items()
     }
-    return one_panel(f"level-{column}", title, note, description(title, rows, " mm"), paint)
+    unit = f" {label.split(', ')[1]}"
+    note += _hint(evaluation) if column == "mean" and metric == "mean_error_mm" else ""
+    return one_panel(f"level-{metric}-{column}", title, note, description(title, rows, unit), paint)
+
+
+def _difference_plot(evaluation: Evaluation) -> Plot:
+    """Error minus that of the baseline on the same plants, with intervals of this difference."""
+    base, *names = controllers_of(evaluation)
+    looks = looks_of([base, *names])
+    levels = sorted({float(level) for level in evaluation.cases["leakage_flow_lpm"]})
+    table = evaluation.cases.pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
+    parts = {
+        name: pd.DataFrame(
+            [mean_interval((table[name] - table[base]).loc[level].to_numpy()).columns("value") for level in levels]
+        )
+        for name in names
+    }
+
+    def paint(axes: Axes) -> None:
+        places = np.array(list(level_axis(axes, levels).values()))
+        for index, (name, part) in enumerate(parts.items()):
+            bars(axes, places + dodge(len(parts), index, 0.03), part, "value", looks[name], name)
+        axes.axhline(0.0, **looks[base].stroke, label=base)
+        axes.set_ylabel(f"error − error of {base}, mm")
+        axes.margins(x=0.06)
+
+    title = f"Difference to {base} by leak size"
+    note = "On the same plants, references and noise; bars: 95 % interval of the difference. Below 0 is better."
+    rows = {
+        name: [(f"{setting(level)} l/min", value) for level, value in zip(levels, part["value"], strict=True)]
+        for name, part in parts.items()
+    }
+    return one_panel("difference", title, note, description(title, rows, " mm"), paint)
 
 
 def _by_family(evaluation: Evaluation) -> Plot:
@@ -91,22 +147,25 @@ def _by_family(evaluation: Evaluation) -> Plot:
     looks = looks_of(controllers_of(evaluation))
     families = [str(family) for family in frame["family"].unique()]
     labels = [family_name(family) for family in families]
+    alone = evaluation.ratios.empty
+    if not alone:
+        frame = frame.assign(low=np.nan, high=np.nan)  # no bars
     parts = {name: frame[frame["controller"] == name] for name in looks}
 
     def paint(axes: Axes) -> None:
         bars_by(axes, parts, "family", families, "mean", looks, "rows")
         row_axis(axes, labels)
         axes.set_xlabel("mean error, mm")
-        _error_scale(axes, _ends(frame, "mean"), "x")
+        _error_scale(axes, _ends(frame, "mean", alone), "x")
 
-    title, note = "Mean error by kind of reference", "Mean over all leak sizes; bars: 95 % interval."
+    title, note = "Mean error by kind of reference", "Mean over all leak sizes." + _hint(evaluation)
     rows = {name: list(zip(labels, part["mean"], strict=True)) for name, part in parts.items()}
     return one_panel("family", title, note, description(title, rows, " mm"), paint, _height(len(families), len(parts)))
 
 
-def _ends(frame: pd.DataFrame, column: str) -> Array:
-    """Values that the scale must show: those of a column, and the intervals of means."""
-    columns = ["mean", "low", "high"] if column == "mean" else [column]
+def _ends(frame: pd.DataFrame, column: str, intervals: bool) -> Array:
+    """Values that the scale must show: those of a column, with or without intervals."""
+    columns = [column, "low", "high"] if intervals else [column]
     values: Array = frame[columns].to_numpy(dtype=np.float64).ravel()
     return values
 
@@ -125,12 +184,13 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
 
 
-def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
-    frame = evaluation.ratios[evaluation.ratios["group"].isin(["all", group])]
+def _ratio_plot(evaluation: Evaluation) -> Plot:
+    """Error over that of the baseline on the same plants, by kind of reference."""
+    frame = evaluation.ratios[evaluation.ratios["group"].isin(["all", "family"])]
     looks = looks_of(controllers_of(evaluation))
     base, names = str(frame["against"].iloc[0]), [str(name) for name in frame["controller"].unique()]
     values = list(dict.fromkeys(str(value) for value in frame["value"]))
-    labels = [_row_label(group, value) for value in values]
+    labels = [family_name(value) if value else "all runs" for value in values]
     parts = {name: frame[frame["controller"] == name] for name in names}
 
     def paint(axes: Axes) -> None:
@@ -145,18 +205,12 @@ def _ratio_plot(evaluation: Evaluation, group: str, title: str) -> Plot:
         axes.axhline(0.5, color=PALE, linewidth=0.8)
         _ratio_scale(axes, frame[["ratio", "low", "high"]].to_numpy(dtype=np.float64))
         axes.set_xlabel(f"error of {names[0]} ÷ error of {base}" if len(names) == 1 else f"error ÷ error of {base}")
-        axes.set_ylabel("leak, l/min" if group == "level" else "")
 
+    title = "Ratio of errors by kind of reference"
     rows = {name: list(zip(labels, part["ratio"], strict=True)) for name, part in parts.items()}
     alt = description(f"{title}, relative to {base}", rows, "")
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
-    return one_panel(f"ratio-{group}", title, note, alt, paint, _height(len(values), len(names)))
-
-
-def _row_label(group: str, value: str) -> str:
-    if value == "":
-        return "all runs"
-    return f"{float(value):g}" if group == "level" else family_name(value)
+    return one_panel("ratio", title, note, alt, paint, _height(len(values), len(names)))
 
 
 def _height(rows: int, controllers: int) -> float:
@@ -177,27 +231,47 @@ def _ratio_scale(axes: Axes, values: Array) -> None:
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
 
 
-def example_plot(example: Example, key: int, looks: Mapping[str, Look]) -> Plot:
-    """Position and reference, error in mm, command in V of one episode under every controller."""
+def example_limits(examples: Sequence[Example]) -> tuple[float, float]:
+    """Lowest and highest error (mm) of some episodes, for one scale in all their figures."""
+    errors = [1e3 * (one.reference - position) for one in examples for position in one.position.values()]
+    low, high = min(float(np.nanmin(e)) for e in errors), max(float(np.nanmax(e)) for e in errors)
+    room = 0.05 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def example_plot(
+    example: Example, key: str, looks: Mapping[str, Look], limits: tuple[float, float] | None = None
+) -> Plot:
+    """Position and reference, error in mm, command in V of one episode under every controller.
+
+    Args:
+        example: the episode.
+        key: name of the figure.
+        looks: of the controllers.
+        limits: of the error, mm.
+    """
     names = list(example.position)
-    jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP]
+    jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP] if example.preview > 0.0 else np.empty(0)
 
     def paint(figure: Figure) -> None:
         above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
-        for axes in panels if example.preview > 0.0 else ():
-            for jump in jumps:
-                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0)
         above.plot(example.time, 1e3 * example.reference, color=INK, linewidth=1.0, label="reference")
         for name in names:
             look = looks[name]
             above.plot(example.time, 1e3 * example.position[name], label=name, linewidth=1.2, **look.stroke)
             middle.plot(example.time, 1e3 * (example.reference - example.position[name]), linewidth=1.2, **look.stroke)
             below.plot(example.time, 10.0 * example.command[name], linewidth=0.9, **look.stroke)
+        for axes in panels:
+            for index, jump in enumerate(jumps):
+                label = "preview of a step" if axes is above and index == 0 else None
+                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5, label=label)
         middle.axhline(0.0, color=INK, linewidth=0.6)
         above.set_ylabel("position, mm")
         middle.set_ylabel("error, mm")
         below.set(ylabel="command, V", xlabel="time, s", ylim=(-10.8, 10.8), yticks=[-10, 0, 10])
         below.set_xlim(0.0, float(example.time[-1]))
+        if limits is not None:
+            middle.set_ylim(limits)
         for axes in (above, middle):
             axes.yaxis.set_major_locator(MaxNLocator(5))
         figure.align_ylabels()
@@ -208,9 +282,8 @@ def example_plot(example: Example, key: int, looks: Mapping[str, Look]) -> Plot:
         for name in names
     ]
     note = f"Mean error of this run: {', '.join(errors)}."
-    if len(jumps) and example.preview > 0.0:
-        note += (
-            f" Grey: a preview shows the step {setting(1e3 * example.preview)} ms ahead; a controller may start then."
-        )
+    if len(jumps):
+        ahead = setting(1e3 * example.preview)
+        note += f" Grey: a preview shows the step {ahead} ms ahead; a controller may start then."
     alt = f"Position, error and valve command over time: {example.title}. {note}"
-    return Plot(example.title[:1].upper() + example.title[1:], note, alt, draw(f"example-{key}", alt, paint, 4.6))
+    return make_plot(key, example.title[:1].upper() + example.title[1:], note, alt, paint, 4.6)

@@ -12,20 +12,32 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from agents.evaluation.protocol import Evaluation
 from agents.evaluation.statistics import RESAMPLES
-from agents.report.canvas import controllers_of, looks_of
+from agents.report.canvas import Look, Plot, controllers_of, looks_of
 from agents.report.detection_plots import detection_plots
 from agents.report.findings import caution, failures, findings, plants_of
-from agents.report.plots import example_plot, tracking_plots
-from agents.report.tables import definitions, detection_tables, metric_table, metric_tables, ratio_tables
-from agents.report.text import Table, duration, family_name, listed, setting, span, templates
-from agents.report.training_plots import training_plots
+from agents.report.page import Page, make_page
+from agents.report.plots import example_limits, example_plot, level_plot, tracking_plots
+from agents.report.price_plots import price_plots, price_sentence
+from agents.report.tables import (
+    definitions,
+    detection_tables,
+    level_tables,
+    metric_table,
+    metric_tables,
+    overview,
+    ratio_tables,
+)
+from agents.report.text import Table, correction_name, duration, family_name, listed, setting, span
+from agents.report.training_plots import learning_plots, training_plots
+from agents.running.machine import Origin
 from agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
 from hydro_env.files import write_whole
+
+HERE = Path(__file__).parent
 
 Array = NDArray[np.floating[Any]]
 
@@ -40,6 +52,7 @@ class Example:
     position: dict[str, Array]  # controller → m
     command: dict[str, Array]  # controller → parts of 10 V
     preview: float = 0.0  # s; the observation shows the reference this far ahead
+    leak: float = 0.0  # l/min at 100 bar
 
 
 @dataclass(frozen=True)
@@ -49,56 +62,89 @@ class StudyRecord:
     title: str
     configuration: str  # YAML text of the study configuration
     command: str  # command line of the study
-    versions: dict[str, str]  # package → version
+    versions: dict[str, str]  # package → version; commit
     machine: str
     seed: int
     timings: dict[str, float]  # phase → seconds
     training_curve: pd.DataFrame  # see agents.report.training_plots; may be empty
-    examples: list[Example]
+    examples: list[Example]  # the same episodes at every leak
     corrects: Mapping[str, str] = field(default_factory=dict)  # controller → controller that it corrects
+    date: str = ""  # UTC
+    leak_price: pd.DataFrame = field(default_factory=pd.DataFrame)  # see agents.experiments.leak_price; may be empty
+    validation_error_mm: float = float("nan")  # of the first controller, on the plants of the training curve
 
 
 def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> None:
-    """Write the report as one HTML file without external parts.
+    """Write the report as one HTML file without external parts, and its figures into a folder beside it.
 
     Raises:
-        ConfigurationError: the file cannot be written.
+        ConfigurationError: a file cannot be written.
     """
-    write_whole(path, render_report(evaluation, record).encode())
+    render_report(evaluation, record).write(path)
 
 
-def render_report(evaluation: Evaluation, record: StudyRecord) -> str:
-    """The report as HTML. It calls a controller that corrects another 'PPO on PID'."""
-    names = {name: f"{name} on {base}" for name, base in record.corrects.items()}
+def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
+    """The report. It calls a controller that corrects another 'PPO on PID'."""
+    names = {name: correction_name(name, base) for name, base in record.corrects.items()}
     evaluation, record = _renamed(evaluation, record, names)
     looks = looks_of(controllers_of(evaluation))
-    return (
-        templates()
-        .get_template("report.html.j2")
-        .render(
-            record=record,
-            names=list(looks),
-            corrects={names[name]: base for name, base in record.corrects.items() if names[name] in looks},
-            errors=list(evaluation.errors.values()),
-            healthy=setting(evaluation.bounds.healthy_up_to),
-            findings=findings(evaluation),
-            caution=caution(evaluation),
-            failures=failures(evaluation),
-            tracking_plots=tracking_plots(evaluation),
-            tracking_tables=[metric_table(evaluation, by, "mean_error_mm") for by in ("level", "family")],
-            ratio_tables=ratio_tables(evaluation),
-            metric_tables={by: metric_tables(evaluation, by) for by in ("level", "family")},
-            examples=[example_plot(example, i, looks) for i, example in enumerate(record.examples)],
-            detection_plots=detection_plots(evaluation),
-            detection_tables=detection_tables(evaluation),
-            training_plots=training_plots(record.training_curve),
-            protocol=_protocol(evaluation),
-            definitions=definitions(),
-            versions=Table("Versions", ("Package", "Version"), list(record.versions.items())),
-            timings=Table("Time taken", ("Phase", "Time"), [(k, duration(v)) for k, v in record.timings.items()]),
-            svg=lambda plot: Markup(plot.svg),
-        )
+    energy = level_plot(
+        evaluation,
+        "supply_energy_j",
+        "energy, J",
+        "mean",
+        "Energy from the supply by leak size",
+        "Mean over all runs; every leak has the same motions.",
     )
+    return make_page(
+        HERE / "report.html.j2",
+        Origin.of({**record.versions, "command": record.command, "date": record.date}),
+        record=record,
+        names=list(looks),
+        corrects={names[name]: base for name, base in record.corrects.items() if names[name] in looks},
+        errors=list(evaluation.errors.values()),
+        healthy=setting(evaluation.bounds.healthy_up_to),
+        findings=findings(evaluation),
+        caution=caution(evaluation),
+        failures=failures(evaluation),
+        overview=overview(evaluation),
+        tracking_plots=tracking_plots(evaluation),
+        tracking_tables=[metric_table(evaluation, by, "mean_error_mm") for by in ("level", "family")],
+        ratio_tables=ratio_tables(evaluation),
+        metric_tables={by: metric_tables(evaluation, by) for by in ("level", "family")},
+        levels=_levels(evaluation, record),
+        level_plots=_level_plots(record, looks),
+        price_plots=[*price_plots(record.leak_price), energy],
+        detection_plots=detection_plots(evaluation),
+        detection_tables=detection_tables(evaluation),
+        learning_plots=learning_plots(record.training_curve, next(iter(looks)), record.validation_error_mm),
+        training_plots=training_plots(record.training_curve),
+        protocol=_protocol(evaluation),
+        definitions=definitions(),
+        versions=Table("Versions", ("Package", "Version"), list(record.versions.items())),
+        timings=Table("Time taken", ("Phase", "Time"), [(k, duration(v)) for k, v in record.timings.items()]),
+    )
+
+
+def _levels(evaluation: Evaluation, record: StudyRecord) -> list[tuple[str, Table, str]]:
+    """Each leak as text, its errors and costs, and a sentence about what it costs a controller or none."""
+    return [
+        (setting(level), table, price_sentence(record.leak_price, level))
+        for level, table in level_tables(evaluation).items()
+    ]
+
+
+def _level_plots(record: StudyRecord, looks: Mapping[str, Look]) -> list[list[Plot]]:
+    """The example episodes, one list per leak; an episode has the same scale at every leak."""
+    limits = {
+        title: example_limits([example for example in record.examples if example.title == title])
+        for title in {example.title for example in record.examples}
+    }
+    plots: dict[float, list[Plot]] = {}
+    for number, example in enumerate(record.examples):
+        plot = example_plot(example, f"run-{number}", looks, limits[example.title])
+        plots.setdefault(example.leak, []).append(plot)
+    return [plots[leak] for leak in sorted(plots)]
 
 
 def _renamed(evaluation: Evaluation, record: StudyRecord, names: Mapping[str, str]) -> tuple[Evaluation, StudyRecord]:
@@ -109,6 +155,9 @@ def _renamed(evaluation: Evaluation, record: StudyRecord, names: Mapping[str, st
         name: table.assign(**{c: table[c].replace(names) for c in ("controller", "against") if c in table})
         for name, table in _tables(evaluation).items()
     }
+    curve = record.training_curve
+    if "controller" in curve:
+        curve = curve.assign(controller=curve["controller"].replace(names))
     examples = [
         replace(
             example,
@@ -117,7 +166,7 @@ def _renamed(evaluation: Evaluation, record: StudyRecord, names: Mapping[str, st
         )
         for example in record.examples
     ]
-    return replace(evaluation, **tables), replace(record, examples=examples)
+    return replace(evaluation, **tables), replace(record, examples=examples, training_curve=curve)
 
 
 def _tables(evaluation: Evaluation) -> dict[str, pd.DataFrame]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 
 from agents.evaluation.metrics import METRICS
 from agents.evaluation.protocol import Evaluation
-from agents.evaluation.statistics import Interval
+from agents.evaluation.statistics import Interval, conditional_value_at_risk
 from agents.report.canvas import controllers_of
 from agents.report.findings import interval_text, percent, plants_of, row_interval, verdict
 from agents.report.text import Table, decimals_for, family_name, number, setting
@@ -21,7 +22,11 @@ SHOWN: dict[str, tuple[str, str, float]] = {
     "steady_state_error_mm": ("Steady-state error", "mm", 1.0),
     "itae_mm_s2": ("Time-weighted error (ITAE)", "mm s²", 1.0),
     "control_effort": ("Command, root mean square", "V", 10.0),
-    "valve_travel_per_s": ("Spool travel", "strokes per second", 1.0),
+    "valve_travel_per_s": ("Valve travel", "strokes per second", 1.0),
+    "reversals_per_s": ("Reversals of the command", "per second", 1.0),
+    "supply_energy_j": ("Energy from the supply", "J", 1.0),
+    "mean_error_sensor_mm": ("Mean error in the frame of the sensor", "mm", 1.0),
+    "steady_state_error_sensor_mm": ("Steady-state error in the frame of the sensor", "mm", 1.0),
     "failed": ("Failed runs", "%", 100.0),
 }
 """Name, displayed unit and factor of each metric."""
@@ -29,6 +34,52 @@ SHOWN: dict[str, tuple[str, str, float]] = {
 
 def _shown(metric: str) -> tuple[str, str, float]:
     return SHOWN.get(metric, (metric, METRICS[metric][0], 1.0))
+
+
+OVERVIEW = ("mean_error_mm", "peak_error_mm", "valve_travel_per_s", "reversals_per_s", "supply_energy_j", "failed")
+"""Metrics that stand beside each other: an error is no result without its price."""
+
+
+def overview(evaluation: Evaluation) -> Table:
+    """One row per controller over all runs: error, ratio to the first one, worst cases, and what they cost."""
+    names = controllers_of(evaluation)
+    cells = {name: _overview_cells(evaluation.cases, name) for name in names}
+    return Table(
+        "Errors and what they cost, mean over all runs",
+        ("Controller", _overview_header()[0], f"÷ {names[0]}'s", "worst 5 %, mm", *_overview_header()[1:]),
+        [(name, mean, *_overall(evaluation, name), *rest) for name, (mean, *rest) in cells.items()],
+    )
+
+
+def level_tables(evaluation: Evaluation) -> dict[float, Table]:
+    """The same for each leak level, without the ratio."""
+    names = controllers_of(evaluation)
+    return {
+        float(level): Table(
+            f"Leak of {setting(float(level))} l/min",
+            ("Controller", *_overview_header()),
+            [(name, *_overview_cells(cases, name)) for name in names],
+        )
+        for level, cases in evaluation.cases.groupby("leakage_flow_lpm")
+    }
+
+
+def _overview_header() -> tuple[str, ...]:
+    return tuple(f"{label.lower()}, {unit}" for label, unit, _ in map(_shown, OVERVIEW))
+
+
+def _overall(evaluation: Evaluation, name: str) -> tuple[str, str]:
+    """Ratio of the mean error with its interval, and the mean of the worst 5 % of the runs."""
+    rows = evaluation.ratios
+    rows = rows[(rows["controller"] == name) & (rows["group"] == "all")] if len(rows) else rows
+    ratio = interval_text(row_interval(rows.iloc[0], "ratio"), decimals=3) if len(rows) else "–"
+    errors = evaluation.cases.loc[evaluation.cases["controller"] == name, "mean_error_mm"]
+    return ratio, number(conditional_value_at_risk(errors.to_numpy()))
+
+
+def _overview_cells(cases: pd.DataFrame, name: str) -> tuple[str, ...]:
+    own = cases[cases["controller"] == name]
+    return tuple(number(_shown(metric)[2] * float(own[metric].mean())) for metric in OVERVIEW)
 
 
 def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:

@@ -76,6 +76,11 @@ def family_name(family: str) -> str:
     return FAMILY_NAMES.get(family, family)
 
 
+def correction_name(name: str, base: str) -> str:
+    """The name of a policy that corrects another controller: "PPO on flow linearisation", "PPO on PID"."""
+    return f"{name} on {base if base[:2].isupper() else base[:1].lower() + base[1:]}"
+
+
 @dataclass(frozen=True)
 class Table:
     """A table of texts; the first column names its rows."""

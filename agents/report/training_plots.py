@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agents.report.canvas import GREY, Plot, add_legend, draw, looks_of
+from agents.report.canvas import GREY, INK, Plot, add_legend, description, looks_of, make_plot, one_panel
 from agents.report.text import number
 
 LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
@@ -21,8 +22,66 @@ UPDATES = {
     "train/entropy_loss": "entropy loss",
     "train/loss": "total loss",
 }
+ERROR = "validation/mean_error_mm"
+SEED_MARK = "#"
+"""Between the name of a controller and the number of its training seed."""
+
 DISCARDED = 0.05
 """First part of the training that does not set the scale: values of the untrained policy would flatten the rest."""
+
+
+def _checked(curve: pd.DataFrame) -> pd.DataFrame:
+    """The curve with our names of columns; empty if it holds no steps."""
+    curve = curve.rename(columns={old: new for old, new in LOG_NAMES.items() if new not in curve})
+    if "steps" not in curve or curve.empty:
+        return pd.DataFrame()
+    return curve if "controller" in curve else curve.assign(controller="policy")
+
+
+def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float) -> list[Plot]:
+    """Error on validation plants over training, relative to a baseline; none without a curve or a baseline's error.
+
+    Args:
+        curve: as for :func:`training_plots`. Trainings of one controller on several seeds are called NAME#0, NAME#1,
+            …; the line is their median, the band reaches from the lowest to the highest.
+        baseline: name of the controller to which errors are relative.
+        baseline_error_mm: its mean error on the same plants.
+    """
+    curve = _checked(curve)
+    if ERROR not in curve or not np.isfinite(baseline_error_mm):
+        return []
+    curve = curve.dropna(subset=[ERROR])
+    curve = curve.assign(ratio=curve[ERROR] / baseline_error_mm, name=curve["controller"].str.partition(SEED_MARK)[0])
+    seeds = curve.groupby("name", sort=False)["controller"].nunique()
+    bands = {
+        name: curve[curve["name"] == name].groupby("steps")["ratio"].agg(["median", "min", "max"])
+        for name in seeds.index
+    }
+    looks = dict(zip(seeds.index, list(looks_of([baseline, *seeds.index]).values())[1:], strict=True))
+    factor, unit = _unit(curve)
+
+    def paint(axes: Axes) -> None:
+        for name, band in bands.items():
+            steps, look = band.index / factor, looks[name]
+            axes.fill_between(steps, band["min"], band["max"], color=look.colour, alpha=0.2, linewidth=0)
+            axes.plot(steps, band["median"], label=name, marker=look.marker, **look.stroke)
+        axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
+        highest = max([1.0, *(float(band["max"].iloc[min(1, len(band) - 1) :].max()) for band in bands.values())])
+        axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}", ylim=(0.0, 1.1 * highest))
+        axes.set_xlim(left=0.0)
+
+    title = f"Error while learning, against {baseline}"
+    note = f"Mean error on validation plants over that of {baseline} on the same plants; no policy is trained on them."
+    if seeds.max() > 1:
+        note += f" Line: median of {seeds.max()} training seeds; band: from the lowest to the highest."
+    rows = {
+        name: [
+            (f"after {number(steps / factor)} {unit}", float(band["median"].loc[steps]))
+            for steps in band.index[[0, -1]]
+        ]
+        for name, band in bands.items()
+    }
+    return [one_panel("learning", title, note, description(title, rows, ""), paint)]
 
 
 def training_plots(curve: pd.DataFrame) -> list[Plot]:
@@ -32,26 +91,23 @@ def training_plots(curve: pd.DataFrame) -> list[Plot]:
         curve: column ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the
             columns of stable-baselines3's log; ``controller`` if several were trained.
     """
-    curve = curve.rename(columns={old: new for old, new in LOG_NAMES.items() if new not in curve})
-    if "steps" not in curve or curve.empty:
+    curve = _checked(curve)
+    if curve.empty:
         return []
-    if "controller" not in curve:
-        curve = curve.assign(controller="policy")
     errors = {name: _words(name) for name in curve if name.startswith("validation/") and name.endswith("_mm")}
     reward = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
     kl = "How much an update changes the policy (KL divergence), and how well the value function predicts (1 is best)."
     updates = {name: words for name, words in UPDATES.items() if name in curve}
+    validation = "Lower is better; no policy is trained on these plants."
     return [
         *_plot(curve, "training", "Reward while learning", {"mean_reward": "mean reward"}, reward),
-        *_plot(
-            curve,
-            "validation",
-            "Error on validation plants",
-            errors,
-            "Lower is better; no policy is trained on these plants.",
-        ),
+        *_plot(curve, "validation", "Error on validation plants", errors, validation),
         *_plot(curve, "updates", "Updates of the policy", updates, kl),
     ]
+
+
+def _unit(curve: pd.DataFrame) -> tuple[float, str]:
+    return (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
 
 
 def _words(column: str) -> str:
@@ -63,7 +119,7 @@ def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str],
     known = {name: words for name, words in columns.items() if name in curve and curve[name].notna().any()}
     if not known:
         return []
-    factor, unit = (1e6, "million steps") if curve["steps"].max() >= 1e6 else (1e3, "thousand steps")
+    factor, unit = _unit(curve)
     looks = looks_of(curve["controller"].unique())
     cut = False
 
@@ -88,8 +144,8 @@ def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str],
         if len(values := curve[curve["controller"] == name][column].dropna())
     ]
     alt = f"{title}: {'; '.join(parts)} after {number(curve['steps'].max() / factor)} {unit}."
-    svg = draw(key, alt, paint, max(3.0, 1.0 + 1.4 * len(known)))
-    return [Plot(title, note + (" An arrow marks early values beyond the scale." if cut else ""), alt, svg)]
+    plot = make_plot(key, title, note, alt, paint, max(3.0, 1.0 + 1.4 * len(known)))
+    return [replace(plot, note=note + " An arrow marks early values beyond the scale.") if cut else plot]
 
 
 def _scale(axes: Axes, curve: pd.DataFrame, column: str) -> bool:

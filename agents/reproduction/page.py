@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
-from markupsafe import Markup
 
-from agents.report.canvas import inline
-from agents.report.text import Table, templates
+from agents.report.canvas import Plot, as_plot
+from agents.report.page import Page, make_page
+from agents.report.text import Table
 from agents.reproduction.figures import Entry, Words
 from agents.reproduction.rig import Rig
 from agents.reproduction.verdicts import Verdict
-from hydro_env import TaskConfig, __version__
+from agents.running.machine import Origin
+from hydro_env import TaskConfig
 
 HERE = Path(__file__).parent
 
@@ -32,10 +33,11 @@ class PageFigure(NamedTuple):
     reason: str = ""
 
     @property
-    def svg(self) -> Markup:
-        """The drawing as an element of the page, with its findings for those who cannot see it."""
+    def plot(self) -> Plot:
+        """The drawing for the page, with its findings for those who cannot see it."""
         found = " ".join(self.words.found if self.words else [])
-        return Markup(inline(self.drawing, self.entry.key, f"{self.entry.title}. {found}"))
+        title = self.entry.title
+        return as_plot(self.entry.key, title, "", f"{title}. {found}", self.drawing, wide=True)
 
 
 def all_verdicts(figures: list[PageFigure]) -> list[Verdict]:
@@ -43,21 +45,16 @@ def all_verdicts(figures: list[PageFigure]) -> list[Verdict]:
     return [verdict for figure in figures if figure.words is not None for verdict in figure.words.verdicts]
 
 
-def render_page(figures: list[PageFigure], command: str, rig: Rig) -> str:
-    """The page as HTML."""
+def render_page(figures: list[PageFigure], origin: Origin, rig: Rig) -> Page:
+    """The page; the files of its figures stand beside it."""
     table = equation_table()
-    equations = Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)))
-    template = templates(HERE).get_template("page.html.j2")
+    equations = Table("Equations", tuple(table.columns), list(table.itertuples(index=False, name=None)))
     bounds = TaskConfig().leakage.class_bounds
-    verdicts = Table("", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)])
-    return template.render(
-        figures=figures,
-        equations=equations,
-        verdicts=verdicts,
-        command=command,
-        rig=rig,
-        bounds=bounds,
-        version=__version__,
+    verdicts = Table(
+        "Conclusions", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)]
+    )
+    return make_page(
+        HERE / "page.html.j2", origin, figures=figures, equations=equations, verdicts=verdicts, rig=rig, bounds=bounds
     )
 
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from agents.report.canvas import COLOURS, GREY, INK, LINES, PALE, legend_inside, looks_of, ticks
+from agents.report.canvas import COLOURS, GREY, INK, LINES, PALE, PAPER, legend_inside, looks_of, ticks
 from agents.report.leaks import FEW_LINES, LOOKS, TIGHT, flow
 from agents.report.leaks import LINES as LEAKS
 from agents.reproduction.force_rate import DRAWN, DRIVE, TERMS
@@ -47,7 +47,7 @@ def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     volts = command["command_v"].abs()
     bottom, top = whole.get_ylim()
     moving = (volts > 0.9 * volts.max()).tolist()
-    whole.fill_between(command["time_s"], bottom, top, where=moving, color="black", alpha=0.06, linewidth=0)
+    whole.fill_between(command["time_s"], bottom, top, where=moving, color=INK, alpha=0.06, linewidth=0)
     whole.set(xlabel="time, s", ylabel="recorded position, mm", ylim=(bottom, top), xlim=(0.0, command["time_s"].max()))
     whole.set_title(f"Start–stop moves (grey: valve open, +{rig.voltage:g} V twice, then −{rig.voltage:g} V)")
     legend_inside(whole, title="leak at 100 bar", loc="upper right", handlelength=3.0)
@@ -101,7 +101,7 @@ def paint_settling(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
             ohm, signal = part["resistance_pa_s_m3"], part["signal_s"]
             axes.plot(ohm, part["clean_s"], color=look.colour)
             spread = [signal - part["signal_low_s"], part["signal_high_s"] - signal]
-            axes.errorbar(ohm, signal, yerr=spread, fmt=look.marker, mfc="white", color=look.colour, markersize=4.0)
+            axes.errorbar(ohm, signal, yerr=spread, fmt=look.marker, mfc=PAPER, color=look.colour, markersize=4.0)
             if model == "none":
                 axes.plot(ohm, part["theory_s"], color=look.colour, linestyle=(0, (4, 2)), linewidth=1.0)
         axes.set(xscale="log", yscale="log")
@@ -118,10 +118,10 @@ def paint_settling(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     grid[0, 0].set_ylim(bottom * (bottom / top) ** 0.06, top)
     valves = ("zero-lapped valve", "valve with null leakage")[: len(underlaps)]
     handles = [
-        *(Line2D([], [], color=look.colour, marker=look.marker, mfc="white", label=valve, markersize=4.0)
+        *(Line2D([], [], color=look.colour, marker=look.marker, mfc=PAPER, label=valve, markersize=4.0)
           for valve, look in looks_of(valves).items()),
         Line2D([], [], color=INK, label="noise-free"),
-        Line2D([], [], color=INK, marker="o", mfc="white", linestyle="none", label="from the accelerometer"),
+        Line2D([], [], color=INK, marker="o", mfc=PAPER, linestyle="none", label="from the accelerometer"),
         Line2D([], [], color=INK, linestyle=(0, (4, 2)), linewidth=1.0, label="linear theory (no friction)"),
     ]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=8.0, columnspacing=1.2)
@@ -157,11 +157,11 @@ def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
     for colour, hatch, (name, words) in zip(COLOURS, ("", "", "////", "...."), TERMS.items(), strict=False):
         values = 1e-3 * rows[name].to_numpy()
         up, down = np.maximum(values, 0.0), np.minimum(values, 0.0)
-        fill: Any = {"facecolor": colour, "alpha": 0.75, "linewidth": 0, "hatch": hatch, "edgecolor": "white"}
+        fill: Any = {"facecolor": colour, "alpha": 0.75, "linewidth": 0, "hatch": hatch, "edgecolor": PAPER}
         axes.fill_between(time, above, above + up, label=words, **fill)
         axes.fill_between(time, below, below + down, **fill)
         above, below = above + up, below + down
-    axes.plot(time, 1e-3 * rows["sum_n_s"], color="black", linewidth=1.3, label="sum = dF/dt")
+    axes.plot(time, 1e-3 * rows["sum_n_s"], color=INK, linewidth=1.3, label="sum = dF/dt")
 
 
 def paint_share(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:

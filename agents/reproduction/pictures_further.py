@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from agents.report.canvas import GREY, INK, legend_inside, log_leak_axis, looks_of, ticks
+from agents.report.canvas import COLOURS, GREY, INK, PAPER, legend_inside, log_leak_axis, looks_of, ticks
 from agents.report.leaks import FINE_ABOVE, LEVELS, SCAN
 from agents.report.text import number, setting
 from agents.reproduction.closed_loop import GAIN_MARGIN
@@ -29,6 +29,9 @@ ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 SHARES_OF_MAP = (0.1, 0.3, 0.5, 0.65, 0.8, 0.92)
 WIDE_RANGE = 5.0
 """Largest over smallest value above which contours are drawn at round numbers of each decade."""
+
+DEEPEST = 0.5
+"""Largest opacity of a shade; through it the page's background shows, light or dark."""
 
 SHOWN = 20
 """Parameters in the picture of the sensitivities."""
@@ -49,19 +52,19 @@ def contour_levels(values: NDArray[np.float64]) -> tuple[float, ...]:
 
 def paint_maps(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     """Two maps with labelled contours."""
-    maps = {"natural_frequency_hz": ("Natural frequency, Hz", "Blues"), "damping_ratio": ("Damping ratio", "Oranges")}
+    titles = {"natural_frequency_hz": "Natural frequency, Hz", "damping_ratio": "Damping ratio"}
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, (column, (title, colours)) in zip(panels, maps.items(), strict=True):
+    for axes, (column, title), colour in zip(panels, titles.items(), COLOURS, strict=False):
         grid = table.pivot(index="leak_lpm", columns="position_mm", values=column)
         values = np.ma.masked_invalid(grid.to_numpy())
         levels = contour_levels(grid.to_numpy())
         axes.grid(visible=False)
-        shades = matplotlib.colormaps[colours](np.linspace(0.0, 0.6, len(levels) + 1))
+        shades = [(colour, share) for share in np.linspace(0.0, DEEPEST, len(levels) + 1)]
         axes.contourf(grid.columns, grid.index, values, levels=levels, colors=shades, extend="both")
         lines = axes.contour(grid.columns, grid.index, values, levels=levels, colors=INK, linewidths=0.8)
         for label in axes.clabel(lines, fontsize=8, fmt="%g", inline=False, colors=INK):
             # Along the contours some would be upside down.
-            label.set(rotation=0.0, path_effects=[withStroke(linewidth=2.5, foreground="white")])
+            label.set(rotation=0.0, path_effects=[withStroke(linewidth=2.5, foreground=PAPER)])
         axes.set(yscale="log", xlabel="position, mm (0 = mid-stroke, + = extending)")
         ticks(axes.yaxis, (0.01, 0.1, 1.0, 4.0))
         axes.set_title(title)
@@ -203,13 +206,13 @@ def paint_sensitivity(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     words = {result.name: result.words for result in RESULTS}
     values = np.nan_to_num(grid.to_numpy(), nan=0.0)
     norm = LogNorm(vmin=0.5, vmax=100.0, clip=True)
-    shade = np.asarray(norm(np.maximum(values, 0.5)))
-    axes.pcolormesh(0.75 * shade, cmap=matplotlib.colormaps["Blues"], vmin=0.0, vmax=1.0)
-    axes.invert_yaxis()
+    shade = DEEPEST * np.asarray(norm(np.maximum(values, 0.5)))
+    for (row, column), share in np.ndenumerate(shade):
+        axes.add_patch(Rectangle((column, row), 1.0, 1.0, facecolor=COLOURS[0], alpha=float(share), linewidth=0))
+    axes.set(xlim=(0, values.shape[1]), ylim=(values.shape[0], 0))
     for (row, column), value in np.ndenumerate(values):
         text = f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 0.1 else "·"
-        ink = "white" if shade[row, column] > 0.75 else INK
-        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=7.5, color=ink)
+        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=7.5)
     axes.set_yticks(np.arange(len(grid)) + 0.5, [name.replace(".", ": ").replace("_", " ") for name in grid.index])
     axes.set_xticks(np.arange(grid.shape[1]) + 0.5, [words[name] for name in grid.columns], rotation=38, ha="left")
     axes.xaxis.tick_top()

@@ -141,7 +141,7 @@ def _settling_summary(table: pd.DataFrame, summary: pd.DataFrame) -> Table:
         "falls at every step",
         "first / last",
     )
-    return Table("", header, rows)
+    return Table("Every combination of law, friction and valve", header, rows)
 
 
 def friction_scan_facts(rig: Rig, table: pd.DataFrame) -> Facts:

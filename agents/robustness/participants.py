@@ -40,14 +40,28 @@ class Sees(Group):
     note: str = ""
 
 
+NAMES = {"flow_linearising": "Flow linearisation"}
+"""Names of kinds that are not abbreviations."""
+
+
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
     """Every controller that comes with gains or weights, by name; the PID is the first, the baseline."""
     folder = config_folder() / "agents"
     tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
     kinds = (*tuned, *SHIPPED_WEIGHTS)
-    named = {kind.upper() if len(kind) < 5 else kind.replace("_", "-").capitalize(): kind for kind in kinds}
+    named = {_name(kind): kind for kind in kinds}
     mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))
     return {"PID": "pid", "PID mended": mended, **named}
+
+
+def _name(kind: str) -> str:
+    return NAMES.get(kind, kind.upper())
+
+
+def _called(controller: Controller) -> str:
+    """The name of a controller that another one corrects."""
+    kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
+    return _name(kinds[0]) if kinds else type(controller).__name__
 
 
 @dataclass(frozen=True)
@@ -170,7 +184,7 @@ def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
         "preview": f"{1e3 * ahead:g} ms" if ahead > 0.0 else "no",
         "memory": memory,
         "signals": ", ".join(layout.names),
-        "note": f"corrects {type(base).__name__}" if base is not None else "",
+        "note": f"corrects {_called(base)}" if base is not None else "",
     }
     declared: Any = getattr(controller, "sees", {})
     if not isinstance(declared, Mapping):

@@ -9,16 +9,15 @@ import numpy as np
 import pandas as pd
 
 from agents.report.findings import interval_text
+from agents.report.palette import STRONGEST
 from agents.report.text import family_name, number
 from agents.robustness_report.record import ALL, Record, interval
 
-BETTER, WORSE, PAPER = (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00), (0xFF, 0xFF, 0xFF)
-"""Ends and middle of the scale; the palette of the figures, which colour-blind readers can distinguish."""
-
 FULL_COLOUR = 2.0
-"""A ratio of 2 or 1/2 has the full colour."""
+"""A ratio of 2 or 1/2 has the strongest colour."""
 
-DARK, LIGHT = "#1d1d1f", "#ffffff"
+SCALE = (0.5, 0.75, 1.0, 1.4, 2.0)
+"""Ratios of the legend."""
 
 GROUPS = {
     "leak": "Leak past the piston",
@@ -43,8 +42,8 @@ class Cell:
 
     text: str
     title: str  # the interval, or the reason why there is no number
-    background: str = "transparent"
-    ink: str = DARK
+    meaning: str = ""  # better or worse, if that is certain
+    share: int = 0  # percent of the meaning's colour
     best: bool = False
 
 
@@ -113,13 +112,12 @@ def _cells(rows: dict[str, dict[str, Any]], column: str, missing: dict[str, str]
             cells.append(Cell("failed" if reason.startswith("failed") else "–", reason or "did not run"))
             continue
         certain = value.low > 1.0 or value.high < 1.0
-        colour = _blend(value.value) if certain else PAPER
         cells.append(
             Cell(
                 number(value.value, 2),
                 interval_text(value, decimals=2),
-                f"rgb({colour[0]},{colour[1]},{colour[2]})" if certain else "transparent",
-                DARK if contrast(colour, DARK) >= contrast(colour, LIGHT) else LIGHT,
+                "" if not certain else "better" if value.value < 1.0 else "worse",
+                colour_share(value.value) if certain else 0,
                 value.value == least and least < 1.0,
             )
         )
@@ -145,21 +143,7 @@ def _baseline_error(record: Record, condition: str) -> str:
     return number(float(own["mean"].iloc[0])) if len(own) else "–"
 
 
-def _blend(ratio: float) -> tuple[int, int, int]:
-    """Colour of a ratio: white at 1, blue below, orange above; the same factor has the same strength."""
-    share = min(abs(float(np.log(max(ratio, 1e-9)))) / float(np.log(FULL_COLOUR)), 1.0)
-    end = BETTER if ratio < 1.0 else WORSE
-    red, green, blue = (round(a + share * (b - a)) for a, b in zip(PAPER, end, strict=True))
-    return red, green, blue
-
-
-def contrast(background: tuple[int, int, int], ink: str) -> float:
-    """Contrast ratio of text on a background (WCAG 2)."""
-    text = (int(ink[1:3], 16), int(ink[3:5], 16), int(ink[5:7], 16))
-    lighter, darker = sorted((_luminance(background), _luminance(text)), reverse=True)
-    return (lighter + 0.05) / (darker + 0.05)
-
-
-def _luminance(colour: tuple[int, int, int]) -> float:
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (part / 255.0 for part in colour)]
-    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+def colour_share(ratio: float) -> int:
+    """Percent of the colour of a ratio: 0 at 1; a factor has the same strength above and below."""
+    share = abs(float(np.log(max(ratio, 1e-9)))) / float(np.log(FULL_COLOUR))
+    return round(STRONGEST * min(share, 1.0))

@@ -10,14 +10,16 @@ import pandas as pd
 
 from agents.controllers.base import Controller
 from agents.experiments.series import run_experiments
-from agents.report.text import Table, templates
+from agents.report.page import Page, make_page
+from agents.report.price_plots import price_plots
+from agents.report.text import Table, correction_name, setting
+from agents.report.training_plots import SEED_MARK
 from agents.robustness_report.findings import findings
-from agents.robustness_report.heat import heat_map
+from agents.robustness_report.heat import SCALE, colour_share, heat_map
 from agents.robustness_report.pictures import (
     bode_plots,
     failure_plots,
     gap_plot,
-    price_plots,
     profile_plots,
     stiffness_plots,
 )
@@ -35,15 +37,13 @@ from agents.robustness_report.tables import (
     worst_table,
 )
 from agents.robustness_report.traces import Replay, worst_traces
+from agents.running.machine import Origin
 from hydro_env import TaskConfig
 from hydro_env.files import write_whole
 
 HERE = Path(__file__).parent
 
 PAGE_FILE = "robustness.html"
-
-SEED_MARK = "#"
-"""Between the name of a controller and the number of its training seed."""
 
 
 def write_robustness_report(
@@ -82,40 +82,40 @@ def write_robustness_report(
     if len(record.names) > 1:
         preview = max(task.references.preview_times, default=0.0)
         traces = worst_traces(replay, record.table("cases"), record.baseline, record.label, preview)
-    write_whole(folder / PAGE_FILE, render_page(replace(record, traces=traces)).encode())
+    render_page(replace(record, traces=traces)).write(folder / PAGE_FILE)
 
 
-def render_page(record: Record) -> str:
-    """The page as HTML."""
+def render_page(record: Record) -> Page:
+    """The page."""
     facts = record.facts()
-    return (
-        templates(HERE)
-        .get_template("page.html.j2")
-        .render(
-            title=facts.get("title", "Robustness of servo axis controllers"),
-            names=record.names,
-            baseline=record.baseline,
-            findings=findings(record),
-            problems=problems(record),
-            heat=heat_map(record),
-            heat_mean=heat_map(record, "ratio"),
-            ranking=ranking_table(record),
-            absolute=absolute_table(record),
-            profiles=[*profile_plots(record), *gap_plot(record)],
-            failures=failure_plots(record),
-            worst=worst_table(record),
-            bode=bode_plots(record),
-            bandwidth=bandwidth_table(record),
-            stiffness=stiffness_plots(record),
-            stiffness_tables=stiffness_table(record),
-            standstill=standstill_tables(record),
-            cycles=cycles_by_condition(record),
-            price=price_plots(record),
-            price_tables=[*price_table(record), *energy_table(record)],
-            sees=sees_table(record),
-            facts=Table("", ("Fact", "Value"), list(facts.items())),
-            conditions=conditions_table(record),
-        )
+    return make_page(
+        HERE / "page.html.j2",
+        Origin.of(facts),
+        title=facts.get("title", "Robustness of servo axis controllers"),
+        names=record.names,
+        baseline=record.baseline,
+        corrects=[(name, correction_name(name, base), base) for name, base in record.corrects().items()],
+        findings=findings(record),
+        problems=problems(record),
+        heat=heat_map(record),
+        scale=[(setting(ratio), "better" if ratio < 1.0 else "worse", colour_share(ratio)) for ratio in SCALE],
+        heat_mean=heat_map(record, "ratio"),
+        ranking=ranking_table(record),
+        absolute=absolute_table(record),
+        profiles=[*profile_plots(record), *gap_plot(record)],
+        failures=failure_plots(record),
+        worst=worst_table(record),
+        bode=bode_plots(record),
+        bandwidth=bandwidth_table(record),
+        stiffness=stiffness_plots(record),
+        stiffness_tables=stiffness_table(record),
+        standstill=standstill_tables(record),
+        cycles=cycles_by_condition(record),
+        price=price_plots(record.table("leak_price")),
+        price_tables=[*price_table(record), *energy_table(record)],
+        sees=sees_table(record),
+        facts=Table("Facts of this run", ("Fact", "Value"), list(facts.items())),
+        conditions=conditions_table(record),
     )
 
 

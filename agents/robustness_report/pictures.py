@@ -19,16 +19,15 @@ from agents.report.canvas import (
     bars,
     description,
     dodge,
-    draw,
     level_axis,
-    log_leak_axis,
     looks_of,
+    make_plot,
     one_panel,
     row_axis,
     ticks,
 )
 from agents.report.plots import example_plot
-from agents.report.text import number, setting
+from agents.report.text import setting
 from agents.robustness_report.record import Record, interval
 
 FREQUENCY_TICKS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
@@ -65,11 +64,6 @@ def _profile(record: Record, table: pd.DataFrame, key: str, title: str, note: st
         axes.set_xscale("log")
         for name, part in parts.items():
             axes.step(part["tau"], 100.0 * part["share"], where="post", label=name, **looks[name].stroke)
-            if {"low", "high"} <= set(part.columns):
-                low, high = 100.0 * part["low"], 100.0 * part["high"]
-                axes.fill_between(
-                    part["tau"], low, high, step="post", color=looks[name].colour, alpha=0.15, linewidth=0
-                )
         ends = (float(table["tau"].min()), float(table["tau"].max()))
         ticks(
             axes.xaxis,
@@ -113,7 +107,7 @@ def gap_plot(record: Record) -> list[Plot]:
 def failure_plots(record: Record) -> list[Plot]:
     """The worst cases of every controller, with the baseline beside it; the same colours as elsewhere."""
     looks = looks_of(record.names)
-    return [example_plot(trace.example, 100 + number, looks) for number, trace in enumerate(record.traces)]
+    return [example_plot(trace.example, f"worst-{number}", looks) for number, trace in enumerate(record.traces, 1)]
 
 
 def bode_plots(record: Record) -> list[Plot]:
@@ -160,7 +154,8 @@ def _bode(record: Record, table: pd.DataFrame, preview: bool, leak: float) -> Pl
         for name, curve in curves.items()
     }
     alt = description(f"{title}: gain", rows, "")
-    return Plot(title, note, alt, draw(f"bode-{preview}-{setting(leak)}".lower(), alt, paint, 4.2))
+    key = f"bode-{'preview' if preview else 'hidden'}-{setting(leak)}"
+    return make_plot(key, title, note, alt, paint, 4.2)
 
 
 def stiffness_plots(record: Record) -> list[Plot]:
@@ -227,54 +222,3 @@ def _compliance(table: pd.DataFrame, leak: float, looks: Mapping[Any, Look]) -> 
     rows = {name: [(f"{setting(f)} Hz", value) for f, value in curve.items()] for name, curve in curves.items()}
     alt = description(title, rows, " mm/kN")
     return one_panel(f"compliance-{setting(leak)}", title, note, alt, paint)
-
-
-def price_plots(record: Record) -> list[Plot]:
-    """Power to hold, and what is left of speed and force, over the leak."""
-    table = record.table("leak_price")
-    if table.empty:
-        return []
-    leaks = [float(leak) for leak in table["leakage_flow_lpm"]]
-    left = {
-        "speed out": ("speed_out_mm_s", Look("#0072b2", "o", "-")),
-        "speed back": ("speed_back_mm_s", Look("#2e8bc0", "s", "--")),
-        "force out": ("force_out_n", Look("#d55e00", "D", "-.")),
-        "force back": ("force_back_n", Look("#8a6d00", "^", ":")),
-    }
-    shares = {name: 100.0 * table[column] / float(table[column].iloc[0]) for name, (column, _) in left.items()}
-    marks = [leak for leak in leaks if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
-
-    def paint_power(axes: Axes) -> None:
-        axes.plot(leaks, table["holding_power_w"], color="#0072b2", marker="o")
-        axes.set(ylabel="power from the supply, W", ylim=(0.0, None))
-        log_leak_axis(axes, marks)
-
-    def paint_left(axes: Axes) -> None:
-        for name, (_, look) in left.items():
-            axes.plot(leaks, shares[name], label=name, marker=look.marker, **look.stroke)
-        axes.set(ylabel="left, % of the tight seal", ylim=(0.0, 105.0))
-        log_leak_axis(axes, marks)
-
-    where = number(float(table["place_mm"].iloc[0]), 0)
-    title = f"Power to hold {where} mm"
-    rows = {"power": [(f"{setting(leak)} l/min", w) for leak, w in zip(leaks, table["holding_power_w"], strict=True)]}
-    kept = {
-        name: [(f"{setting(leak)} l/min", v) for leak, v in zip(leaks, share, strict=True)]
-        for name, share in shares.items()
-    }
-    return [
-        one_panel(
-            "price-power",
-            title,
-            "Flow through the valve times supply pressure.",
-            description(title, rows, " W"),
-            paint_power,
-        ),
-        one_panel(
-            "price-left",
-            "Reserve of speed and force",
-            "At full command: steady speed there, and the largest load that the axis still holds.",
-            description("Reserve of speed and force", kept, " %"),
-            paint_left,
-        ),
-    ]

@@ -54,6 +54,13 @@ class Record:
         table = self.table("protocol")
         return {} if table.empty else dict(zip(table["key"].astype(str), table["value"].astype(str), strict=True))
 
+    def corrects(self) -> dict[str, str]:
+        """Controllers that correct another one, and its name."""
+        table = self.table("sees")
+        notes = {} if table.empty else dict(zip(table["controller"], table["note"].fillna(""), strict=True))
+        start = "corrects "
+        return {str(name): str(note).removeprefix(start) for name, note in notes.items() if str(note).startswith(start)}
+
     def label(self, condition: str) -> str:
         """Short text of a condition."""
         table = self.table("conditions")

@@ -1,19 +1,65 @@
-"""Circumstances of a run besides its settings: versions of packages, and the machine."""
+"""Circumstances of a run besides its settings: command, date, commit, versions of packages, and the machine."""
 
 from __future__ import annotations
 
+import datetime
+import functools
 import os
 import platform
+import subprocess
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
+import hydro_env
 from hydro_env import __version__
 
 
+class Origin(NamedTuple):
+    """What made a page."""
+
+    command: str
+    date: str  # UTC
+    version: str  # of hydro_env, with the commit where there is one
+
+    @classmethod
+    def now(cls, command: str) -> Origin:
+        """The origin of a page that a command makes now."""
+        return cls.of({**package_versions(), "date": date_now(), "command": command})
+
+    @classmethod
+    def of(cls, facts: Mapping[str, str]) -> Origin:
+        """The origin that stands in the facts of a run: command, date, hydro_env, commit."""
+        commit = facts.get("commit", "")
+        made_with = facts.get("hydro_env", "") + (f", commit {commit}" if commit else "")
+        return cls(facts.get("command", ""), facts.get("date", ""), made_with)
+
+
+def date_now() -> str:
+    """Date and time in UTC, to the minute."""
+    return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+@functools.cache
+def commit() -> str:
+    """Commit of the sources, "with changes" if they differ from it; empty for an installed package without sources."""
+    folder = Path(hydro_env.__file__).parent
+    git = ["git", "-C", str(folder)]
+    try:
+        subprocess.run([*git, "ls-files", "--error-unmatch", "version.py"], check=True, capture_output=True)
+        name = subprocess.run([*git, "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True)
+        changes = subprocess.run([*git, "diff", "--quiet", "HEAD"], check=False, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return name.stdout.strip() + (" with changes" if changes.returncode else "")
+
+
 def package_versions() -> dict[str, str]:
-    """Versions of the packages that the results depend on."""
+    """Commit of the sources, if there is one, and versions of the packages that the results depend on."""
     names = ("gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
     own = {"python": platform.python_version(), "hydro_env": __version__}
+    own |= {"commit": commit()} if commit() else {}
     return {**own, **{name: version(name) for name in names}}
 
 

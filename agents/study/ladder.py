@@ -16,6 +16,8 @@ from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import ProtocolSettings, tracking_cases
 from agents.learning.trainers import Trainer, trainer
+from agents.learning.validation import validation_errors
+from agents.report.training_plots import ERROR, SEED_MARK, learning_plots
 from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
@@ -23,7 +25,7 @@ from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from agents.running.settings_files import read_settings, read_task
 from agents.study.ladder_table import ladder_table, rung_scores
 from agents.study.settings import ControllerEntry, Name
-from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS
+from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, read_curve
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_json, read_yaml, validate, write_whole
 from hydro_env.task.rig import merged
@@ -33,6 +35,7 @@ LADDER_SEEDS = VALIDATION_SEEDS.start + 100_000
 
 JOB_FILE = "job.json"
 TABLES = ("ladder.md", "ladder.csv", "scores.csv")
+CURVE_FILE = "learning_curve.svg"
 
 
 class Rung(Group):
@@ -172,7 +175,11 @@ def run_ladder(
         if name not in ladder.rungs:
             raise ConfigurationError(f"rung '{name}': unknown; known: {', '.join(ladder.rungs)}")
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
-    writes = [*TABLES, *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv"))]
+    writes = [
+        *TABLES,
+        f"rungs/*/{CURVE_FILE}",
+        *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv")),
+    ]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
         scores: list[pd.DataFrame] = []
@@ -185,9 +192,25 @@ def run_ladder(
                 scores.append(rung_scores(name, seed, ladder.resolved(name).corrects, result, classical))
             display.update("ladder", len(scores) + len(errors), len(todo), f"{name}, seed {seed}")
             write_tables(ladder, folder, classical, scores)
+        for name in chosen:
+            write_curve(ladder, folder, name)
     if errors:
         raise ConfigurationError("; ".join(errors))
     return folder / TABLES[0]
+
+
+def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
+    """Draw the error of a rung while it learns, relative to the first controller, with the band of its seeds."""
+    own = folder / "rungs" / rung
+    curves = [
+        read_curve(file).assign(controller=f"{rung}{SEED_MARK}{file.name}") for file in sorted(own.glob("seed *"))
+    ]
+    curve = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame()
+    if ERROR in curve:  # it was validated
+        base = next(iter(ladder.controllers))
+        error, _, _ = validation_errors(ladder.task, ladder.make(base))
+        for plot in learning_plots(curve, base, error):
+            write_whole(own / CURVE_FILE, plot.file)
 
 
 def _results(

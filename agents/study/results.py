@@ -13,26 +13,29 @@ from rich.table import Table
 
 from agents.controllers.base import Controller
 from agents.evaluation.protocol import Evaluation, evaluate
+from agents.experiments.leak_price import leak_price
 from agents.leakage.head import LeakageHead
+from agents.learning.validation import validation_errors
+from agents.report.page import FIGURE_FILES
 from agents.report.report import Example, StudyRecord, write_report, write_tables
 from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
-from agents.running.machine import machine_description, package_versions
+from agents.running.machine import date_now, machine_description, package_versions
 from agents.running.seeds import TEST_SEEDS
 from agents.study.model_cards import card_file, controller_card, head_card
 from agents.study.phases import Phases
 from agents.study.settings import StudySettings
 from hydro_env import TaskConfig
-from hydro_env.files import write_text
+from hydro_env.files import write_text, write_whole
 
 REPORT_FILE = "report.html"
 CARDS = "model_cards"
-REPORT_FILES = (REPORT_FILE, "tables/*.csv", f"{CARDS}/*.md")
+REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
 MOST_COLUMNS = 3
 """Controllers that stand beside each other in a table on the console; more get a row each."""
 
 EXAMPLE_SEED = TEST_SEEDS.start + 900_000
-EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop"}
+EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
 
 
 def evaluate_study(
@@ -60,8 +63,12 @@ def evaluate_study(
 
     evaluation = phases.run("evaluate", work) if phases is not None else work()
     working = {name: controller for name, controller in controllers.items() if name not in evaluation.errors}
-    levels = (min(study.evaluation.leak_levels), max(study.evaluation.leak_levels))
+    levels = sorted(study.evaluation.leak_levels)
+    price = leak_price(study.task, levels)
     write_tables(folder / "tables", evaluation)
+    write_whole(folder / "tables" / "leak_price.csv", price.to_csv(index=False).encode())
+    curve = training_curve if training_curve is not None else pd.DataFrame()
+    first = next(iter(working.values()))
     record = StudyRecord(
         title=study.title,
         configuration=configuration,
@@ -70,9 +77,12 @@ def evaluate_study(
         machine=machine_description(),
         seed=seed,
         timings=dict(phases.seconds) if phases is not None else {},
-        training_curve=training_curve if training_curve is not None else pd.DataFrame(),
+        training_curve=curve,
         examples=example_traces(study.task, working, levels),
         corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
+        date=date_now(),
+        leak_price=price,
+        validation_error_mm=validation_errors(study.task, first)[0] if len(curve) else float("nan"),
     )
     write_report(folder / REPORT_FILE, evaluation, record)
     cards = {name: controller_card(name, controller, evaluation, command) for name, controller in working.items()}
@@ -88,7 +98,7 @@ def evaluate_study(
 
 
 def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], levels: Sequence[float]) -> list[Example]:
-    """Time traces of a few test episodes under every controller, at each leak level (l/min at 100 bar)."""
+    """Time traces of two test episodes under every controller, each at every leak level (l/min at 100 bar)."""
     kinds = [(family, level) for family in EXAMPLE_FAMILIES for level in levels]
     cases = Cases(
         np.full(len(kinds), EXAMPLE_SEED, dtype=np.int64),
@@ -97,18 +107,17 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
     )
     runs = {name: run_cases(config, controller, cases) for name, controller in controllers.items()}
     first = next(iter(runs.values()))
-    healthy = config.leakage.class_bounds[0]
     examples = []
     for case, (family, level) in enumerate(kinds):
-        seal = f"healthy seal ({level:g} l/min at 100 bar)" if level <= healthy else f"{level:g} l/min at 100 bar"
         examples.append(
             Example(
-                title=f"{EXAMPLE_FAMILIES[family]}, {seal}" if level == levels[0] else f"the same with {level:g} l/min",
+                title=EXAMPLE_FAMILIES[family],
                 time=first.time,
                 reference=first.reference[case],
                 position={name: run.position[case] for name, run in runs.items()},
                 command={name: run.command[case] for name, run in runs.items()},
                 preview=max(config.references.preview_times, default=0.0),
+                leak=level,
             )
         )
     return examples

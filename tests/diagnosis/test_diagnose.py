@@ -4,10 +4,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import recorded_file
 
-FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv"}
+FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
 
 
 def verdict_on(folder, file, *options):
@@ -16,7 +17,7 @@ def verdict_on(folder, file, *options):
     return own_lines(answer.stdout)[-1]
 
 
-def test_record_and_diagnose_from_the_command_line(tmp_path):
+def test_record_and_diagnose_from_the_command_line(tmp_path, browser):
     file = tmp_path / "axis.csv"
     done = hydro("record", "-o", file, "--leakage", 0.5, "--duration", 4, "--family", "sine", "--seed", 1_000_005)
     assert done.returncode == 0
@@ -28,6 +29,8 @@ def test_record_and_diagnose_from_the_command_line(tmp_path):
     table = pd.read_csv(tmp_path / "out" / "leak.csv")
     assert table["end_s"].tolist() == [2.0, 4.0]
     assert ((table["estimator_low"] < 0.5 + 0.01) & (table["estimator_high"] > 0.5 - 0.01)).all()
+    assert [path.name for path in (tmp_path / "out" / "figures").iterdir()] == ["diagnosis.svg"]
+    assert problems_everywhere(browser, tmp_path / "out" / "diagnosis.html") == []
     page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
     assert "Internal leak of 0." in page
     assert "src=" not in page

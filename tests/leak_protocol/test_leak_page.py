@@ -4,6 +4,7 @@ import re
 
 import pandas as pd
 import pytest
+from browser import problems_everywhere
 from made_up_run import tables
 
 from agents.leak_report.findings import findings
@@ -19,7 +20,7 @@ def record():
 
 @pytest.fixture(scope="module")
 def page(record):
-    return render_page(record)
+    return render_page(record).html
 
 
 def plain(text):
@@ -58,18 +59,15 @@ def test_right_verdicts_are_blue_and_wrong_ones_orange(record):
     head = dict(tables_["head: healthy seal"].rows)["valve null −1 %"]
     leak = head[tables_["head: healthy seal"].verdicts.index("internal leak")]
     assert leak.text == "60"
-    red, _, blue = map(int, re.findall(r"\d+", leak.background))
-    assert red > blue  # orange
+    assert (leak.meaning, leak.share) == ("worse", 30)  # 60 % of half the colour
     told = dict(tables_["estimator: healthy seal"].rows)["valve null −1 %"]
     right = told[tables_["estimator: healthy seal"].verdicts.index("valve fault")]
-    red, _, blue = map(int, re.findall(r"\d+", right.background))
-    assert right.text == "20"
-    assert blue > red
+    assert (right.text, right.meaning, right.share) == ("20", "better", 10)
 
 
 def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
     assert page.startswith("<!doctype html>")
-    assert not re.search(r'(src|href)="(?!#)', page)
+    assert not re.search(r'(src|href)="(?!#|figures/)', page)
     assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
     for text in ("Measured against floors and aims", "Does better control hide the leak?", "valve null −1 %"):
@@ -81,7 +79,12 @@ def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
 def test_sections_without_figures_are_left_out():
     made = tables().by_name()
     made = {name: table for name, table in made.items() if name not in ("alarms", "floors", "masking", "reliability")}
-    page = render_page(Record(made, "plain"))
+    page = render_page(Record(made, "plain")).html
     assert 'id="early"' not in page
     assert 'id="floors"' not in page
     assert 'id="masking"' not in page
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, record, tmp_path):
+    render_page(record).write(tmp_path / "leakage.html")
+    assert problems_everywhere(browser, tmp_path / "leakage.html") == []

@@ -9,26 +9,33 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.colors import to_rgb
+from browser import open_page, problems_everywhere
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from agents.evaluation.statistics import Interval
+from agents.experiments.leak_price import leak_price
 from agents.leakage.training import untrained_head
-from agents.report.canvas import COLOURS, controllers_of, looks_of
+from agents.report.canvas import controllers_of, looks_of
 from agents.report.findings import caution, failures, findings, interval_text, verdict
 from agents.report.leaks import LOOKS
+from agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
 from agents.report.plots import example_plot
 from agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
-from agents.report.text import duration, number
-from agents.report.training_plots import training_plots
+from agents.report.text import correction_name, duration, number
+from agents.report.training_plots import learning_plots, training_plots
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
 LAYOUT = ObservationLayout.of(CONFIG)
 SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120)
 ODD_NAME = 'PPO <b>&"quoted"'
-VOID = {"meta", "br"}
+VOID = {"meta", "br", "input"}
+KEYS = (
+    "level-mean_error_mm-mean", "level-valve_travel_per_s-mean", "difference", "level-reversals_per_s-mean", "family",
+    "ratio", "level-mean_error_mm-cvar_5_percent", "level-mean_error_mm-worst", "run-0", "level-supply_energy_j-mean",
+    "rates", "roc", "size", "precision", "training",
+)  # fmt: skip
 NOTHING = pd.DataFrame()
 
 
@@ -67,7 +74,7 @@ def evaluation():
 
 @pytest.fixture(scope="module")
 def page(evaluation):
-    return render_report(evaluation, record([example(controllers_of(evaluation))]))
+    return render_report(evaluation, record([example(controllers_of(evaluation))])).html
 
 
 @pytest.fixture(scope="module")
@@ -111,12 +118,14 @@ class Page(HTMLParser):
 
 def test_the_page_stands_alone(page):
     found = Page(page)
-    assert len(page) < 5_000_000
+    assert len(page) < 3_000_000
+    files = {f"figures/{key}.svg" for key in KEYS}
+    assert {a["href"] for a in found.all("a") if "download" in a} == files
     for tag, attributes in found.attributes:
-        assert tag not in ("script", "link", "img", "iframe", "object", "base", "form")
+        assert tag not in ("link", "img", "iframe", "object", "base", "form")
         assert not attributes.keys() & {"src", "srcset", "action", "background", "onload"}
         for name in ("href", "xlink:href"):
-            assert attributes.get(name, "#").startswith("#")
+            assert attributes.get(name, "#").startswith("#") or attributes["href"] in files
     assert "@import" not in page
     assert set(re.findall(r"url\((.)", page)) <= {"#"}
     assert set(re.findall(r"https?://[^\"' ]*", page)) <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
@@ -133,8 +142,8 @@ def test_ids_are_unique_and_references_find_them(page):
 
 def test_figures_and_tables_speak_to_everyone(page):
     found = Page(page)
-    drawings = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
-    assert len(drawings) == 12  # 6 of tracking, 1 example, 4 of detection, 1 of training
+    drawings = re.findall(r'<svg[^>]*role="img".*?</svg>', page, flags=re.DOTALL)
+    assert len(drawings) == len(KEYS)
     assert len(found.all("figcaption")) == len(drawings)
     for drawing in drawings:
         root = ElementTree.fromstring(drawing)
@@ -165,7 +174,7 @@ def test_the_page_tells_how_it_was_made(page):
 
 def test_seeds_outside_the_test_set_are_confessed(evaluation):
     cases = evaluation.cases.assign(seed=evaluation.cases["seed"] - 2_000_000)
-    text = Page(render_report(replace(evaluation, cases=cases), record())).text
+    text = Page(render_report(replace(evaluation, cases=cases), record()).html).text
     assert "they may have been trained on" in text
     assert "so no plant used here" not in text
 
@@ -180,7 +189,10 @@ def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
     finally:
         matplotlib.rcdefaults()
     assert (tmp_path / "deep" / "report.html").read_bytes() == page.encode()
-    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["report.html"]
+    assert sorted(path.name for path in (tmp_path / "deep").iterdir()) == ["figures", "report.html"]
+    assert sorted(path.stem for path in (tmp_path / "deep" / "figures").iterdir()) == sorted(KEYS)
+    drawing = ElementTree.parse(tmp_path / "deep" / "figures" / "ratio.svg").getroot()  # whole by itself
+    assert drawing.get("width") == "331.2pt"
 
 
 def test_a_report_that_cannot_be_written_says_so(evaluation, tmp_path):
@@ -190,10 +202,10 @@ def test_a_report_that_cannot_be_written_says_so(evaluation, tmp_path):
 
 
 def test_one_controller_without_a_head(lonely, tmp_path):
-    text = Page(render_report(lonely, replace(record(), training_curve=NOTHING, versions={}, timings={}))).text
+    text = Page(render_report(lonely, replace(record(), training_curve=NOTHING, versions={}, timings={})).html).text
     assert "One leak size was tried: 0.3 l/min" in text.replace("\u00a0", " ")
     assert "without intervals" in text
-    for absent in ("Noticing the leak", "Single runs", "Ratio of errors", "nan", "AUROC"):
+    for absent in ("Noticing the leak", "Ratio of errors", "Difference to", "nan", "AUROC"):
         assert absent not in text
     names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
     assert names == ["cases.csv", "levels.csv", "families.csv"]
@@ -341,19 +353,37 @@ def test_numbers_have_a_true_minus_and_no_signed_zero():
     assert number(948.14, digits=4) == "948.1"
 
 
-def contrast_on_white(colour):
-    parts = [part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4 for part in to_rgb(colour)]
-    return 1.05 / (np.dot(parts, (0.2126, 0.7152, 0.0722)) + 0.05)
-
-
-def test_lines_stand_out_from_white_and_from_each_other():
-    leaks = [contrast_on_white(LOOKS[leak].colour) for leak in sorted(LOOKS)]
-    assert min(leaks) >= 3.0
-    assert leaks == sorted(leaks, reverse=True)  # dark is tight
-    assert min(map(contrast_on_white, COLOURS)) >= 3.0
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_lines_stand_out_from_the_page_and_from_each_other(theme):
+    paper = getattr(NEUTRALS["paper"], theme)
+    leaks = [getattr(LEAKS[leak], theme) for leak in sorted(LEAKS)]
+    assert all(contrast(colour, paper) >= 3.0 for colour in leaks)
+    assert all(contrast(getattr(colour, theme), paper) >= 3.0 for colour in SERIES)
+    assert all(contrast(getattr(NEUTRALS[name], theme), paper) >= 4.5 for name in ("ink", "grey"))
+    brightness = [contrast(colour, "#000000") for colour in leaks]
+    assert brightness == sorted(brightness)  # dark is tight
     drawn = sorted(LOOKS)
     assert all(LOOKS[a].line != LOOKS[b].line for a, b in pairwise(drawn))
-    assert not {look.colour for look in LOOKS.values()} & set(COLOURS)
+    assert not set(leaks) & {getattr(colour, theme) for colour in SERIES}
+
+
+def test_contrast_is_that_of_wcag():
+    assert contrast("#ffffff", "#000000") == pytest.approx(21.0)
+    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.005)  # a published example
+    assert mixed("#ff0000", "#0000ff", 50) == "#800080"
+
+
+def test_every_colour_of_a_figure_follows_the_theme(page):
+    drawings = re.findall(r'<svg[^>]*role="img".*?</svg>', page, flags=re.DOTALL)
+    assert {colour for drawing in drawings for colour in re.findall(r"#[0-9a-f]{6}\b", drawing)} == set()
+
+
+def test_a_point_tells_its_value(page):
+    drawing = re.search(r'<svg[^>]*aria-label="Mean error by leak size.*?</svg>', page, flags=re.DOTALL)[0]
+    titles = [element.text for element in ElementTree.fromstring(drawing).iter("{http://www.w3.org/2000/svg}title")]
+    label = re.search(r"PID: 0.01 l/min (\S+) mm", drawing)[1]
+    assert f"PID\nleak 0.01 l/min at 100 bar\nerror {label} mm" in titles
+    assert len(titles) == 4  # two controllers at two leaks
 
 
 def test_bounds_come_from_the_task():
@@ -363,7 +393,7 @@ def test_bounds_come_from_the_task():
     settings = SETTINGS.model_copy(update={"leak_levels": (0.04, 5.0), "families": ("step",)})
     head = untrained_head(CONFIG)
     evaluation = evaluate(config, {"PID": PID(PIDGains(), CONFIG)}, head, settings)
-    page = render_report(evaluation, replace(record(), training_curve=NOTHING))
+    page = render_report(evaluation, replace(record(), training_curve=NOTHING)).html
     found = Page(page)
     text = (found.text + " ".join(svg.get("aria-label", "") for svg in found.all("svg"))).replace("\u00a0", " ")
     for wanted in (
@@ -381,7 +411,7 @@ def test_bounds_come_from_the_task():
 def test_a_policy_that_corrects_is_called_so(evaluation):
     names = controllers_of(evaluation)
     corrects = replace(record([example(names)]), corrects={ODD_NAME: "PID", "absent": "PID"})
-    text = Page(render_report(evaluation, corrects)).text.replace("\u00a0", " ")
+    text = Page(render_report(evaluation, corrects).html).text.replace("\u00a0", " ")
     assert f"{ODD_NAME} on PID is a policy that adds a correction to the command of PID." in text
     assert "absent" not in text
     assert not re.search(re.escape(ODD_NAME) + "(?! on PID)", text)
@@ -392,13 +422,13 @@ def test_the_preview_is_marked_beside_a_step():
     time = np.arange(1, 81) * 0.005
     step = np.where(time > 0.2, 0.01, 0.0)
     shown = Example("steps", time, step, {"PID": step}, {"PID": step}, preview=0.04)
-    with_preview = example_plot(shown, 0, looks_of(["PID"]))
-    without = example_plot(replace(shown, preview=0.0), 0, looks_of(["PID"]))
+    with_preview = example_plot(shown, "run", looks_of(["PID"]))
+    without = example_plot(replace(shown, preview=0.0), "run", looks_of(["PID"]))
     assert "40 ms ahead" in with_preview.note
     assert "ahead" not in without.note
     assert len(with_preview.svg) > len(without.svg)
     smooth = replace(shown, reference=0.01 * time)
-    assert "ahead" not in example_plot(smooth, 0, looks_of(["PID"])).note
+    assert "ahead" not in example_plot(smooth, "run", looks_of(["PID"])).note
 
 
 def test_the_log_of_a_training_is_drawn():
@@ -424,3 +454,69 @@ def test_the_log_of_a_training_is_drawn():
     assert training_plots(pd.DataFrame()) == []
     two = pd.concat([log.assign(controller="PPO"), log.assign(controller="SAC")])
     assert "of SAC" in training_plots(two)[0].alt
+
+
+def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
+    steps = np.array([1e5, 2e5, 3e5])
+    error = "validation/mean_error_mm"
+    seeds = [pd.DataFrame({"steps": steps, error: e, "controller": f"PPO#{n}"}) for n, e in enumerate((0.2, 0.3, 0.7))]
+    (plot,) = learning_plots(pd.concat(seeds), "PID", 0.5)
+    assert "PPO: after 100 thousand steps 0.600, after 300 thousand steps 0.600" in plot.alt  # the median seed
+    assert "median of 3 training seeds" in plot.note
+    assert learning_plots(pd.concat(seeds), "PID", float("nan")) == []
+    assert len(learning_plots(seeds[0].head(1), "PID", 0.5)) == 1  # validated once
+    assert learning_plots(pd.DataFrame({"steps": steps}), "PID", 0.5) == []
+
+
+def test_a_correction_is_named_after_what_it_corrects():
+    assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
+    assert correction_name("PPO", "PID mended") == "PPO on PID mended"
+
+
+# In a browser -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(evaluation, tmp_path_factory):
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    names = controllers_of(evaluation)
+    examples = [replace(example(names), leak=leak, preview=0.04) for leak in (0.01, 4.0)]
+    price = leak_price(CONFIG, (0.01, 4.0))
+    write_report(path, evaluation, replace(record(examples), leak_price=price, corrects={ODD_NAME: "PID"}))
+    return path
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, written):
+    assert problems_everywhere(browser, written) == []
+
+
+def test_the_slider_shows_one_leak_at_a_time(browser, written):
+    with open_page(browser, written) as page:
+        shown = page.locator(".level >> visible=true")
+        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "0.01"]
+        page.locator(".slider input").fill("1")
+        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "4"]
+        assert page.locator(".slider output").text_content() == "4"
+        assert "Whatever the controller" in shown.first.text_content()
+
+
+def test_without_scripts_every_leak_is_shown(browser, written):
+    with open_page(browser, written, java_script_enabled=False) as page:
+        assert page.locator(".level >> visible=true").count() == 2
+        assert not page.locator(".slider").is_visible()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_and_figures_follow_the_reader_s_theme(browser, written, scheme):
+    with open_page(browser, written, scheme=scheme) as page:
+
+        def shown(selector, what):
+            red, green, blue = re.findall(
+                r"\d+", page.locator(selector).first.evaluate(f"element => getComputedStyle(element).{what}")
+            )[:3]
+            return f"#{int(red):02x}{int(green):02x}{int(blue):02x}"
+
+        assert shown("body", "backgroundColor") == getattr(NEUTRALS["paper"], scheme)
+        assert shown("body", "color") == getattr(NEUTRALS["ink"], scheme)
+        assert shown("figure svg g[id$='-line2d_1'] path", "stroke") in {getattr(c, scheme) for c in VARIABLES.values()}
+        assert shown("figure svg g[id*='text_'] g", "fill") == getattr(NEUTRALS["ink"], scheme)

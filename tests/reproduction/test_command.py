@@ -4,6 +4,7 @@ import re
 
 import pandas as pd
 import pytest
+from browser import problems_everywhere
 
 from agents.commands import reproduce as command
 from agents.commands.application import main
@@ -30,12 +31,18 @@ def test_the_page_shows_every_figure_and_needs_nothing_else(folder):
     page = (folder / "page.html").read_text(encoding="utf-8")
     for path in folder.glob("*.png"):
         assert f'<section id="{path.stem}">' in page
-    assert page.count("<svg") == len(list(folder.glob("*.svg")))
+    assert page.count('role="img"') == len(list(folder.glob("*.svg")))
     assert "nan" not in re.sub(r"<[^>]*>", " ", page).split()
     body = re.sub(r'xmlns(:\w+)?="[^"]*"', "", page)
-    assert not re.search(r"""(src|href)\s*=\s*["'](?!#)|url\((?!["']?#)|@import|<script|<link""", body)
+    links = {target for target in re.findall(r'href="([^"]*)"', body) if not target.startswith("#")}
+    assert links == {path.name for kind in ("svg", "png", "csv") for path in folder.glob(f"*.{kind}")}
+    assert not re.search(r"""src\s*=|url\((?!["']?#)|@import|<script|<link""", body)
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids))
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, folder):
+    assert problems_everywhere(browser, folder / "page.html") == []
 
 
 def test_a_folder_with_results_is_kept_unless_told(folder):

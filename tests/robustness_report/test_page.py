@@ -3,11 +3,13 @@
 import re
 
 import pytest
+from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
 from agents.report.findings import Finding
+from agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
 from agents.robustness_report.findings import findings
-from agents.robustness_report.heat import contrast, heat_map
+from agents.robustness_report.heat import heat_map
 from agents.robustness_report.page import render_page
 from agents.robustness_report.record import Record
 from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
@@ -20,7 +22,7 @@ def record():
 
 @pytest.fixture(scope="module")
 def page(record):
-    return render_page(record)
+    return render_page(record).html
 
 
 def test_the_first_sentences_name_winner_loser_and_price(record):
@@ -49,22 +51,23 @@ def test_nobody_is_called_best_without_a_clear_difference():
 def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1(record):
     rows = {row.label: row for group in heat_map(record) for row in group.rows}
     good, fair = rows["8 l/min"].cells
-    assert good.background != "transparent"
+    assert good.meaning == "better"
     assert good.best
-    assert fair.background == "transparent"
+    assert (fair.meaning, fair.share) == ("", 0)
     assert rows["period 10 ms"].cells[0].text == "–"
     assert "tuned for 10 ms" in rows["period 10 ms"].cells[0].title
-    assert rows["latency 5 ms"].cells[0].background.startswith("rgb(2")  # towards orange
-    assert rows["0.01 l/min"].cells[0].background == "rgb(0,114,178)"  # half the error: the full blue
+    assert rows["latency 5 ms"].cells[0].meaning == "worse"
+    assert (rows["0.01 l/min"].cells[0].meaning, rows["0.01 l/min"].cells[0].share) == ("better", 50)  # half the error
     assert rows["0.01 l/min"].baseline == "0.200"
 
 
-def test_text_is_readable_on_every_colour(record):
-    cells = [cell for group in heat_map(record) for row in group.rows for cell in row.cells]
+def test_text_is_readable_on_every_colour_in_both_themes(record):
+    cells = [cell for group in heat_map(record) for row in group.rows for cell in row.cells if cell.meaning]
+    assert len({cell.share for cell in cells}) > 2
     for cell in cells:
-        if cell.background != "transparent":
-            red, green, blue = map(int, re.findall(r"\d+", cell.background))
-            assert contrast((red, green, blue), cell.ink) >= 4.5
+        for theme in ("light", "dark"):
+            paper, ink = (getattr(NEUTRALS[name], theme) for name in ("paper", "ink"))
+            assert contrast(mixed(getattr(MEANINGS[cell.meaning], theme), paper, cell.share), ink) >= 4.5
 
 
 def test_groups_are_in_order_and_the_many_parameters_are_folded(record):
@@ -90,9 +93,15 @@ def test_every_section_and_number_stands_on_the_page(page):
     assert not re.search(r'(src|href)="http', page)
 
 
+def test_a_policy_that_corrects_is_called_so(record):
+    sees = record.table("sees").assign(note=["", "corrects Fair", *[""] * (len(record.table("sees")) - 2)])
+    page = render_page(Record({**record.tables, "sees": sees})).html
+    assert "Good is a policy that adds a correction to the command of Fair: Good on fair." in page
+
+
 def test_missing_tables_leave_their_sections_out():
     tables = protocol_tables()
-    page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]}))
+    page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]})).html
     for title in ("Who wins where", "Where each controller fails", "Frequency response", "Stiffness", "Standstill"):
         assert f"<h2>{title}</h2>" not in page
     assert "<h2>How it was measured</h2>" in page
@@ -124,4 +133,9 @@ def test_energy_is_told_for_every_leak(record):
 
 
 def test_the_page_is_the_same_every_time(record, page):
-    assert render_page(record) == page
+    assert render_page(record).html == page
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, record, tmp_path):
+    render_page(record).write(tmp_path / "robustness.html")
+    assert problems_everywhere(browser, tmp_path / "robustness.html") == []

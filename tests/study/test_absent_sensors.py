@@ -25,8 +25,8 @@ sensors: {pressure_a: {fitted: false}, pressure_b: {fitted: false}, spool_positi
 STUDY = """
 controllers:
   PID: {kind: pid, tune: {evaluations: 12, cases: 7}}
-  Flow-linearising: {kind: flow_linearising}
-  PPO: {kind: ppo, corrects: Flow-linearising, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
+  Flow linearisation: {kind: flow_linearising}
+  PPO: {kind: ppo, corrects: Flow linearisation, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
         minibatches: 2, epochs: 1, hidden_sizes: [8], see_estimates: true}}
 evaluation: {plants: 3, detection_episodes: 100}
 """
@@ -94,8 +94,8 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
     assert study.leakage_head is None
     told = capsys.readouterr().err.splitlines()
     assert [line.split(":")[1].strip() for line in told] == [
-        "Flow-linearising is left out",
-        "PPO corrects PID instead of Flow-linearising",
+        "Flow linearisation is left out",
+        "PPO corrects PID instead of Flow linearisation",
         "no leakage head",
     ]
 

@@ -21,7 +21,7 @@ LADDER = {
     "settings": {"total_steps": 64, "axes": 8, "hidden_sizes": [4], "validation_every": 0},
     "evaluation": {"plants": 3, "leak_levels": [0.01, 4.0], "families": ["step", "sine"]},
     "rungs": {
-        "alone": {"kind": "ppo", "settings": {**SMALL, "residual": False, "paired": False}},
+        "alone": {"kind": "ppo", "settings": {**SMALL, "residual": False, "paired": False, "validation_every": 1}},
         "correction": {"kind": "ppo", "corrects": "PID", "settings": SMALL},
         "told": {"after": "correction", "settings": {"told_critic": True, "prices": {"lasting": 1.0}}},
     },
@@ -54,6 +54,14 @@ def test_every_rung_has_a_row_and_the_controllers_too(done):
     np.testing.assert_allclose(table["mean to corrected"][2:], table["mean"][2:])
     assert text.count("\n| ") == 5
     assert len(pd.read_csv(folder / "scores.csv")) == 1 + 3 * 2
+
+
+def test_a_rung_that_is_validated_has_a_learning_curve(done):
+    folder, _ = done
+    drawn = [path.parent.name for path in folder.glob("rungs/*/learning_curve.svg")]
+    assert drawn == ["alone"]
+    text = (folder / "rungs" / "alone" / "learning_curve.svg").read_text()
+    assert "error ÷ error of PID" in text
 
 
 def test_a_rung_takes_over_what_it_does_not_change():

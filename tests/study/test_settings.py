@@ -46,9 +46,9 @@ def my_module(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["default", "direct", "quick"])
 def test_the_studies_that_ship_are_right(name):
     found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
-    assert list(found.controllers) == ["PID", "Flow-linearising", "PPO"]
+    assert list(found.controllers) == ["PID", "Flow linearisation", "PPO"]
     assert found.trained == ["PPO"]
-    assert found.controllers["PPO"].corrects == (None if name == "direct" else "Flow-linearising")
+    assert found.controllers["PPO"].corrects == (None if name == "direct" else "Flow linearisation")
     assert found.make("PID").gains.proportional == pytest.approx(397.3, abs=0.01)
     assert StudySettings(**found.model_dump(mode="json")) == found  # what is written can be read again
 
@@ -126,7 +126,7 @@ def test_what_does_not_fit_is_told_in_one_line(tmp_path, text, message):
 def test_controllers_ready_to_act_without_training(tmp_path):
     found = default_study()
     controllers = found.with_weights({"mine": "my_algorithm:Mine"})
-    assert list(controllers) == ["PID", "Flow-linearising", "PPO", "mine"]
+    assert list(controllers) == ["PID", "Flow linearisation", "PPO", "mine"]
     assert isinstance(controllers["PID"], PID)
     assert isinstance(controllers["PPO"], PolicyController)
     replaced = found.with_weights({"PPO": "pid"})

@@ -1,0 +1,98 @@
+"""The colours of all figures and pages, each in a light and a dark theme.
+
+Figures are drawn in the light colours. On a page each of them becomes a variable of CSS, whose value follows the
+reader's theme; files beside the page keep the light colours.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Colour(NamedTuple):
+    """A colour in both themes, as ``#rrggbb``."""
+
+    light: str
+    dark: str
+
+
+NEUTRALS = {
+    "paper": Colour("#ffffff", "#15171c"),
+    "ink": Colour("#1d1d1f", "#e8e8ec"),
+    "grey": Colour("#5c5c63", "#a9a9b2"),
+    "line": Colour("#dcdce0", "#3b3d45"),
+    "pale": Colour("#f6f6f8", "#1f2128"),
+}
+
+SERIES = (
+    Colour("#0072b2", "#56b4e9"),
+    Colour("#d55e00", "#f58f3c"),
+    Colour("#00805c", "#3fc196"),
+    Colour("#b3508a", "#e592c1"),
+    Colour("#8a6d00", "#d6b53c"),
+    Colour("#6a4fb3", "#ab97ec"),
+)
+"""Controllers, detectors and other things side by side: after Okabe and Ito, for colour-blind readers."""
+
+LEAKS = {
+    0.01: Colour("#14213d", "#6f82c4"),
+    0.1: Colour("#47207a", "#9d80d8"),
+    0.3: Colour("#8a2387", "#cf86d0"),
+    1.0: Colour("#bf2f5f", "#ef94a4"),
+    2.0: Colour("#d1493a", "#f7b08c"),
+    4.0: Colour("#de6a10", "#fbd58a"),
+}
+"""By leak in l/min at 100 bar: from a tight seal (dark) to a severe leak (light)."""
+
+MEANINGS = {"better": SERIES[0], "worse": SERIES[1], "good": SERIES[2], "doubtful": SERIES[4]}
+"""Judgements in tables and verdicts."""
+
+STRONGEST = 50
+"""Percent of a meaning's colour in a cell of a table; with more, text would lose its contrast."""
+
+
+def _variables() -> dict[str, Colour]:
+    """Every colour by the name of its CSS variable."""
+    series = {f"series-{number}": colour for number, colour in enumerate(SERIES, 1)}
+    leaks = {f"leak-{number}": colour for number, colour in enumerate(LEAKS.values(), 1)}
+    return {**NEUTRALS, **series, **leaks, **MEANINGS}
+
+
+VARIABLES = _variables()
+
+
+def css_variables(theme: str) -> str:
+    """Declarations of all variables for the theme ``light`` or ``dark``."""
+    return " ".join(f"--{name}: {getattr(colour, theme)};" for name, colour in VARIABLES.items())
+
+
+def themed(svg: str) -> str:
+    """A drawing in the light colours, with variables instead of them."""
+    names = {colour.light: name for name, colour in reversed(VARIABLES.items())}
+    names |= {"#000000": "ink"}
+    return re.sub(r"#[0-9a-f]{6}\b", lambda m: f"var(--{names[m[0]]})" if m[0] in names else m[0], svg)
+
+
+def mixed(colour: str, background: str, percent: float) -> str:
+    """The colour on a background, as ``color-mix`` of CSS in sRGB mixes them."""
+    pairs = zip(_channels(colour), _channels(background), strict=True)
+    return "#" + "".join(f"{round(b + percent / 100.0 * (a - b)):02x}" for a, b in pairs)
+
+
+def contrast(first: str, second: str) -> float:
+    """Contrast ratio of two colours (WCAG 2): 3 for lines, 4.5 for text is enough."""
+    lighter, darker = sorted((_luminance(first), _luminance(second)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def _channels(colour: str) -> tuple[int, int, int]:
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def _luminance(colour: str) -> float:
+    parts = [part / 255.0 for part in _channels(colour)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
