@@ -2,8 +2,8 @@
 
 Run: python benchmarks/identification.py [--rigs 40] [--rig NAME|FILE] [--without pressure_a pressure_b] [--validation]
 
-Each seed hides a rig: its parameters, leak and biases of the sensors are drawn from the ranges of the rig file. The code
-behind `hydro record` writes the recording, the code behind `hydro identify` reads it. Figures come from test seeds.
+Each seed hides a rig: its parameters, leak and biases of the sensors are drawn from the ranges of the rig file. The
+code behind `hydro record` writes the recording, the code behind `hydro identify` reads it. Figures: test seeds.
 """
 
 from __future__ import annotations
@@ -125,8 +125,9 @@ def _report(rows: list, shares: np.ndarray, times: np.ndarray, refused: int, cou
     print(f"\n{count} rigs, {refused} refused, {len(shares) - len(moved)} stood still on the held-back part")
     if len(moved):
         print(
-            f"share of the position's variance: median {100 * np.median(moved):.3f} %, lowest {100 * moved.min():.3f} %, "
-            f"at least 95 % in {np.mean(moved >= 0.95):.0%}, at least 99 % in {np.mean(moved >= 0.99):.0%} of the rigs"
+            f"share of the position's variance: median {100 * np.median(moved):.3f} %, "
+            f"lowest {100 * moved.min():.3f} %; at least 95 % in {np.mean(moved >= 0.95):.0%}, "
+            f"at least 99 % in {np.mean(moved >= 0.99):.0%} of the rigs"
         )
     if len(times):
         print(f"time: median {np.median(times[:, 0]):.0f} s, longest {times[:, 0].max():.0f} s; "

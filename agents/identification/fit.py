@@ -39,6 +39,10 @@ OUTLIER = 3.0
 a local minimum, or a disturbance."""
 
 
+MOST_ATTEMPTS = 2
+"""Common fits; a further one begins where windows that were not explained have been fitted again."""
+
+
 class Fit(NamedTuple):
     """What was learnt from the windows of a recording. p unknowns: parameters, leaks and biases of sensors."""
 
@@ -112,25 +116,48 @@ def fit_windows(
         if progress is not None:
             progress(phase, done, total)
 
-    measured = np.isfinite(signals[:, : len(CHANNELS)]).any(axis=(0, 2))
+    measured = np.asarray(np.isfinite(signals[:, : len(CHANNELS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
     told("windows", 0, len(signals))
     alone = estimate(signals, config, list(priors), settings=EstimationSettings(restarts=1))
     told("windows", len(signals), len(signals))
+    fits: list[tuple[Model, Joint, Array]] = []
+    for attempt in range(MOST_ATTEMPTS):
+        model, joint, misfit = _common_fit(signals, config, priors, alone, lambda *at: told("common fit", *at))
+        fits.append((model, joint, misfit))
+        if (misfit < WELL_FITTED).all() or attempt + 1 == MOST_ATTEMPTS:
+            break
+        # Some window ended elsewhere: the common values lead it back.
+        values = model.values(joint.scaled)[0]
+        first = {model.names[place]: float(values[place]) for place in joint.shared}
+        again = estimate(signals, config, list(priors), first=first, settings=EstimationSettings(restarts=0))
+        better = np.flatnonzero(again.misfit < alone.misfit)
+        alone.replace(better, again, better)
+    told("common fit", 1, 1)
+    model, joint, misfit = min(fits, key=lambda one: float(np.median(one[2])))
+    return _summary(model, joint, priors, misfit)
+
+
+def _common_fit(
+    signals: Array,
+    config: TaskConfig,
+    priors: Mapping[str, Prior],
+    alone: Estimate,
+    progress: Callable[[int, int], None],
+) -> tuple[Model, Joint, Array]:
+    """Model and common fit of the windows that belong together, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
     for _ in range(2):  # a second time without the windows that misfit in the first
         model = Model(config, priors, signals[kept, -1])
         readings = usable_readings(signals[kept], config, model)
-        first = _first_values(model, readings, alone, kept)
-        joint = fit_together(model, readings, first, lambda done, total: told("common fit", done, total))
+        joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
         still = _without_outliers(joint.misfit)
         if len(still) == len(kept):
             break
         kept = kept[still]
-    told("common fit", 1, 1)
     misfit = np.full(len(signals), np.inf)
     misfit[kept] = joint.misfit
-    return _summary(model, joint, priors, misfit)
+    return model, joint, misfit
 
 
 def _without_outliers(misfit: Array) -> NDArray[np.int64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import yaml
@@ -35,7 +35,11 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
             values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
         elif name in PATHS:
             values[name] = value
-    return {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
+    values = {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
+    breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
+    if breakaway in values:  # two values that are found one by one may contradict each other by their uncertainty
+        values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
+    return values
 
 
 def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
@@ -66,12 +70,18 @@ def _within_bounds(plant: PlantParameters, path: str, value: float) -> float:
     return value
 
 
-def hull(plant: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
-    """Lowest and highest value that a range allows, SI, the value that it takes otherwise included."""
-    low, high = given.bounds(own_value(plant, path))
-    if given.times is not None:
-        low, high = (end * own_value(plant, given.times) for end in (low, high))
-    ends = [low, high, *([] if given.otherwise is None else [given.otherwise])]
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, the value that it takes otherwise included.
+
+    Args:
+        plant: the rig as given; factors multiply its own value.
+        found: the rig as found; a parameter that multiplies the range (``times``) has its value there.
+        path: of the parameter.
+        given: its range.
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    ends += [] if given.otherwise is None else [given.otherwise]
     return min(ends), max(ends)
 
 
@@ -87,21 +97,19 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
         if path not in ranges:
             continue
         given = ranges[path]
-        before = hull(config.plant, path, given)
         if not determined:
             result[path] = _undetermined(config.plant, path, given)
         elif name == EXTERNAL_LEAKAGE:
             result[path] = _external(low, high, given)
         else:
-            ends = _overlap((low, high), before)
+            ends = _overlap((low, high), hull(config.plant, plant, path, given))
             ends = (_within_bounds(plant, path, ends[0]), _within_bounds(plant, path, ends[1]))
-            if given.times is not None:  # a ratio, so that breakaway never falls below Coulomb friction
-                factor = own_value(plant, given.times)
-                least = min(1.0, given.bounds(1.0)[0])
-                ends = (max(ends[0] / factor, least), max(ends[1] / factor, least))
-                result[path] = {"uniform": _rounded(ends), "times": given.times}
-            else:
+            if given.times is None:
                 result[path] = {"uniform": _rounded(ends)}
+            else:  # a ratio never falls below the old one, so that breakaway stays above Coulomb friction
+                factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
+                ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
+                result[path] = {"uniform": _rounded(ratios), "times": given.times}
     return result
 
 
@@ -109,6 +117,17 @@ def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tupl
     """The part of an interval within the old range; the interval itself if it lies beyond."""
     low, high = max(interval[0], before[0]), min(interval[1], before[1])
     return (low, high) if low <= high else interval
+
+
+def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
+    """Names of the determined parameters whose whole interval lies beyond the range that the rig file gives."""
+    plant, names = found_plant(fit, config), []
+    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+        if determined and name in ranges:
+            least, most = hull(config.plant, plant, name, ranges[name])
+            if high < least or low > most:
+                names.append(name)
+    return names
 
 
 def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
@@ -139,10 +158,14 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
 
 def _rounded(ends: tuple[float, float]) -> list[float]:
     """Both ends with DIGITS significant digits, rounded outwards."""
-    return [_outwards(ends[0], math.floor), _outwards(ends[1], math.ceil)]
+    nearly = 1e-6  # of a digit: a number that has no more digits stays as it is
+    return [
+        _outwards(ends[0], lambda digits: math.floor(digits + nearly)),
+        _outwards(ends[1], lambda digits: math.ceil(digits - nearly)),
+    ]
 
 
-def _outwards(value: float, rounding: Any) -> float:
+def _outwards(value: float, rounding: Callable[[float], int]) -> float:
     if value == 0.0 or not math.isfinite(value):
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)

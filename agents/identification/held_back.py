@@ -58,10 +58,11 @@ def simulate_held_back(
     model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical)
     read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
     simulated = read[0] * model.noise[:, None] + bias
+    time = config.control_period * np.arange(signals.shape[1], dtype=np.float64)
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share(*pair) for pair in zip(measured, simulated, strict=True)])
     share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    return HeldBack(begin, np.arange(signals.shape[1]) * config.control_period, measured, simulated, share)
+    return HeldBack(begin, time, measured, simulated, share)
 
 
 def _share(measured: Array, simulated: Array) -> float:

@@ -12,11 +12,12 @@ import numpy as np
 
 from agents.estimation.names import EXTERNAL_LEAKAGE, LEAKAGE
 from agents.identification.fit import Combination, Fit, combinations, fit_windows
-from agents.identification.found_rig import found_biases, found_plant, rig_yaml
+from agents.identification.found_rig import beyond_range, found_biases, found_plant, rig_yaml
 from agents.identification.held_back import HeldBack, simulate_held_back
 from agents.identification.motions import Advice, advise
 from agents.identification.page import write_page
 from agents.identification.parts import POSITION, Parts, parts_of
+from agents.identification.shown import share_in_words, shown
 from agents.recordings.columns import ColumnMap
 from agents.recordings.quality import Checked, check_recording
 from agents.recordings.recording import Recording, read_recording
@@ -24,6 +25,7 @@ from agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.task.rig import Rig
+from hydro_env.task.sensors import CHANNELS
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE)
@@ -57,9 +59,16 @@ class Identification(NamedTuple):
     @property
     def describes(self) -> bool:
         """Whether the model describes the axis."""
-        if math.isnan(self.share):
-            return bool(self.fit.explained.mean() >= 0.5)
+        explained = bool(self.fit.explained.mean() >= 0.5)
+        if math.isnan(self.share) or self.beyond:
+            return explained and not self.share < LEAST_SHARE
         return self.share >= LEAST_SHARE
+
+    @property
+    def beyond(self) -> list[str]:
+        """Parameters that were found beyond their ranges, in words."""
+        names = beyond_range(self.fit, self.config, self.rig.randomisation)
+        return [shown(name, self.config.plant).words for name in names]
 
     @property
     def noted(self) -> list[str]:
@@ -74,6 +83,8 @@ class Identification(NamedTuple):
             )
         if left_out:
             notes.append(f"{left_out} of {count} windows were left out: the model fits them far worse than the others.")
+        if self.beyond:
+            notes.append(f"Found beyond the range of the rig file: {', '.join(self.beyond)}. Check that number there.")
         if explained < 0.5 * count:
             notes.append(
                 "The readings differ from the model by more than the sensors' noise. The intervals are wider for it "
@@ -85,16 +96,18 @@ class Identification(NamedTuple):
         """The result in one sentence."""
         known, count = int(self.fit.determined.sum()), len(self.fit.names)
         if not self.describes:
-            what = f"explains {max(self.share, -99.0):.0%} of the position's variance on the held-back part"
+            what = f"explains {share_in_words(self.share)} of the position's variance on the held-back part"
             if math.isnan(self.share):
                 what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
+            elif self.share >= LEAST_SHARE:
+                what = f"comes near it only with values beyond the rig file's ranges ({', '.join(self.beyond)})"
             return (
                 f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
             )
-        shown = "the axis stood still on the held-back part"
+        told = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
-            shown = f"{self.share:.2%} of the position's variance explained on the held-back part"
-        return f"{known} of {count} unknowns determined; {shown}"
+            told = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
+        return f"{known} of {count} unknowns determined; {told}"
 
 
 def identify(
@@ -122,7 +135,12 @@ def identify(
         raise ConfigurationError(f"{path}: {checked.severe[0].line()}")
     parts = parts_of(checked.samples, str(path))
     fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress)
-    plant = found_plant(fit, config)
+    try:
+        plant = found_plant(fit, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f"{path}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
+        ) from None
     held_back = simulate_held_back(parts.held_back, parts.begin, config, plant, found_biases(fit))
     advice = advise(fit, config, plant)
     return Identification(recording, checked, rig, config, parts, fit, plant, held_back, combinations(fit), advice)
@@ -175,7 +193,6 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
             "determined": bool(fit.determined[place]),
             "motion_that_helps": advice.motion if advice is not None else None,
         }
-    names = ("position", "pressure_a", "pressure_b", "spool_position")
     return {
         "command": command,
         "hydro_env": __version__,
@@ -183,7 +200,7 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": {n: plain(s) for n, s in zip(names, found.held_back.share, strict=True)},
+        "share_of_variance": {n: plain(s) for n, s in zip(CHANNELS, found.held_back.share, strict=True)},
         "held_back_from_s": found.parts.begin,
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),

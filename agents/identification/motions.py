@@ -91,7 +91,7 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
     can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
     if not min(can.reach, can.out, can.back) > 0.0:
         return dict.fromkeys(wanted)
-    time = np.arange(round(DURATION / config.control_period)) * config.control_period
+    time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
     commands = _commands(time, can)
     information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
     # The readings of the recording count as much as its widened intervals say.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,11 +11,12 @@ from markupsafe import Markup
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from agents.identification.found_rig import hull, path_of
 from agents.identification.pictures import paint_held_back, paint_intervals
-from agents.identification.shown import shown
+from agents.identification.shown import share_in_words, shown
 from agents.report.canvas import WIDE, inline, render
 from agents.report.text import Table, listed, number, templates
 from hydro_env import __version__
 from hydro_env.files import write_text
+from hydro_env.task.sensors import CHANNELS
 
 if TYPE_CHECKING:
     from agents.identification.identify import Identification
@@ -101,7 +103,8 @@ def range_before(found: Identification, name: str) -> tuple[float, float] | None
     if name in BIASES:
         bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias
         return -bias, bias
-    return hull(found.config.plant, path_of(name), found.rig.randomisation[path_of(name)])
+    path = path_of(name)
+    return hull(found.config.plant, found.plant, path, found.rig.randomisation[path])
 
 
 def open_table(found: Identification) -> Table | None:
@@ -133,17 +136,6 @@ def combinations_table(found: Identification) -> Table:
 def shares_table(found: Identification) -> Table:
     """Share of the variance explained, by signal."""
     rows = []
-    for name, share in zip(
-        ("position", "pressure a", "pressure b", "spool position"), found.held_back.share, strict=True
-    ):
-        rows.append(
-            (
-                name,
-                f"{100 * share:.2f} %"
-                if share > -99.0
-                else "– (absent, or at rest)"
-                if share != share
-                else "below −9900 %",
-            )
-        )
+    for name, share in zip(CHANNELS, found.held_back.share.tolist(), strict=True):
+        rows.append((name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share)))
     return Table("", ("Signal", "Share of variance explained"), rows)

@@ -53,3 +53,8 @@ def shown(name: str, plant: PlantParameters) -> Shown:
     unit = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
     factor, unit = UNITS.get(unit, (1.0, unit))
     return Shown(f"{group}: {field.replace('_', ' ')}", factor, unit)
+
+
+def share_in_words(share: float) -> str:
+    """A share of variance; a simulation that errs by more than the signal varies explains nothing."""
+    return f"{100 * share:.2f} %" if share > 0.0 else "nothing"

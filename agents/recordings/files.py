@@ -25,7 +25,7 @@ LARGEST_RECORDING = 200_000_000
 """Largest size in bytes; about three hours at 200 rows per second as CSV."""
 
 LONGEST_STEP = 2.0
-"""Values are interpolated over at most this many usual distances of a channel's own stamps; beyond, they are missing."""
+"""Longest distance of a channel's own stamps over which it is interpolated, in parts of the usual one."""
 
 TIME_HEADING = "time [s]"
 """Heading of the common time of channels that have stamps of their own."""
