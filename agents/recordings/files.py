@@ -87,7 +87,8 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         places: index of each chosen column by signal, ``time`` and ``command`` among them.
     """
     base = columns.stamps[places["command"]]
-    cells, findings = {signal: columns.cells[place] for signal, place in places.items()}, []
+    cells = {signal: columns.cells[place] for signal, place in places.items()}
+    findings: list[Finding] = []
     if base is None:
         return cells, findings
     if columns.headings[places["time"]] == TIME_HEADING:
