@@ -39,6 +39,9 @@ OUTLIER = 3.0
 a local minimum, or a disturbance."""
 
 
+ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
+"""Search of the single windows: the common fit goes on from there."""
+
 MOST_ATTEMPTS = 2
 """Common fits; a further one begins where windows that were not explained have been fitted again."""
 
@@ -119,7 +122,7 @@ def fit_windows(
     measured = np.asarray(np.isfinite(signals[:, : len(CHANNELS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
     told("windows", 0, len(signals))
-    alone = estimate(signals, config, list(priors), settings=EstimationSettings(restarts=1))
+    alone = estimate(signals, config, list(priors), settings=ROUGHLY)
     told("windows", len(signals), len(signals))
     fits: list[tuple[Model, Joint, Array]] = []
     for attempt in range(MOST_ATTEMPTS):
@@ -130,7 +133,9 @@ def fit_windows(
         # Some window ended elsewhere: the common values lead it back.
         values = model.values(joint.scaled)[0]
         first = {model.names[place]: float(values[place]) for place in joint.shared}
-        again = estimate(signals, config, list(priors), first=first, settings=EstimationSettings(restarts=0))
+        again = estimate(
+            signals, config, list(priors), first=first, settings=ROUGHLY.model_copy(update={"restarts": 0})
+        )
         better = np.flatnonzero(again.misfit < alone.misfit)
         alone.replace(better, again, better)
     told("common fit", 1, 1)

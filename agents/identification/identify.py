@@ -82,7 +82,9 @@ class Identification(NamedTuple):
                 "each number that you do not know under `randomisation`."
             )
         if left_out:
-            notes.append(f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows.")
+            notes.append(
+                f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows."
+            )
         if self.beyond:
             notes.append(f"Found beyond the range of the rig file: {', '.join(self.beyond)}. Check that number there.")
         if explained < 0.5 * count:

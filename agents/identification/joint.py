@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.estimation.goodness import misfit_of
-from agents.estimation.model import Model
+from agents.estimation.model import LONG_STEP, Model
 from agents.estimation.names import STARTS
 from agents.estimation.solver import DAMPINGS, channel_weights, masked
 
@@ -77,7 +77,7 @@ def fit_together(
         residual, jacobian = masked(linear, measured, known)
         weight = channel_weights(residual, known)
         reduced = reduce(scaled, residual, jacobian, weight, own, shared)
-        directions = model.directions(_joint_precision(reduced, own, shared))
+        directions = model.directions(_joint_precision(reduced, own, shared), LONG_STEP)
         cost = (weight * residual**2).sum() + _prior_cost(scaled, own, shared)
         steps = np.stack([_step(reduced, scaled, level * damping, own, shared) for damping in DAMPINGS], axis=1)
         trials = scaled[:, None] + steps  # (B, dampings, P)

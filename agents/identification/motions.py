@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.estimation.estimate import usable_readings
-from agents.estimation.model import Model
+from agents.estimation.model import LONG_STEP, Model
 from agents.estimation.unknowns import priors_of
 from agents.identification.fit import DETERMINED, Fit, starts_of
 from agents.identification.joint import reduce
@@ -117,7 +117,7 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     shared = np.arange(len(fit.names))
     precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
     precision[:, shared[:, None], shared] += fit.information / fit.widening**2
-    linear = model.linearise(scaled, None, model.directions(precision))
+    linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
     measured = linear.readings * model.noise[:, None]
     for row, channel in enumerate(CHANNELS):  # sensors that the rig lacks would tell nothing
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
