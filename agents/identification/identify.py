@@ -85,6 +85,8 @@ class Identification(NamedTuple):
             notes.append(
                 f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows."
             )
+        if not {"pressure_a_bias", "pressure_b_bias"} & set(self.fit.names) and self.config.sensors.enabled:
+            notes.append("No pressure was recorded: the intervals are too narrow (docs/identify.md). Record pressures.")
         if self.beyond:
             notes.append(f"Found beyond the range of the rig file: {', '.join(self.beyond)}. Check that number there.")
         if explained < 0.5 * count:
