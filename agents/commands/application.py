@@ -18,6 +18,7 @@ from agents.commands.check_rig import check_rig
 from agents.commands.diagnose import diagnose
 from agents.commands.evaluate import evaluate
 from agents.commands.export import export
+from agents.commands.identify import identify
 from agents.commands.ladder import ladder
 from agents.commands.leak_bound import leak_bound
 from agents.commands.new_rig import new_rig
@@ -121,6 +122,7 @@ app.command("record")(record)
 app.command("render")(render)
 app.command("diagnose")(diagnose)
 app.command("new-rig")(new_rig)
+app.command("identify")(identify)
 app.command("check-rig")(check_rig)
 app.command("train")(train)
 app.command("evaluate")(evaluate)

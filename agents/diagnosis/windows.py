@@ -30,7 +30,7 @@ class Windows(NamedTuple):
         """Windows without a missing reading, (B,)."""
         return np.asarray(np.isfinite(self.signals).all(axis=(1, 2)))
 
-    def part(self, chosen: NDArray[np.bool_]) -> Windows:
+    def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
         return Windows(*(values[chosen] for values in self))
 

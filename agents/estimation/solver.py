@@ -84,7 +84,7 @@ def fit(
         here, data, mask = scaled[active], used[active], known[active]
         linear = model.linearise(here, window[active], None if directions is None else directions[active], samples)
         residual, jacobian = masked(linear, data, mask)
-        weight = _weights(residual, mask)
+        weight = channel_weights(residual, mask)
         fisher = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1)
         mean, precision = belief.mean[active], belief.precision[active]
         away = here - mean
@@ -122,7 +122,7 @@ def fit(
     return Fit(scaled, chi2, done, directions)
 
 
-def _weights(residual: Array, known: NDArray[np.bool_]) -> Array:
+def channel_weights(residual: Array, known: NDArray[np.bool_]) -> Array:
     """Weight of each reading, (B, readings): 1 over the mean square of its channel's residuals, at most 1."""
     shape = known.shape
     square = (residual.reshape(shape) ** 2).sum(axis=2) / np.maximum(known.sum(axis=2), 1)

@@ -1,9 +1,7 @@
-"""Reads a recording of a rig: a CSV file with time stamps and one column per measured signal."""
+"""Reads a recording of a rig: a file with time stamps and one column per measured signal."""
 
 from __future__ import annotations
 
-import io
-import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,12 +10,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
+from agents.recordings.files import read_columns, together
 from agents.recordings.findings import Finding, severe_if
 from hydro_env import ConfigurationError
-from hydro_env.files import read_text
-
-LARGEST_RECORDING = 200_000_000
-"""Largest size in bytes; about three hours at 200 rows per second."""
 
 FEWEST_ROWS = 3
 
@@ -37,30 +32,30 @@ class Recording(NamedTuple):
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
-    The first line holds the headings; lines before it that are empty or begin with ``#`` are skipped. Columns are
-    separated by semicolons or tabs, which allow decimal commas, or by commas.
+    CSV: the first line holds the headings; lines before it that are empty or begin with ``#`` are skipped. Columns are
+    separated by semicolons or tabs, which allow decimal commas, or by commas. Parquet, MDF4, TDMS and MAT files are
+    told by the end of their name (:mod:`agents.recordings.files`).
 
     Args:
-        path: the file, UTF-8.
+        path: the file; text in UTF-8.
         columns: which column is which; default: the names that ``hydro record`` writes.
 
     Raises:
         ConfigurationError: the file is unreadable, too large or no table, or a column or its unit is missing.
     """
-    table, first_line = _read_cells(path)
-    headings = [str(name) for name in table.columns]
-    source = str(path)
+    file = read_columns(path)
+    headings, source = file.headings, str(path)
     if columns is None:
         columns = own_map(headings, source)
-    findings: list[Finding] = []
+    places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
+    cells, findings = together(file, places)
     units: dict[str, str] = {}
-    time, signals = np.zeros(0), np.full((len(MEASURED), len(table)), np.nan)
+    time, signals = np.zeros(0), np.full((len(MEASURED), len(cells["command"])), np.nan)
     for signal, column in columns.columns().items():
-        place = place_of(column, signal, headings, source)
-        values = _time_stamps(table.iloc[:, place]) if signal == "time" else None
+        values = _time_stamps(cells[signal]) if signal == "time" else None
         if values is None:
-            values = _numbers(table.iloc[:, place], signal, first_line, findings)
-            units[signal], size = unit_of(column, signal, headings[place], source)
+            values = _numbers(cells[signal], signal, file.first_line, findings)
+            units[signal], size = unit_of(column, signal, headings[places[signal]], source)
             values = size * (column.gain * values + column.offset)
         values[~np.isfinite(values)] = np.nan
         if signal == "time":
@@ -84,47 +79,14 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     return Recording(source, time - time[0], signals[:, known], units, findings)
 
 
-def _read_cells(path: Path) -> tuple[pd.DataFrame, int]:
-    """The table under its headings, and the line of the file in which its first row stands."""
-    text = read_text(path, LARGEST_RECORDING)
-    start, skipped = 0, 0
-    while start < len(text):
-        end = text.find("\n", start)
-        line = text[start : end if end >= 0 else len(text)].strip()
-        if line and not line.startswith("#"):
-            break
-        start, skipped = (end + 1 if end >= 0 else len(text)), skipped + 1
-    if start >= len(text):
-        raise ConfigurationError(f"{path}: holds no table")
-    separator = next((mark for mark in ";\t" if mark in line), ",")
-    decimal = "," if separator != "," and "," in text[start + len(line) : start + 100_000] else "."
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            table = pd.read_csv(
-                io.StringIO(text[start:]),
-                sep=separator,
-                decimal=decimal,
-                index_col=False,
-                skipinitialspace=True,
-                low_memory=False,
-            )
-    except pd.errors.ParserWarning:
-        raise ConfigurationError(f"{path}: rows have more columns than there are headings") from None
-    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
-        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
-    if not len(table):
-        raise ConfigurationError(f"{path}: holds headings and no rows")
-    return table, skipped + 2
-
-
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
     """Values of a column; text becomes NaN and a finding."""
     values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
     text = np.flatnonzero(np.isnan(values) & cells.notna().to_numpy())
     if len(text):
         example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)
-        what = f"has {len(text)} cells that are no numbers, the first one {example!r} in line {first_line + text[0]}"
+        place = f"line {first_line + text[0]}" if first_line else f"row {text[0] + 1}"
+        what = f"has {len(text)} cells that are no numbers, the first one {example!r} in {place}"
         findings.append(Finding(signal, what, severe_if(share > 0.2), share=share))
     return values
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from recorded import recorded_file
 
-from agents.recordings import recording as reading
 from agents.recordings.columns import read_map
 from agents.recordings.recording import read_recording
 from agents.recordings.simulated import named_faults, recording_csv
@@ -125,7 +124,7 @@ def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "LARGEST_RECORDING", 100)
+    monkeypatch.setattr("agents.recordings.files.LARGEST_RECORDING", 100)
     with pytest.raises(ConfigurationError, match="larger than"):
         read_recording(written(tmp_path, PLAIN))
 

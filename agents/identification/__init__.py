@@ -1,0 +1,1 @@
+"""Fits what a rig file leaves open to a recording, and tells what the recording cannot determine."""

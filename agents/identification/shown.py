@@ -1,0 +1,60 @@
+"""Names, units and numbers of the unknowns as a person reads them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from agents.report.text import decimals_for, number
+from hydro_env import PlantParameters
+
+UNITS = {"Pa": (1e-5, "bar"), "m³/s": (6e4, "l/min"), "m": (1e3, "mm"), "m³": (1e6, "cm³"), "m²": (1e6, "mm²")}
+"""Factor from SI and unit in which a person reads a quantity, by its SI unit."""
+
+_BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
+
+
+class Shown(NamedTuple):
+    """How an unknown is shown."""
+
+    words: str
+    factor: float
+    unit: str
+
+    def span(self, low: float, high: float) -> str:
+        """Two values with as many digits as tell them apart."""
+        low, high = self.factor * low, self.factor * high
+        # Two digits of their difference; a range of nothing gets four digits of its size.
+        difference = abs(high - low)
+        decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
+        return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
+
+    def value(self, value: float, uncertainty: float) -> str:
+        """A value, with digits as its uncertainty allows; both in the unknown's unit."""
+        size = self.factor * uncertainty
+        decimals = decimals_for(size, 2) if size > 0.0 and np.isfinite(size) else None
+        return number(self.factor * value, decimals, 4)
+
+
+def shown(name: str, plant: PlantParameters) -> Shown:
+    """How an unknown of :mod:`agents.estimation.names` is shown."""
+    if name == LEAKAGE:
+        return Shown("leak past the piston", 1.0, "l/min at 100 bar")
+    if name == EXTERNAL_LEAKAGE:
+        return Shown("leak past the rod seal", 1.0, "l/min at 100 bar")
+    if name in BIASES:
+        channel = name.removesuffix("_bias")
+        factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))
+        return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", factor, unit)
+    group, field = name.split(".")
+    schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
+    unit = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
+    factor, unit = UNITS.get(unit, (1.0, unit))
+    return Shown(f"{group}: {field.replace('_', ' ')}", factor, unit)
+
+
+def share_in_words(share: float) -> str:
+    """A share of variance; a simulation that errs by more than the signal varies explains nothing."""
+    return f"{100 * share:.2f} %" if share > 0.0 else "nothing"

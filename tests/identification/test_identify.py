@@ -1,0 +1,152 @@
+"""From the recording of a hidden rig to the rig that was found, and recordings that contradict the rig."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from command_line import assert_one_clear_line, hydro, own_lines
+from recorded import SEED, recorded_file
+
+from agents.identification.fit import fit_windows
+from agents.identification.motions import advise
+from agents.recordings.recording import read_recording
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import read_rig
+
+RANGES = {
+    "load.mass": {"uniform": [40.0, 80.0]},
+    "valve.rated_flow": {"factor": [0.9, 1.1]},
+    "load.viscous_damping": {"factor": [0.3, 2.5]},
+    "supply.pressure": {"uniform": [6.0e6, 1.0e7]},
+}
+DURATION, LEAK = 6.0, 0.5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A rig file with ranges, and the recording of a rig that is drawn from them."""
+    folder = tmp_path_factory.mktemp("identify")
+    (folder / "rig.yaml").write_text(yaml.safe_dump({"load": {"mass": 60.0}, "randomisation": RANGES}))
+    recorded_file(folder / "a.csv", hidden(folder), LEAK, family="multi_sine", duration=DURATION)
+    return folder
+
+
+def hidden(folder):
+    """The task of the hidden rig: what the rig file gives no range is known."""
+    return task_config(None, rig=folder / "rig.yaml", randomisation=RANGES, episode_duration=DURATION)
+
+
+def identified(folder, name, recording, *options):
+    out = folder / name
+    return out, hydro("identify", recording, "--rig", folder / "rig.yaml", "--output", out, *options)
+
+
+@pytest.fixture(scope="module")
+def done(folder):
+    return identified(folder, "out", folder / "a.csv")
+
+
+def truth(folder):
+    env = ServoHydraulicVectorEnv(1, hidden(folder), info=False)
+    env.reset(seed=[SEED], options={"leakage_flow_lpm": np.array([LEAK])})
+    plant = env.axes.parameters(0)
+    return {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in RANGES}
+
+
+def test_the_hidden_rig_is_found(folder, done):
+    out, answer = done
+    assert answer.returncode == 0, answer.stderr
+    assert own_lines(answer.stdout)[-1].endswith("of the position's variance explained on the held-back part")
+    assert {path.name for path in out.iterdir()} == {
+        ".hydro.json", "identification.html", "identification.json", "rig.yaml",
+    }  # fmt: skip
+    result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert result["describes"]
+    assert result["share_of_variance"]["position"] > 0.99
+    for path, value in truth(folder).items() | {("leakage_flow_lpm", LEAK)}:
+        one = result["unknowns"][path]
+        middle, half = 0.5 * (one["low"] + one["high"]), 0.5 * (one["high"] - one["low"])
+        assert one["determined"]
+        assert abs(value - middle) < 2.0 * half, path  # four standard deviations
+
+
+def test_the_new_rig_file_is_narrower_and_a_rig(folder, done):
+    rig = read_rig(done[0] / "rig.yaml")
+    before = PlantParameters()
+    for path in RANGES:
+        low, high = rig.randomisation[path].bounds(np.nan)
+        own = getattr(getattr(before, path.split(".")[0]), path.split(".")[1])
+        wide = RANGES[path].get("uniform") or [own * end for end in RANGES[path]["factor"]]
+        assert high - low < 0.5 * (wide[1] - wide[0]), path
+        assert wide[0] <= low <= high <= wide[1]
+        group, field = path.split(".")
+        assert low <= getattr(getattr(rig.plant, group), field) <= high
+    assert rig.plant.load.spring_stiffness == before.load.spring_stiffness  # given no range: known
+    assert hydro("check-rig", "--rig", done[0] / "rig.yaml").returncode == 0
+    ServoHydraulicVectorEnv(2, task_config(None, rig=done[0] / "rig.yaml")).reset(seed=0)
+
+
+def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):
+    page = (done[0] / "identification.html").read_text(encoding="utf-8")
+    assert "load: viscous damping" in page
+    assert "src=" not in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert_one_clear_line(identified(folder, "out", folder / "a.csv")[1], "holds results already")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}, "chambers exchanged"),
+        (("position [mm]", -1.0), "other sign of the position"),
+        (("pressure_a [bar]", 0.1), "reads? at most|do not fit|times"),
+        (("command [V]", -1.0), "moves against the command"),
+        (("command [V]", None), "command stands at its limit"),
+    ],
+)
+def test_a_recording_that_contradicts_the_rig_is_named_in_one_line(folder, tmp_path, change, words):
+    table = pd.read_csv(folder / "a.csv", comment="#")
+    if isinstance(change, dict):
+        table = table.rename(columns=change)
+    elif change[1] is None:
+        table[change[0]] = 10.0
+        table["spool_position [%]"] = 100.0 + np.sin(np.arange(len(table)))
+    else:
+        table[change[0]] *= change[1]
+        if change[0].startswith("pressure"):
+            table["pressure_b [bar]"] *= change[1]
+    table.to_csv(tmp_path / "a.csv", index=False)
+    out, answer = identified(folder, "refused", tmp_path / "a.csv")
+    assert answer.returncode == 2, answer.stdout
+    assert_one_clear_line(answer)
+    assert pd.Series(answer.stderr).str.contains(words).all(), answer.stderr
+    assert not out.exists()
+
+
+def test_another_machine_gets_a_page_and_no_rig(folder, tmp_path):
+    other = {"plant": {"valve": {"rated_flow": 4e-4}, "load": {"mass": 400.0}, "friction": {"model": "lugre"}}}
+    recorded_file(tmp_path / "b.csv", other, 0.01, family="sine", duration=4.0)
+    out, answer = identified(folder, "other", tmp_path / "b.csv")
+    assert answer.returncode == 2, answer.stdout
+    assert_one_clear_line(answer)
+    assert not (out / "rig.yaml").exists()
+
+
+def test_without_pressures_the_motion_that_would_help_is_named(folder):
+    """A window at rest tells neither mass nor flow; a motion is advised for each of them."""
+    config = hidden(folder)
+    recording = read_recording(folder / "a.csv")
+    signals = recording.signals[None, :, :300].repeat(2, axis=0)
+    signals[:, 1:4] = np.nan
+    signals[:, 0], signals[:, 4] = signals[:, 0, :1], 0.0
+    signals[:, 0] += 30e-6 * np.random.default_rng(0).standard_normal(signals[:, 0].shape)
+    fit = fit_windows(signals, config, config.randomisation)
+    assert not fit.determined[fit.names.index("load.mass")]
+    assert "pressure_a_bias" not in fit.names
+    advice = advise(fit, config, config.plant)
+    assert advice["valve.rated_flow"] is not None
+    assert advice["valve.rated_flow"].enough
+    assert advice["valve.rated_flow"].motion != "standing still"
