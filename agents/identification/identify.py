@@ -21,6 +21,7 @@ from agents.identification.shown import share_in_words, shown
 from agents.recordings.columns import ColumnMap
 from agents.recordings.quality import Checked, check_recording
 from agents.recordings.recording import Recording, read_recording
+from agents.report.page import FIGURE_FILES
 from agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.files import read_yaml, write_text
@@ -28,7 +29,7 @@ from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import CHANNELS
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
-FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE)
+FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
 LEAST_SHARE = 0.9

@@ -6,16 +6,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from markupsafe import Markup
-
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from agents.identification.found_rig import hull, path_of
 from agents.identification.pictures import paint_held_back, paint_intervals
 from agents.identification.shown import share_in_words, shown
-from agents.report.canvas import WIDE, inline, render
-from agents.report.text import Table, listed, number, templates
-from hydro_env import __version__
-from hydro_env.files import write_text
+from agents.report.canvas import WIDE, make_plot
+from agents.report.page import Page, make_page
+from agents.report.text import Table, listed, number
+from agents.running.machine import Origin
 from hydro_env.task.sensors import CHANNELS
 
 if TYPE_CHECKING:
@@ -28,16 +26,31 @@ MOST_COMBINATIONS = 6
 
 
 def write_page(path: Path, found: Identification, command: str) -> None:
-    """Write the page."""
-    write_text(path, render_page(found, command))
+    """Write the page, and its figures into a folder beside it."""
+    render_page(found, Origin.now(command)).write(path)
 
 
-def render_page(found: Identification, command: str) -> str:
-    """The page as HTML."""
+def render_page(found: Identification, origin: Origin) -> Page:
+    """The page."""
     verdict = found.verdict()
-    (signals,) = render(lambda figure: paint_held_back(figure, found.held_back), (WIDE, 7.5), "svg")
-    height = 1.0 + 0.27 * len(found.fit.names)
-    (intervals,) = render(lambda figure: paint_intervals(figure, found), (WIDE, height), "svg")
+    signals = make_plot(
+        "held_back",
+        "Measured and simulated",
+        "Grey: measured; blue: simulated. The second panel shows their difference in position.",
+        f"Held-back part, measured and simulated. {verdict}",
+        lambda figure: paint_held_back(figure, found.held_back),
+        7.5,
+        WIDE,
+    )
+    intervals = make_plot(
+        "intervals",
+        "What was found",
+        "Dots with 95 % intervals, each in the unit of its range before; the shade is that range.",
+        "Ranges of the rig file and intervals that were found; the table holds the numbers.",
+        lambda figure: paint_intervals(figure, found),
+        1.0 + 0.27 * len(found.fit.names),
+        WIDE,
+    )
     findings = [*found.checked.findings, *found.parts.findings]
     rows = [(f.signal, f.line().removeprefix(f"{f.signal} ")) for f in findings]
     recording, parts = found.recording, found.parts
@@ -49,26 +62,22 @@ def render_page(found: Identification, command: str) -> str:
         ("Explained", f"{int(found.fit.explained.sum())} windows to within the sensors' noise"),
         ("Held back", f"{parts.begin:g} to {parts.begin + float(found.held_back.time[-1]):.4g} s"),
         ("Standard deviations", f"widened by {found.fit.widening:.3g}"),
-        ("Command", command),
-        ("Version", f"hydro_env {__version__}"),
     ]
-    return (
-        templates(HERE)
-        .get_template("page.html.j2")
-        .render(
-            line=verdict[:1].upper() + verdict[1:],
-            describes=found.describes,
-            notes=found.noted,
-            findings=Table("", ("Signal", "Finding"), rows) if rows else None,
-            unknowns=unknowns_table(found),
-            open=open_table(found),
-            combinations=combinations_table(found),
-            shares=shares_table(found),
-            signals=Markup(inline(signals, "signals", "Held-back part, measured and simulated.")),
-            intervals=Markup(inline(intervals, "intervals", "Ranges of the rig file and intervals that were found.")),
-            begin=parts.begin,
-            facts=Table("", ("Fact", "Value"), facts),
-        )
+    return make_page(
+        HERE / "page.html.j2",
+        origin,
+        line=verdict[:1].upper() + verdict[1:],
+        describes=found.describes,
+        notes=found.noted,
+        findings=Table("", ("Signal", "Finding"), rows) if rows else None,
+        unknowns=unknowns_table(found),
+        open=open_table(found),
+        combinations=combinations_table(found),
+        shares=shares_table(found),
+        signals=signals,
+        intervals=intervals,
+        begin=parts.begin,
+        facts=Table("", ("Fact", "Value"), facts),
     )
 
 

@@ -50,7 +50,7 @@ def paint_intervals(figure: Figure, found: Identification) -> None:
     names = [shown(name, found.config.plant).words for name in fit.names]
     low, middle, high = (_scaled(found, values) for values in (fit.low, fit.values, fit.high))
     places = np.arange(len(names))
-    axis.axvspan(-1.7, 1.7, color="#00000010", linewidth=0)
+    axis.axvspan(-1.7, 1.7, color=GREY, alpha=0.12, linewidth=0)
     for known, colour, label in ((True, COLOURS[0], "determined"), (False, COLOURS[1], "not determined")):
         rows = fit.determined == known
         if rows.any():

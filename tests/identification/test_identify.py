@@ -61,7 +61,7 @@ def test_the_hidden_rig_is_found(folder, done):
     assert answer.returncode == 0, answer.stderr
     assert own_lines(answer.stdout)[-1].endswith("of the position's variance explained on the held-back part")
     assert {path.name for path in out.iterdir()} == {
-        ".hydro.json", "identification.html", "identification.json", "rig.yaml",
+        ".hydro.json", "figures", "identification.html", "identification.json", "rig.yaml",
     }  # fmt: skip
     result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
     assert result["describes"]
