@@ -15,12 +15,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from agents.identification.identify import identify, identify_to_folder
 
 from agents import evaluate
 from agents.controllers.base import Controller
 from agents.controllers.registry import make_controller
 from agents.evaluation.opponents import shipped
+from agents.identification.identify import identify, identify_to_folder
 from agents.learning.policy import PolicyController
 from agents.learning.settings import PPOSettings
 from agents.learning.training import train_ppo
