@@ -35,7 +35,7 @@ def render_page(found: Identification, origin: Origin) -> Page:
     verdict = found.verdict()
     signals = make_plot(
         "held_back",
-        "Measured and simulated",
+        "The held-back part",
         "Grey: measured; blue: simulated. The second panel shows their difference in position.",
         f"Held-back part, measured and simulated. {verdict}",
         lambda figure: paint_held_back(figure, found.held_back),
@@ -44,7 +44,7 @@ def render_page(found: Identification, origin: Origin) -> Page:
     )
     intervals = make_plot(
         "intervals",
-        "What was found",
+        "Intervals beside their ranges",
         "Dots with 95 % intervals, each in the unit of its range before; the shade is that range.",
         "Ranges of the rig file and intervals that were found; the table holds the numbers.",
         lambda figure: paint_intervals(figure, found),

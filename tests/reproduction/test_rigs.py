@@ -72,7 +72,8 @@ def test_overwriting_removes_what_an_earlier_run_wrote(tmp_path, monkeypatch):
         command.reproduce_to_folder(tmp_path, overwrite=False)
     assert (tmp_path / "gone_figure.png").exists()
     command.reproduce_to_folder(tmp_path, overwrite=True)
-    assert {file.name for file in tmp_path.iterdir()} == {"page.html", "equations.csv", "mine.png", ".hydro.json"}
+    written = {"page.html", "equations.csv", "verdicts.csv", ".hydro.json"}
+    assert {file.name for file in tmp_path.iterdir()} == {*written, "mine.png"}
 
 
 def test_the_page_says_whose_rig_it_is(own_folder):
