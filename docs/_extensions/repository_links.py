@@ -116,6 +116,9 @@ def first_line(path: str) -> str:
     return first.lstrip("# ") if first.startswith("#") else ""
 
 
+PACKAGES = ("hydro_env", "agents")
+
+
 def place_in_source(domain: str, info: dict[str, str]) -> str | None:
     """Address of the source of a documented object, for ``sphinx.ext.linkcode``; pages of the API lie in ``docs``."""
     try:
@@ -124,6 +127,8 @@ def place_in_source(domain: str, info: dict[str, str]) -> str | None:
             found = getattr(found, part)
         found = inspect.unwrap(found.fget if isinstance(found, property) else found)
         path = Path(inspect.getsourcefile(found) or "").resolve().relative_to(ROOT)
+        if path.parts[0] not in PACKAGES:  # a library in a virtual environment that lies in this folder
+            return None
         return f"../source/{path.as_posix()}.html#line-{inspect.getsourcelines(found)[1]}"
     except (AttributeError, TypeError, OSError, ValueError):
         return None  # a constant, or something that another package defines
