@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
-from repository_links import ROOT
+from repository_links import PACKAGES, ROOT
 from sphinx.application import Sphinx
 from sphinx.util.nodes import get_node_source
 
@@ -38,7 +38,7 @@ def address_of(module: Any, found: Any) -> str:
         found = module  # a constant
     home = found if inspect.ismodule(found) else inspect.getmodule(found) or module
     path = Path(getattr(home, "__file__", None) or "/").resolve()
-    if not path.is_relative_to(ROOT):
+    if not any(path.is_relative_to(ROOT / package) for package in PACKAGES):  # a virtual environment may lie inside
         return ""
     try:
         line = "" if inspect.ismodule(found) else f"#line-{inspect.getsourcelines(found)[1]}"
