@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from agents.commands.options import Rig, command_line, say
+
+if TYPE_CHECKING:
+    from hydro_env import TaskConfig
 
 
 def record(
@@ -46,32 +50,19 @@ def record(
     episodes with observations, actions, rewards and the hidden leak instead.
     """
     from agents.evaluation.opponents import opponent
-    from agents.recordings.minari_dataset import check_dataset, record_dataset
     from agents.recordings.simulated import named_faults, record_axis
-    from agents.running.console import ProgressDisplay
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
 
     if (output is None) == (minari is None):
         raise ConfigurationError("record: needs --output FILE or --minari NAME, one of them")
     faults = named_faults(fault or [])
-    if minari is not None:
-        check_dataset(minari)
-        config = task_config(task, rig=rig)
-        if duration is not None:
-            config = task_config(task, rig=rig, episode_duration=duration)
-        mover = opponent(controller, config, "--controller")
+    if output is None:
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
-        options = {name: value for name, value in given.items() if value is not None}
-        with ProgressDisplay() as shown:
-
-            def progress(finished: int) -> None:
-                shown.update("episodes", finished, episodes)
-
-            data = record_dataset(minari, config, mover, controller, episodes, seed, options, command_line(), progress)
-        say(f"{minari}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
+        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
+        config = task_config(task, rig=rig, episode_duration=length)
+        _record_dataset(str(minari), config, controller, episodes, seed, given)
         return
-    assert output is not None
     if output.exists() and not overwrite:
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
     if output.is_dir():
@@ -81,3 +72,22 @@ def record(
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     say(f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar{end}")
+
+
+def _record_dataset(
+    name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
+) -> None:
+    from agents.evaluation.opponents import opponent
+    from agents.recordings.minari_dataset import check_dataset, record_dataset
+    from agents.running.console import ProgressDisplay
+
+    check_dataset(name)
+    mover = opponent(controller, config, "--controller")
+    options = {option: value for option, value in given.items() if value is not None}
+    with ProgressDisplay() as display:
+
+        def progress(finished: int) -> None:
+            display.update("episodes", finished, episodes)
+
+        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
+    say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")

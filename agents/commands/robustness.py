@@ -17,7 +17,6 @@ from agents.report.page import FIGURE_FILES
 from agents.robustness.conditions import Protocol, file_sha256, protocol_named
 from agents.robustness.participants import (
     CONDITION_MARK,
-    SEED_MARK,
     Participants,
     participants,
     shipped_controllers,
@@ -30,6 +29,7 @@ from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.jobs import JOBS_FOLDER, default_jobs
 from agents.running.machine import date_now, machine_description, package_versions
+from agents.running.seeds import SEED_MARK
 from agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml

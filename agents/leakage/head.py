@@ -2,8 +2,7 @@
 
 It works under any operation of the axis, because it reads measured signals alone; ``MonitoredController``
 (:mod:`agents.leakage.monitor`) attaches it to a controller. A small network judges the flow balance of the window
-(:mod:`agents.leakage.balance`) and statistics of its motion (:mod:`agents.leakage.features`). Inference needs NumPy and
-numba alone.
+(:mod:`agents.leakage.balance`) and statistics of its motion (:mod:`agents.leakage.features`).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ KIND = "leakage head"
 SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
 """Numbers of observations in a window; fewer say nothing, and more must be a mistake."""
 
-LARGEST_WIDTH = 1024
+LARGEST_WIDTH, LAYERS = 1024, 3
 
 UPDATES_PER_WINDOW = 16
 """``predict`` reads a new estimate so often while a window passes; between two readings it repeats the last one."""
@@ -41,8 +40,6 @@ SMALLEST_FLOW = 0.01
 
 LARGEST_FLOW = 100.0
 """l/min at 100 bar; no answer is larger."""
-
-LAYERS = 3
 
 FARTHEST = 8.0
 """Standard deviations from the mean of the training at which a feature is cut off."""

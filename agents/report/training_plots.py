@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from agents.report.canvas import GREY, INK, Plot, add_legend, description, looks_of, make_plot, one_panel
 from agents.report.text import number
+from agents.running.seeds import SEED_MARK
 
 LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
 """Columns of stable-baselines3's log that have other names in the training curve."""
@@ -23,8 +24,6 @@ UPDATES = {
     "train/loss": "total loss",
 }
 ERROR = "validation/mean_error_mm"
-SEED_MARK = "#"
-"""Between the name of a controller and the number of its training seed."""
 
 DISCARDED = 0.05
 """First part of the training that does not set the scale: values of the untrained policy would flatten the rest."""

@@ -19,11 +19,9 @@ from agents.learning.trainers import TRAINERS
 from agents.robustness.conditions import ControllerChoice, Protocol
 from agents.running.cases import check_predict
 from agents.running.folders import config_folder
+from agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
-
-SEED_MARK = "#"
-"""Between the name of a controller and the number of its training seed, as in ``PPO#3``."""
 
 CONDITION_MARK = "@"
 """Between a name and the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""

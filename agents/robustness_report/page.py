@@ -13,7 +13,6 @@ from agents.experiments.series import run_experiments
 from agents.report.page import Page, make_page
 from agents.report.price_plots import price_plots
 from agents.report.text import Table, correction_name, setting
-from agents.report.training_plots import SEED_MARK
 from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import SCALE, colour_share, heat_map
 from agents.robustness_report.pictures import (
@@ -38,6 +37,7 @@ from agents.robustness_report.tables import (
 )
 from agents.robustness_report.traces import Replay, worst_traces
 from agents.running.machine import Origin
+from agents.running.seeds import SEED_MARK
 from hydro_env import TaskConfig
 from hydro_env.files import write_whole
 

@@ -10,6 +10,9 @@ VALIDATION_SEEDS = range(1_000_000, 2_000_000)
 TEST_SEEDS = range(2_000_000, 3_000_000)
 """Only the evaluation uses these; no choice is made by results on them."""
 
+SEED_MARK = "#"
+"""Between the name of a controller and the number of its training seed, as in ``PPO#3``."""
+
 
 def first_training_seed(number: int, count: int) -> int:
     """First of the ``count`` training seeds that training ``number`` uses; different numbers get different ones.

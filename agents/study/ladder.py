@@ -17,11 +17,11 @@ from agents.evaluation.metrics import rollout_metrics
 from agents.evaluation.protocol import ProtocolSettings, tracking_cases
 from agents.learning.trainers import Trainer, trainer
 from agents.learning.validation import validation_errors
-from agents.report.training_plots import ERROR, SEED_MARK, learning_plots
+from agents.report.training_plots import ERROR, learning_plots
 from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
-from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from agents.running.seeds import SEED_MARK, TEST_SEEDS, VALIDATION_SEEDS
 from agents.running.settings_files import read_settings, read_task
 from agents.study.ladder_table import ladder_table, rung_scores
 from agents.study.settings import ControllerEntry, Name
