@@ -248,7 +248,7 @@ def test_every_number_of_the_task_has_bounds(path, field, bad):
     changes = {field: bad}
     for name in reversed(path):
         changes = {name: changes}
-    with pytest.raises(ConfigurationError, match=field if path[:1] != ("randomisation",) else "") as caught:
+    with pytest.raises(ConfigurationError, match=path[-1] if path[:1] == ("randomisation",) else field) as caught:
         task_config(None, **changes)
     assert len(str(caught.value).splitlines()) == 1
 
