@@ -1,1 +1,1 @@
-"""Alarms over time: evidence of a detector, look after look, summed up into alarms with a known rate of false ones."""
+"""Alarms over time: they sum up the evidence of a detector, with a known rate of false alarms."""

@@ -1,14 +1,14 @@
-"""The alarm: it sums up the evidence of a detector and tells when an axis leaks.
+"""The alarm: it sums up the evidence of a detector over time and reports when an axis leaks.
 
-Each look adds the log-likelihood ratio of two hypotheses, the axis as it was and the axis with the leak that the alarm
-is designed for, both Gaussian:
+A look is one reading of the detector, taken at regular times. It adds the log-likelihood ratio of two Gaussian
+hypotheses, the axis as it was and the axis with the leak that the alarm is designed for:
 
     z = δ (x − b − δ/2) / σ²
 
-x: score of the look. b: the axis's own baseline, the median of its first looks, but never above the baselines that
-healthy axes have (``highest_baseline``); an axis that leaks from the first look on is therefore judged against healthy
-axes, any other against itself. δ, σ: rise of the score by the design leak, and its spread, for what the axis does
-(standing, slow, moving); where a detector gives a larger standard deviation of a look, that counts instead.
+x is the score of the look. b is the axis's own baseline: the median of its first looks, but never above the baselines
+of healthy axes (``highest_baseline``). An axis that leaks from the first look on is therefore compared with healthy
+axes, any other with itself. δ is the rise of the score by the design leak, and σ the spread of the score, both for the
+axis's activity (standing, slow, moving). If a detector gives a larger standard deviation for a look, it replaces σ.
 
 The evidence is summed up in one or more ways side by side, one quick and one patient (Lucas, *Combined
 Shewhart-CUSUM quality control schemes*, J. Quality Technology 14, 1982): ``cusum`` sums S ← max(0, S + z) (Page,
@@ -32,35 +32,35 @@ from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 Flags = NDArray[np.bool_]
 CAUSE_MEMORY = 20.0
-"""Time in s over which the causes that the detector names are averaged."""
+"""Averaging time in s of the causes that the detector names."""
 
 
 class Scale(Group):
-    """Scores of healthy axes during one activity, and what the design leak adds to them; found by calibration."""
+    """Scores of healthy axes during one activity, and the rise that the design leak causes; set by calibration."""
 
-    highest_baseline: float = Field(ge=-1e9, le=1e9, description="no axis's own baseline counts as higher")
+    highest_baseline: float = Field(ge=-1e9, le=1e9, description="upper limit of every axis's own baseline")
     spread: float = Field(gt=0.0, le=1e9, description="standard deviation of a look about its axis's baseline")
-    shift: float = Field(ge=0.0, le=1e9, description="rise of the score by the design leak; 0: says nothing")
+    shift: float = Field(ge=0.0, le=1e9, description="rise of the score by the design leak; 0: no evidence")
 
 
 class Sum(Group):
     """One way to sum up evidence."""
 
     method: Literal["mean", "cusum"]
-    memory: float = Field(0.0, ge=0.0, le=1e6, description="s; of a mean, 0: each look by itself")
+    memory: float = Field(0.0, ge=0.0, le=1e6, description="s; of a mean; 0: each look alone")
     threshold: float = Field(1.0, gt=0.0, le=1e9)
 
 
 class AlarmSettings(Group):
-    """Settings of an alarm; ``hydro alarms`` finds them."""
+    """Settings of an alarm; ``hydro alarms`` computes them."""
 
-    detector: str = Field("", description="the detector that they were found for")
-    interval: float = Field(0.5, gt=0.0, le=3600.0, description="s; from look to look")
+    detector: str = Field("", description="the detector of the calibration")
+    interval: float = Field(0.5, gt=0.0, le=3600.0, description="s; between looks")
     learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until an axis's baseline is known")
-    clip: float = Field(5.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier alarms nobody")
+    clip: float = Field(5.0, gt=0.0, le=1e6, description="largest contribution of one look: an outlier raises no alarm")
     scales: dict[str, Scale] = Field(description="by activity: standing, slow, moving")
     sums: tuple[Sum, ...] = Field(min_length=1, max_length=8)
-    false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="wanted when the thresholds were found")
+    false_alarms_per_100_h: float | None = Field(None, ge=0.0, description="rate that set the thresholds")
 
     @classmethod
     def load(cls, path: str | Path) -> AlarmSettings:
@@ -92,19 +92,19 @@ class AlarmState(NamedTuple):
 
     first: Floats  # (N, activities, learning), first scores in each activity, NaN where none is yet
     seen: NDArray[np.int64]  # (N, activities), how many of them
-    baseline: Floats  # (N, activities), against which scores count now
+    baseline: Floats  # (N, activities), in use now
     sums: Floats  # (N, sums), S above
     alarm: Flags  # (N,), latched
     causes: Floats  # (N, causes), share of the last looks that named each
 
 
 class Alarm(NamedTuple):
-    """What the alarm says after a look, each (N,)."""
+    """State of the alarms after a look, each (N,)."""
 
     alarm: Flags  # latched until ``reset``
-    total: Floats  # evidence summed up, the largest of the sums in parts of its threshold; the alarm rises above 1
+    total: Floats  # largest of the sums, each divided by its threshold; the alarm rises above 1
     cause: NDArray[np.int8]  # :class:`~agents.alarms.detector.Cause` that most of the last looks named
-    learnt: Flags  # whether the axis's own baseline is known for what it does now
+    learnt: Flags  # whether the axis's own baseline is known for its present activity
 
 
 class LeakAlarm:
@@ -121,7 +121,7 @@ class LeakAlarm:
         self._forget_cause = min(settings.interval / CAUSE_MEMORY, 1.0)
 
     def begin(self, count: int) -> AlarmState:
-        """The memory of N axes that have not been looked at."""
+        """The memory of N axes before their first look."""
         return AlarmState(
             first=np.full((count, len(Activity), self.settings.learning), np.nan),
             seen=np.zeros((count, len(Activity)), dtype=np.int64),
@@ -132,15 +132,15 @@ class LeakAlarm:
         )
 
     def update(self, look: Evidence, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
-        """Take one look at each axis into account.
+        """Add one look at each axis.
 
-        A look without a score adds nothing, nor does one that the detector explains by something else than a leak past
-        the piston.
+        A look without a score adds nothing. Neither does a look for which the detector names another cause than a leak
+        past the piston.
 
         Args:
             look: evidence of the detector, each array (N,).
-            activity: what each axis does, (N,).
-            state: memory after the look before.
+            activity: of each axis, (N,).
+            state: memory after the previous look.
         """
         everyone = np.arange(len(state.alarm))
         counts = np.isfinite(look.score) & (look.cause == Cause.SEAL_OR_NOTHING)
@@ -162,7 +162,7 @@ class LeakAlarm:
         return Alarm(alarm, total, causes.argmax(axis=1).astype(np.int8), learnt), state
 
     def _learn(self, score: Floats, activity: NDArray[np.int8], counts: Flags, state: AlarmState) -> AlarmState:
-        """Add the scores to the first looks of the axes that still learn, and take the baselines that are complete."""
+        """Store the scores of axes that still learn, and compute the baselines that are complete."""
         axes = np.flatnonzero(counts)
         axes = axes[state.seen[axes, activity[axes]] < self.settings.learning]
         if len(axes) == 0:
@@ -191,7 +191,7 @@ class LeakAlarm:
         return state._replace(**chosen)
 
     def follow(self, looks: Looks, state: AlarmState | None = None) -> tuple[Alarm, AlarmState]:
-        """All looks of a recording, or of simulated axes, one after the other: arrays (N, L), and the memory."""
+        """Process all looks of a recording or of simulated axes in order; returns arrays (N, L) and the memory."""
         state = state if state is not None else self.begin(len(looks.score))
         results: list[Any] = []
         for number in range(len(looks.time)):

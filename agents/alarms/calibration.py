@@ -1,8 +1,8 @@
-"""Finds the settings of an alarm on simulated axes of the validation seeds.
+"""Computes the settings of an alarm from simulated axes of the validation seeds.
 
-Healthy axes show how high their own baselines are, and how far looks stray from them. Axes with the onset of a leak of
-known size show how far the score rises. Then each candidate way to sum up evidence gets the thresholds that give the
-wanted rate of false alarms, and the one that finds the leaks soonest is kept.
+Healthy axes give the baselines and the scatter of the looks about them. Axes with the onset of a leak of known size
+give the rise of the score. Each candidate way to sum up evidence then gets the thresholds for the wanted rate of false
+alarms; the one that finds the leaks soonest is kept.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from agents.alarms.simulation import Onset
 from hydro_env import ConfigurationError
 
 BLOCK = 20.0
-"""Time in s over which looks are averaged to see how far they stray together: they overlap, and a move lasts."""
+"""Length in s of the blocks of looks whose averages give the spread: looks overlap, and errors last as long as a
+move."""
 
 HIGHEST_SHARE = 0.95
 """Share of healthy axes whose baseline is below ``highest_baseline``."""
 
 PATIENCE = 60.0
-"""Time in s after which a leak that has not been found counts as missed."""
+"""Time in s after which an undetected leak counts as missed."""
 
 CANDIDATES: tuple[tuple[Sum, ...], ...] = (
     (Sum(method="mean"),),
@@ -49,14 +50,14 @@ class Found(NamedTuple):
 
 
 class Tried(NamedTuple):
-    """A candidate with its thresholds, and the delays that it reached on validation."""
+    """A candidate with its thresholds and its delays on validation axes."""
 
     settings: AlarmSettings
     delays: dict[str, tuple[float, float]]  # by onset: median in s, share missed
 
     @property
     def cost(self) -> float:
-        """Mean over the onsets of the logarithm of the median delay (missed: the patience), plus the shares missed."""
+        """Mean over the onsets of log(median delay, at most PATIENCE) + share missed."""
         logs = [np.log(min(median, PATIENCE)) + missed for median, missed in self.delays.values()]
         return float(np.mean(logs))
 
@@ -66,7 +67,7 @@ def _scores(looks: Looks, activity: Activity) -> Floats:
 
 
 def _medians(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
-    """Median of each axis (N,), and whether it has at least so many looks."""
+    """Median of each axis (N,), and whether it has at least ``least`` looks."""
     enough = np.isfinite(scores).sum(axis=1) >= least
     medians = np.full(len(scores), np.nan)
     medians[enough] = np.nanmedian(scores[enough], axis=1)
@@ -76,11 +77,11 @@ def _medians(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
 def scale_of(healthy: Looks, design: Sequence[Found], activity: Activity, learning: int) -> Scale:
     """The scale of one activity.
 
-    The spread is that of averages over blocks, times the root of the looks in a block: looks that stray together count
-    for as little as they tell together.
+    The spread is the standard deviation of averages over blocks, times the square root of the looks in a block. Looks
+    with correlated errors therefore get less weight.
 
     Raises:
-        ConfigurationError: too few healthy axes did this for long enough.
+        ConfigurationError: too few healthy axes had this activity for long enough.
     """
     scores = _scores(healthy, activity)
     medians, enough = _medians(scores, learning)
@@ -109,7 +110,7 @@ def scale_of(healthy: Looks, design: Sequence[Found], activity: Activity, learni
 
 
 def thresholds(settings: AlarmSettings, healthy: Looks, rate: float) -> AlarmSettings:
-    """The settings with thresholds that give ``rate`` false alarms per 100 h: each sum has the same share of them."""
+    """The settings with thresholds for ``rate`` false alarms per 100 h; each sum gets the same share of them."""
     single = []
     for each in settings.sums:
         alone = settings.model_copy(update={"sums": (each.model_copy(update={"threshold": 1.0}),)})
@@ -162,7 +163,7 @@ def calibrate(
         onsets: onsets by which the candidates are compared.
         rate: wanted false alarms per 100 h.
         learning: looks in each activity until an axis's own baseline is known.
-        detector: the detector in words.
+        detector: name of the detector.
         candidates: ways to sum up evidence.
 
     Raises:

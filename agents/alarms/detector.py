@@ -1,4 +1,4 @@
-"""What an alarm watches: a detector that turns each window of measured signals into one number, its evidence."""
+"""The detectors below an alarm: each turns a window of measured signals into one number, its evidence."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from hydro_env import TaskConfig
 
 Floats = NDArray[np.float64]
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
-"""Travel per second of window in m/s: below the first the axis stands, from the second on it moves."""
+"""Travel per second in m/s: below the first value the axis stands, from the second on it moves."""
 
 _SPAN = 0.1
-"""Time in s over which the position is averaged before its travel is taken: the noise then counts for nothing."""
+"""Averaging time in s of the position before its travel is computed, which removes the noise."""
 
 
 class Cause(IntEnum):
-    """What a detector holds for the cause of what it sees."""
+    """Cause that a detector names for the state of an axis."""
 
     SEAL_OR_NOTHING = 0
     EXTERNAL_LEAK = 1
@@ -33,7 +33,7 @@ class Cause(IntEnum):
 
 
 class Evidence(NamedTuple):
-    """What a detector says of one window of each of N axes."""
+    """Result of a detector for one window of each of N axes."""
 
     score: Floats  # (N,), rises with the leak; NaN: the detector cannot tell
     sigma: Floats  # (N,), standard deviation of the score; NaN: unknown
@@ -42,7 +42,7 @@ class Evidence(NamedTuple):
 
 
 class Detector(Protocol):
-    """Anything that judges windows of measured signals. It may remember the windows before; `deepcopy` copies it."""
+    """Anything that evaluates windows of measured signals. It may remember earlier windows; `deepcopy` copies it."""
 
     window: int
     """Control periods of a window."""
@@ -53,7 +53,7 @@ class Detector(Protocol):
 
 
 class Activity(IntEnum):
-    """What an axis does during a window; the same leak shows more or less in each."""
+    """Activity of an axis during a window; the visibility of a leak depends on it."""
 
     STANDING = 0
     SLOW = 1
@@ -76,8 +76,8 @@ def activity_of(signals: NDArray[Any], control_period: float) -> NDArray[np.int8
 class EstimatorDetector:
     """The estimator with the simulator as model: its score is the leak itself, in l/min at 100 bar.
 
-    A window that begins with the last sample of the one before is searched from what was found there, any other anew.
-    A window that the model does not explain has the cause "unknown".
+    If a window begins with the last sample of the previous one, the search starts from the previous estimate; otherwise
+    it starts afresh. A window that the model does not explain has the cause "unknown".
     """
 
     def __init__(self, config: TaskConfig, window: int = 401, threads: int | None = None) -> None:
@@ -86,7 +86,7 @@ class EstimatorDetector:
 
     @property
     def interval(self) -> float:
-        """From look to look, s."""
+        """Time between looks, s."""
         return self._follower.hop * self._follower.config.control_period
 
     def __call__(self, signals: NDArray[Any]) -> Evidence:
@@ -105,7 +105,7 @@ class HeadDetector:
         self.window = head.settings.window
 
     def __call__(self, signals: NDArray[Any]) -> Evidence:
-        """Evidence of windows (N, 5, window); the cause is unknown where the head has seen nothing like it."""
+        """Evidence of windows (N, 5, window); the cause is unknown for windows unlike the head's training."""
         estimate = self.head.estimate_windows(signals)
         inside = np.clip(estimate.probability, 1e-12, 1.0 - 1e-12)
         cause = np.where(estimate.outside > 0.0, Cause.UNKNOWN, Cause.SEAL_OR_NOTHING).astype(np.int8)

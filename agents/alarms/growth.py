@@ -39,7 +39,7 @@ def growth(
     Args:
         time: (L,), s, of the looks.
         flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
-        limit_lpm: the size whose time is asked for.
+        limit_lpm: the limit, l/min at 100 bar.
         least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
         block: s, over which looks are averaged.
         confidence: of the intervals.
@@ -73,7 +73,7 @@ def growth(
 
 
 def _crossing(slope: float, missing: float, width: float, count: int, spread: float) -> tuple[float, float]:
-    """Times x after the centre between which (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
+    """Times x after the centre that bound (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
     a = slope**2 - width / spread
     b = -2.0 * slope * missing
     c = missing**2 - width / count

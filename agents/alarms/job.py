@@ -1,4 +1,4 @@
-"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, prove on test seeds, and tell."""
+"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class AlarmJob(Group):
     """Sizes of the job."""
 
     rate: float = Field(1.0, gt=0.0, le=1e4, description="wanted false alarms per 100 h")
-    hours: float = Field(40.0, gt=0.0, le=1e5, description="of healthy axes, for calibration and for the proof each")
+    hours: float = Field(40.0, gt=0.0, le=1e5, description="of healthy axes, for calibration and test each")
     shift: float = Field(600.0, ge=10.0, le=3600.0, description="s; work of one axis")
     past: float = Field(300.0, ge=10.0, le=3600.0, description="s; work before each onset")
     after: float = Field(62.0, ge=1.0, le=3600.0, description="s; work after each onset; growing leaks: the past again")
     axes: int = Field(128, ge=2, le=10_000, description="with the onset of a leak, for each size and activity")
-    interval: float = Field(0.5, gt=0.0, le=60.0, description="s; from look to look")
+    interval: float = Field(0.5, gt=0.0, le=60.0, description="s; between looks")
     learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
 
 
@@ -57,11 +57,11 @@ SIZES = {
     "head": AlarmJob(),
     "estimator": AlarmJob(hours=2.0, shift=120.0, past=60.0, axes=16, interval=2.0, learning=8),
 }
-"""Default sizes by detector: the estimator takes a thousand times as long for a look as the head."""
+"""Default sizes by detector: for one look the estimator takes a thousand times as long as the head."""
 
 
 class Result(NamedTuple):
-    """Settings of the best candidate, how the candidates compared, and the tables of the proof by name."""
+    """Settings of the best candidate, comparison of the candidates, and the tables of the test by name."""
 
     settings: AlarmSettings
     tables: dict[str, pd.DataFrame]
@@ -89,7 +89,7 @@ class _Simulated:
 
 
 def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:
-    """Find the settings of an alarm and prove them.
+    """Calibrate an alarm and test it.
 
     Args:
         bench: task, controllers, detector and folder.

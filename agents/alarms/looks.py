@@ -1,4 +1,4 @@
-"""What a detector says of N axes, look after look: from simulated axes or from a recording."""
+"""Looks: the results of a detector for N axes at regular times, from simulated axes or from a recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hydro_env import ConfigurationError
 
 
 class Looks(NamedTuple):
-    """What a detector says of N axes at L times."""
+    """Results of a detector for N axes at L times."""
 
     time: Floats  # (L,), s, end of each window
     score: Floats  # (N, L), as in Evidence; NaN also after a failure of the axis
@@ -31,7 +31,7 @@ class Looks(NamedTuple):
         return float(self.score.size * interval / 3600.0)
 
     def evidence(self, number: int) -> Evidence:
-        """What the detector says in one look, each array (N,)."""
+        """Result of the detector in one look, each array (N,)."""
         rows: Any = (array[:, number] for array in self[1:5])
         return Evidence(*rows)
 
@@ -42,17 +42,17 @@ def joined(parts: Sequence[Looks]) -> Looks:
 
 
 def looks_at(signals: NDArray[Any], control_period: float, detector: Detector, interval: float) -> Looks:
-    """What a detector says of recorded axes; :meth:`~agents.alarms.alarm.LeakAlarm.follow` turns it into alarms.
+    """Looks of a detector at recorded axes; :meth:`~agents.alarms.alarm.LeakAlarm.follow` turns them into alarms.
 
     Args:
         signals: (N, 5, T), :data:`~agents.leakage.features.SIGNALS` in SI units, one column per control period;
             NaN = lost.
         control_period: s.
         detector: the detector.
-        interval: s, from look to look.
+        interval: s, between looks.
 
     Raises:
-        ConfigurationError: another shape, or a recording that is shorter than a window.
+        ConfigurationError: the shape is wrong, or the recording is shorter than a window.
     """
     if signals.ndim != 3 or signals.shape[1] != 5:
         raise ConfigurationError(f"alarm: signals have shape {signals.shape}: must be (axes, 5, samples)")
@@ -61,7 +61,7 @@ def looks_at(signals: NDArray[Any], control_period: float, detector: Detector, i
             f"alarm: a recording of {signals.shape[2] * control_period:g} s is shorter than a window of "
             f"{detector.window * control_period:g} s"
         )
-    detector = deepcopy(detector)  # it may remember
+    detector = deepcopy(detector)  # it may have a memory
     every = max(round(interval / control_period), 1)
     ends = np.arange(detector.window, signals.shape[2] + 1, every)
     windows = [signals[:, :, end - detector.window : end] for end in ends]

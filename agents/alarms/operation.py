@@ -1,7 +1,7 @@
-"""References of long, continuous operation: an axis moves, creeps and stands, in one family of references and the next.
+"""References of long, continuous operation: an axis moves, creeps and stands, in changing families of references.
 
-Episodes hold one family and begin at rest. An axis at work does not: its reference here is made of stretches of 10 to
-60 s, each with its own family, at full speed, at a sixteenth of it, or standing.
+An episode holds one family and begins at rest. The reference of an axis at work consists of stretches of 10 to 60 s,
+each with its own family, at full speed, at a sixteenth of it, or standing.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def working_references(
     Args:
         config: the task; its episode is as long as the operation.
         seeds: seeds of the axes (N,); the references stay within the limits of the plants that they draw.
-        then: a time in s from which each axis keeps to one activity.
+        then: a time in s, and the activity of each axis from then on.
     """
     names = [name for name in FAMILIES if name != "user" and config.references.weights.get(name, 0.0) > 0.0]
     env = ServoHydraulicVectorEnv(len(seeds), config, info=False)

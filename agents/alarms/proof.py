@@ -1,4 +1,4 @@
-"""What an alarm does on simulated axes that its calibration has not seen: false alarms, delays, other faults."""
+"""Tests of an alarm on simulated axes outside its calibration: false alarms, delays, other faults."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from agents.evaluation.statistics import share_interval
 
 
 def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
-    """False alarms per 100 h at multiples of the thresholds: counted, with Poisson's interval, and by the tail.
+    """False alarms per 100 h at multiples of the thresholds: counted with a Poisson interval, and from the tail.
 
-    At multiples below 1 alarms are frequent enough to be counted; they show whether the tail holds. Alarms cluster: the
-    column ``axes`` says on how many they were.
+    At multiples below 1 alarms are frequent enough to count; the counts check the fitted tail. Alarms cluster: the
+    column ``axes`` gives the number of axes with alarms.
     """
     alarm, _ = LeakAlarm(settings).follow(healthy)
     per_axis = peaks(alarm.total)
@@ -73,7 +73,7 @@ def share_table(settings: AlarmSettings, cases: Sequence[tuple[str, Looks]]) -> 
 
 
 def fault_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFrame:
-    """Share of axes without an alarm before whose alarm the onset of another fault raises; the seal stays healthy."""
+    """Share of axes that raise an alarm after the onset of another fault with a healthy seal; see :func:`delays`."""
     alarm, rows = LeakAlarm(settings), []
     for found in onsets:
         delay, early = delays(alarm, found)
@@ -85,7 +85,7 @@ def fault_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFram
 
 
 def growth_table(found: Found, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
-    """Growing leaks, looked at when each has reached half of a limit: is the true time to the limit in the interval?
+    """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
 
     Args:
         found: looks at axes whose leaks grow beyond the limit.
@@ -104,8 +104,8 @@ def growth_table(found: Found, limit_lpm: float, least_lpm: float) -> pd.DataFra
 
 
 def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
-    """One row: axes with a trend, medians, and the share of intervals that hold the truth."""
-    known = table.dropna()  # NaN: too few looks at a size that can be read
+    """One row: axes with a trend, medians, and the share of intervals that contain the true time."""
+    known = table.dropna()  # NaN: too few looks at a readable size
     holds = share_interval(int(known["holds"].sum()), len(known))
     row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
     row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}

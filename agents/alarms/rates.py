@@ -1,12 +1,12 @@
-"""Rates of rare events: what counted alarms say of their rate, and what the tail says of thresholds beyond the hours.
+"""Rates of rare events: from counted alarms, and from a fitted tail where the simulated hours are too short to count.
 
 Alarms are counted as excursions: the evidence of an axis rises above zero, passes the threshold at its peak, and
 returns. Where alarms can be counted, their rate has the exact Poisson interval (Garwood, *Fiducial limits for the
 Poisson distribution*, Biometrika 28, 1936). Beyond the simulated hours a generalised Pareto distribution is fitted to
 the highest peaks (Pickands, *Statistical inference using extreme order statistics*, Annals of Statistics 3, 1975). Its
-shape is held at zero or above: the peaks of a CUSUM have an exponential tail, shape 0, for each axis (Cramér and
-Lundberg), and a mixture of unlike axes has a heavier one. The interval comes from drawing the axes anew, since alarms
-cluster on few.
+shape is zero or positive: the peaks of a CUSUM have an exponential tail, shape 0, for each axis (Cramér and Lundberg),
+and a mixture of different axes has a heavier one. The interval comes from resampling the axes, because alarms cluster
+on a few of them.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Tail:
         )
 
     def threshold_at(self, rate: float) -> float:
-        """Threshold that peaks exceed ``rate`` times per hour; ``start`` where even that is exceeded more rarely."""
+        """Threshold that peaks exceed ``rate`` times per hour; at least ``start``."""
         ratio = self.rate / rate
         if ratio <= 1.0:
             return self.start
@@ -76,7 +76,7 @@ class Tail:
 
 
 def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
-    """Tail of the ``highest`` peaks (fewer where there are fewer) of so many hours, by maximum likelihood.
+    """Tail of the ``highest`` peaks (all, if there are fewer) in ``hours``, by maximum likelihood.
 
     Raises:
         ConfigurationError: fewer than 10 peaks.
@@ -84,7 +84,7 @@ def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
     ordered = np.sort(np.asarray(values, dtype=np.float64))[::-1]
     if len(ordered) < 10:
         raise ConfigurationError(
-            f"alarms: {len(ordered)} peaks of evidence are too few for a tail; simulate more hours"
+            f"alarms: {len(ordered)} peaks of evidence are too few for a tail: must be at least 10; simulate more hours"
         )
     kept = min(highest, len(ordered) - 1)
     start = float(ordered[kept])
@@ -104,7 +104,7 @@ def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
 def rate_with_interval(
     per_axis: list[Floats], hours: float, threshold: float, highest: int = 100, seed: int = 0
 ) -> Interval:
-    """Alarms per 100 h at a threshold, by the tail, with a 95 % interval from axes drawn anew."""
+    """Alarms per 100 h at a threshold, from the tail, with a 95 % interval from resampled axes."""
     generator = np.random.default_rng(seed)
     rates = []
     for number in range(RESAMPLES + 1):

@@ -1,4 +1,4 @@
-"""Simulated axes at work, and what a detector says of them, look after look."""
+"""Simulated axes at work, and the looks of a detector at them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _FAULT_ONSET = choice(Fault, "schedule", "onset")
 
 @dataclass(frozen=True)
 class Operation:
-    """Axes at work, from the first of their seeds on."""
+    """Axes at work, with consecutive seeds."""
 
     first_seed: int
     axes: int
@@ -39,10 +39,10 @@ class Operation:
 
 @dataclass(frozen=True)
 class Onset:
-    """What becomes of the axes after ``Operation.duration``: the same axes once for each onset."""
+    """Change of the axes after ``Operation.duration``; each onset continues the same axes."""
 
     leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
-    then: Activity | None = None  # what each axis does from there on; None: all in turn
+    then: Activity | None = None  # from then on; None: all activities in turn
     grows: bool = False  # log-linearly until the end, instead of suddenly
     fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude, sudden
 
@@ -62,10 +62,10 @@ def simulate(
     operation: Operation,
     onsets: tuple[Onset, ...] = (),
 ) -> list[Looks]:
-    """Let axes work and look at them at regular times; axes, references and noise depend on the seeds alone.
+    """Simulate axes at work and look at them at regular times; axes, references and noise depend on the seeds alone.
 
     Returns:
-        Looks at the axes up to the onset, then those after each of the onsets, all from the same past.
+        Looks at the axes up to the onset, then the looks after each onset, all with the same past.
 
     Raises:
         ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
@@ -82,7 +82,7 @@ def simulate(
 
 
 class _Work:
-    """Axes that work; it goes back to a memory of its own to try something else."""
+    """Axes at work; :meth:`recall` returns to an earlier state for the next onset."""
 
     def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
         self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
@@ -122,19 +122,19 @@ class _Work:
         return np.array([np.exp(np.random.default_rng([int(seed), 2]).uniform(low, high)) for seed in self.seeds])
 
     def memory(self) -> tuple[Any, ...]:
-        """All that what follows depends on."""
+        """The complete state."""
         numbers = self.observation.copy(), self.window.copy(), self.alive.copy()
         return self.env.get_state(), *numbers, self.controller_memory, self.step, deepcopy(self.detector)
 
     def recall(self, memory: tuple[Any, ...]) -> None:
-        """Go back to a memory."""
+        """Return to a state of :meth:`memory`."""
         state, observation, window, alive, self.controller_memory, self.step, detector = memory
         self.env.set_state(state)
         self.detector = deepcopy(detector)
         self.observation, self.window, self.alive = observation, window.copy(), alive
 
     def begin(self, onset: Onset) -> None:
-        """Let the leaks and what the axes do change from here on."""
+        """Change the leaks and the activities of the axes from now on."""
         axes, now = self.env.axes, self.step * self.period
         if onset.then is not None:
             axes.reference[:] = working_references(self.config, self.seeds, (now, onset.then))
@@ -153,7 +153,7 @@ class _Work:
             row["fault_target"][:, FAULTS.index(name)] = magnitude
 
     def looks(self, end: int) -> Looks:
-        """Work until a step, and look."""
+        """Simulate until a step, and return the looks."""
         length, rows = self.detector.window, []
         while self.step < end:
             self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale

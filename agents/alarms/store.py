@@ -1,4 +1,4 @@
-"""Keeps the looks at simulated axes in files, part by part: a long calibration survives Ctrl-C and goes on."""
+"""Stores the looks at simulated axes in files, part by part: a long calibration survives Ctrl-C and continues."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ PATTERN = "looks_*.safetensors"
 
 @dataclass(frozen=True)
 class Bench:
-    """What all looks of a calibration have in common."""
+    """Settings that all looks of a calibration share."""
 
     config: TaskConfig
     controllers: Mapping[str, Controller]  # in turn, one for each part
     detector: Detector
     detector_name: str
     folder: Path  # for the files
-    together: int = 128  # largest number of axes of a part; Ctrl-C loses the part that is under way
+    together: int = 128  # largest number of axes of a part; Ctrl-C loses the unfinished part
 
     def looks(
         self,
@@ -43,7 +43,7 @@ class Bench:
     ) -> list[Looks]:
         """Looks up to the onset, and after each onset; see :func:`~agents.alarms.simulation.simulate`.
 
-        Parts that the folder holds are read instead of simulated.
+        Parts that are already in the folder are read, not simulated.
 
         Raises:
             ConfigurationError: a file is damaged or belongs to another task, detector or operation.

@@ -2,5 +2,5 @@
 
 import os
 
-# Threads of OpenBLAS wait actively for each other: on small matrices, beside other work, one is ten times faster.
+# OpenBLAS threads busy-wait for each other. With small matrices and other work running, one thread is ten times faster.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,4 +1,4 @@
-"""``hydro alarms``: set alarms over time in false alarms per 100 hours, and prove them."""
+"""``hydro alarms``: set an alarm to a rate of false alarms per 100 hours, and test it on new axes."""
 
 from __future__ import annotations
 
@@ -22,39 +22,39 @@ def alarms(
     rig: Rig = None,
     detector: Annotated[
         Watching,
-        typer.Option(help="What reads the windows: the leakage head, or the estimator (the simulator as model)."),
+        typer.Option(help="Detector: the leakage head, or the estimator with the simulator as its model."),
     ] = "head",
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
-    rate: Annotated[float, typer.Option(help="False alarms per 100 hours that are accepted.")] = 1.0,
+    rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
     hours: Annotated[
         float | None,
         typer.Option(
-            help="Hours of healthy axes to simulate, for the calibration and for the proof each; default: 40, with the "
-            "estimator 2."
+            help="Hours of healthy axes to simulate, first for the calibration and again for the test. Default: 40 "
+            "(head), 2 (estimator)."
         ),
     ] = None,
     axes: Annotated[
         int | None,
-        typer.Option(help="Axes with the onset of a leak, for each size and activity; default: 128, estimator 16."),
+        typer.Option(help="Axes that begin to leak, per leak size and activity. Default: 128 (head), 16 (estimator)."),
     ] = None,
     interval: Annotated[
-        float | None, typer.Option(help="Seconds from look to look; default: 0.5, estimator 2.")
+        float | None, typer.Option(help="Seconds between readings. Default: 0.5 (head), 2 (estimator).")
     ] = None,
     learning: Annotated[
         int | None,
-        typer.Option(help="Looks in each activity until an axis's own baseline is known; default: 60, estimator 8."),
+        typer.Option(help="Readings per activity that form an axis's own baseline. Default: 60 (head), 8 (estimator)."),
     ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Set the alarm on top of a detector in false alarms per 100 hours, by simulating hours of healthy axes.
+    """Set an alarm to a rate of false alarms per 100 hours by simulating hours of healthy axes.
 
-    The axes work continuously: all families of references, at full speed, slowly, and standing, under the PID and the
-    flow-linearising controller. The command compares several ways to sum up evidence on validation seeds, keeps the one
-    that finds leaks soonest, and proves it on test seeds: false alarms, delays, leaks from the start, other faults,
-    growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV per table. On two quiet cores the head with
-    40 hours takes about a quarter of an hour, the estimator with 2 hours about an hour; Ctrl-C keeps finished parts,
-    and `--resume` goes on.
+    The alarm sums up the readings of a detector. The axes work continuously: all families of references, at full speed,
+    slowly, and standing, under the PID and the flow-linearising controller. The command compares several ways to sum up
+    evidence on validation seeds, keeps the one that finds leaks soonest, and tests it on test seeds: false alarms,
+    delays, leaks from the start, other faults, growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV
+    per table. On two quiet cores the head with 40 hours takes about a quarter of an hour, the estimator with 2 hours
+    about an hour. Ctrl-C keeps finished parts, and `--resume` continues.
     """
     from agents.alarms.job import SIZES, run_job
     from agents.alarms.store import PATTERN, Bench

@@ -1,4 +1,4 @@
-"""The command ``hydro``: simulate the axis, train controllers and the leakage head, evaluate, or run a whole study."""
+"""The command ``hydro``: simulate the axis, train controllers, evaluate them, or run a whole study."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from agents.commands.train import train
 from agents.running.console import discard_output
 from hydro_env import HydroError, __version__
 
-# Depending on its version, typer has its own copy of click or uses click; this line works with both.
+# Some versions of typer use click, others their own copy of it; this line works with both.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
 
 
 class _Commands(TyperGroup):
-    """A group of commands; a signal ends them with one line."""
+    """A group of commands; after a signal it ends with one line."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt as stop:  # typer would end the program without a word
+        except KeyboardInterrupt as stop:  # typer would end the program without a message
             _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
 
 
@@ -54,7 +54,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, notice the leak.
+    help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
 
 Begin with `hydro study` (the whole job, about eight minutes on two cores), or with
 `hydro simulate --leakage 1` (one run, a second). Leaks are in l/min at 100 bar across the piston, as in practice: up to
@@ -71,7 +71,7 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Options of all commands."""
@@ -80,11 +80,11 @@ def common(
 
 @app.command()
 def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
-    """Compute the figures of the paper again, and what it could not show: about a minute on two cores.
+    """Compute the paper's figures again, and further figures that the paper does not show: about a minute on two cores.
 
     Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
     compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your
-    own rig; the page names the figures that this rig cannot have, and why.
+    own rig; the page says which figures do not apply to that rig, and why.
     """
     from agents.commands.reproduce import reproduce_to_folder
 
@@ -106,7 +106,7 @@ def benchmark(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure speed, memory and start-up on this machine, with other environments and solvers in turn.
+    """Measure speed, memory and start-up on this machine, beside other environments and solvers.
 
     Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes about a
     quarter of an hour on two quiet cores, and a few minutes with `--quick`. Ctrl-C keeps the finished measurements;

@@ -1,4 +1,4 @@
-"""``hydro benchmark``: measures one group after another, in rounds, and saves every finished round."""
+"""``hydro benchmark``: measures the groups one after another, each in rounds, and saves every finished round."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ GROUPS: dict[str, tuple[str, Callable[[Extent], list[Case]]]] = {
     "solvers": ("The same plant with SciPy's `solve_ivp`, at the accuracy of the integrator.", solver_cases),
     "accuracy": ("Error and time of the integrator over drawn rigs, against Radau (one axis).", accuracy_cases),
     "training": ("PPO of stable-baselines3, end to end, and the shares of its time.", training_cases),
-    "beating": ("Training until PPO's mean error is below the tuned PID's.", beating_cases),
+    "beating": ("Training until PPO's mean error is smaller than that of the tuned PID.", beating_cases),
     "memory": ("Memory.", memory_cases),
     "start": ("Start-up, wall time of fresh processes.", start_cases),
     "inference": ("From observation to command on one axis.", inference_cases),
     "profile": ("Shares of the time of a step and of a PPO iteration.", profile_cases),
 }
-"""Title of each group, and the function that lists its cases, which are measured in turn, round by round."""
+"""Title of each group, and the function that lists its cases. The cases take turns, round by round."""
 
 
 def benchmark_to_folder(
@@ -53,7 +53,7 @@ def benchmark_to_folder(
     """Measure the groups and write the table; returns its files.
 
     Raises:
-        ConfigurationError: an unknown group, or a folder that cannot be used.
+        ConfigurationError: a group is unknown, or the folder cannot be used.
         KeyboardInterrupt: Ctrl-C; the measurements so far have been written.
     """
     for name in only:
@@ -120,7 +120,7 @@ def _stored(folder: Path, circumstances: dict[str, Any]) -> tuple[list[str], lis
     before = read_yaml(file)
     for key, value in circumstances.items():
         if before.get(key) != value:
-            raise ConfigurationError(f"{file}: was measured with another '{key}'; --overwrite starts anew")
+            raise ConfigurationError(f"{file}: was measured with another '{key}'; --overwrite begins anew")
     finished = [name for name in GROUPS if name in (before.get("finished") or [])]
     rows = read_csv(folder / CSV_FILE) if finished else []
     return finished, [row for row in rows if row.group in finished]

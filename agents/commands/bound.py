@@ -1,4 +1,4 @@
-"""``hydro bound``: how much room there is above a controller."""
+"""``hydro bound``: how much better than the shipped controllers any controller could be."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ def bound(
     leak: Annotated[
         list[float] | None,
         typer.Option(
-            help="l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1 and 4; with --converge 1."
+            help="Leak in l/min at 100 bar; repeat the option for several. Default: 0.01, 0.3, 1, 4; with --converge 1."
         ),
     ] = None,
     converge: Annotated[
-        bool, typer.Option("--converge", help="Show instead how the result depends on the size of the search.")
+        bool, typer.Option("--converge", help="Show how the result depends on the size of the search instead.")
     ] = False,
     agent: Agents = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Find the smallest errors that a controller could reach, and compare them with those of the shipped controllers.
 
-    A search plans the commands with the simulator itself. It is told the true state, and either the true plant with its
-    leak or only the data sheet; the difference shows what it is worth to know the plant. The command prints the mean
-    error for each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two
-    quiet cores, and as long with `--converge`.
+    A search plans the commands with the simulator itself. It knows the true state, and either the true plant with its
+    leak or only the data sheet; the difference is the value of knowing the plant. The command prints the mean error for
+    each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two quiet
+    cores, with or without `--converge`.
     """
     import pandas as pd
 

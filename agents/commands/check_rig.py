@@ -1,4 +1,4 @@
-"""``hydro check-rig``: the figures of a rig as a table."""
+"""``hydro check-rig``: a table of a rig's speeds, forces, frequency and gain."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ def diagnose(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Measured signals, one row per sample.")],
     columns: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE", help="YAML: which column is which, with unit, gain and offset."),
+        typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
     ] = None,
     task: Annotated[
         str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
@@ -22,13 +22,13 @@ def diagnose(
     rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     alarm: Annotated[
-        Path | None, typer.Option(help="Settings of an alarm, as `hydro alarms` writes them; it follows the recording.")
+        Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
     ] = None,
-    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="s, of one reading.")] = 2.0,
+    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
     output: Output = Path("results/diagnose"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Judge a recording: healthy, internal leak of so much, something else (which), or cannot tell (why).
+    """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
 
     First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
     detectors read the leak window by window: an estimator with the simulator as model, and the leakage head. Writes a

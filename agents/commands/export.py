@@ -1,4 +1,4 @@
-"""``hydro export``: the plant, a controller or the leakage head for other tools and machines; the playground."""
+"""``hydro export``: the plant, a controller or the leakage head for other tools and machines, or the playground."""
 
 from __future__ import annotations
 
@@ -44,10 +44,11 @@ def export(
 
     `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
     signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
-    and `contract.json`, which says what goes in and out. It is compared with the controller in Python before it is
-    written. `hydro evaluate --agent exported=FOLDER` runs it again. It needs `pip install 'hydro_env[export]'`.
+    and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
+    compared with the one in Python. `hydro evaluate --agent exported=FOLDER` evaluates it. It needs `pip install
+    'hydro_env[export]'`.
 
-    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to
+    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
     probability and size of a leak, and its network as ONNX.
 
     `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
@@ -58,7 +59,7 @@ def export(
     if what == "plant":
         _export_plant(task_config(task, rig=rig), output, overwrite)
     elif what in ("leakage_head", "playground") and (task is not None or rig is not None):
-        raise ConfigurationError(f"export {what}: takes no --task and no --rig; it holds for those of the shipped head")
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; the shipped head has its own")
     elif what == "leakage_head":
         _export_head(output, overwrite)
     elif what == "playground":
@@ -85,7 +86,7 @@ def _export_head(output: Path, overwrite: bool) -> None:
     from agents.running.folders import output_folder, pretrained_folder
     from hydro_env.files import write_whole
 
-    onnx_package()  # a missing package shows at once
+    onnx_package()  # report a missing package at the start
     with output_folder(output, JOB, FILES, overwrite=overwrite):
         files, report = exported_head(LeakageHead.load(pretrained_folder() / "leakage_head"), command_line())
         for name, content in files.items():
@@ -98,7 +99,7 @@ def _export_playground(output: Path, overwrite: bool) -> None:
     from agents.running.folders import output_folder
     from hydro_env.files import write_whole
 
-    web_compiler()  # a missing package shows at once
+    web_compiler()  # report a missing package at the start
     with output_folder(output, JOB, [PAGE_FILE], overwrite=overwrite):
         write_whole(output / PAGE_FILE, playground_page().encode())
     say(f"written: {output / PAGE_FILE}")
@@ -113,7 +114,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
     from hydro_env import ConfigurationError
     from hydro_env.files import write_whole
 
-    onnx_package()  # a missing package shows at once
+    onnx_package()  # report a missing package at the start
     controller, config = _controller_and_task(what, task, rig)
     if isinstance(controller, ExportedController):
         raise ConfigurationError(f"{what}: is an exported controller already")

@@ -22,7 +22,7 @@ def identify(
     ],
     columns: Annotated[
         Path | None,
-        typer.Option("--map", metavar="FILE", help="YAML: which column is which, with unit, gain and offset."),
+        typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
     ] = None,
     task: Annotated[
         str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
@@ -30,12 +30,12 @@ def identify(
     output: Output = Path("results/identify"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Find what a rig file leaves open: fit its ranges, the leak and the sensors' offsets to a recording.
+    """Estimate the unknowns of a rig file: fit its ranges, the leak and the sensors' offsets to a recording.
 
-    Writes `rig.yaml` (values as found, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and
-    `hydro study --rig`), a page (`identification.html`: measured against simulated signals, each interval, what the
-    recording cannot determine and which motion would), and all numbers (`identification.json`). A recording that
-    contradicts the rig ends with one line. `docs/identify.md` explains.
+    Writes `rig.yaml` (estimated values, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and `hydro
+    study --rig`), a page (`identification.html`: measured and simulated signals, each interval, the unknowns that the
+    recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
+    contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
     from agents.identification.identify import identify as identify_recording
     from agents.identification.identify import identify_to_folder

@@ -1,4 +1,4 @@
-"""``hydro ladder``: trainings that differ in one thing each, on several seeds."""
+"""``hydro ladder``: trainings that each differ in one setting, on several seeds."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def ladder(
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, max=1000, help="Trainings per rung.")] = None,
     test: Annotated[
-        bool, typer.Option("--test", help="Judge on test plants; only once every choice has been made.")
+        bool, typer.Option("--test", help="Evaluate on test plants; use it only after every choice is made.")
     ] = False,
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train every rung of a ladder on several seeds, and write one table that shows what each change is worth.
+    """Train every rung of a ladder on several seeds, and write one table of the effect of each change.
 
-    A ladder is a list of trainings, its rungs, each of which changes a little in an earlier one. The trainings are
-    independent jobs. Ctrl-C keeps finished ones and checkpoints; `--resume` continues.
+    A ladder is a list of trainings, its rungs; each rung changes a few settings of an earlier one. The trainings are
+    independent jobs. Ctrl-C keeps finished trainings and checkpoints; `--resume` continues.
     """
     from agents.study.ladder import LadderSettings, run_ladder
     from hydro_env.folders import config_file

@@ -1,4 +1,4 @@
-"""Entry point of the command ``hydro``: names the extra to install if the learning libraries are missing."""
+"""Entry point of the command ``hydro``: if the learning libraries are missing, it names the extra to install."""
 
 from __future__ import annotations
 

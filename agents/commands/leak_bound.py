@@ -1,4 +1,4 @@
-"""``hydro leak-bound``: how exactly any method could read the leak."""
+"""``hydro leak-bound``: how precisely any method could estimate the leak."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ MovingController = Annotated[
     typer.Option(
         "--controller",
         metavar="KIND|WHAT",
-        help="What moves the axis: pid, flow_linearising, adrc, lqg or ppo as shipped, module:attribute, or the path "
-        "of weights.",
+        help="Controller that moves the axis: pid, flow_linearising, adrc, lqg or ppo as shipped, module:attribute, or "
+        "the path of weights.",
     ),
 ]
 
@@ -26,17 +26,19 @@ def leak_bound(
     rig: Rig = None,
     window: Annotated[
         list[float] | None,
-        typer.Option(help="s; repeat the option for several. Default: 0.5, 1, 2, 4 and 8."),
+        typer.Option(help="Length in s; repeat the option for several. Default: 0.5, 1, 2, 4 and 8."),
     ] = None,
     leak: Annotated[
         list[float] | None,
-        typer.Option(help="l/min at 100 bar; repeat the option for several. Default: 0, 0.05, 0.1, 0.3, 1 and 4."),
+        typer.Option(
+            help="Leak in l/min at 100 bar; repeat the option for several. Default: 0, 0.05, 0.1, 0.3, 1 and 4."
+        ),
     ] = None,
     unknown: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A further unknown beside those of the task, such as valve.null_shift or load.external_force; repeat "
+            help="An unknown in addition to the task's, such as valve.null_shift or load.external_force; repeat "
             "the option for several.",
         ),
     ] = None,
@@ -44,12 +46,12 @@ def leak_bound(
     plants: Annotated[int | None, typer.Option(min=3, max=10_000, help="Plants per motion and leak.")] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Tell how exactly any method could read the leak: the Cramér–Rao bound.
+    """Compute how precisely any method could estimate the leak: the Cramér–Rao bound.
 
-    The bound is the smallest standard deviation, in l/min at 100 bar, that sensors, their noise and the motion allow
-    when the plant's equations are known, but not its numbers. The command compares what else is unknown, which sensors
-    there are, how long the window is, and how the axis moves. It takes about three minutes on two quiet cores, and
-    writes all numbers as CSV, tables as Markdown and a picture.
+    The bound is the smallest standard deviation, in l/min at 100 bar, that the sensors, their noise and the motion
+    allow when the plant's equations are known but its parameters are not. The command compares sets of unknowns, sets
+    of sensors, lengths of the window, and motions. It takes about three minutes on two quiet cores, and writes all
+    numbers as CSV, tables as Markdown and a picture.
     """
     from agents.evaluation.opponents import opponent
     from agents.information.survey import SurveySettings, checked, survey

@@ -45,8 +45,8 @@ def evaluate_leak_protocol(
         command: the command line.
 
     Raises:
-        ConfigurationError: protocol or weights are wrong, the folder cannot be used, or a detector failed (after the
-            results of the others are written).
+        ConfigurationError: the protocol or the weights are wrong, the folder cannot be used, or a detector failed (the
+            results of the others are written first).
     """
     protocol = LeakProtocol.from_yaml(file)
     if place.task is not None or place.rig is not None:
@@ -90,7 +90,7 @@ def evaluate_leak_protocol(
 
 
 def print_floors(tables: LeakTables, display: ProgressDisplay) -> None:
-    """Print the figures that the project wants to reach, with those measured beside them."""
+    """Print the project's required figures beside the measured ones."""
     for detector, rows in tables.floors.groupby("detector", sort=False):
         table = Table(title=str(detector), title_justify="left", box=SIMPLE, pad_edge=False)
         table.add_column("figure")

@@ -54,8 +54,8 @@ def new_rig(
     """Write the file of your rig from its nameplates, data sheets and drawings.
 
     Give figures with their unit: `--bore "63 mm"`. If a required figure is missing, the command asks on a terminal;
-    Enter skips what you do not know. The file says of every value whether it was given, computed or assumed, and it
-    holds ranges for what is not sure. `hydro check-rig` reads it next.
+    Enter skips what you do not know. The file marks every value as given, computed or assumed, and holds a range for
+    every uncertain one. Check it next with `hydro check-rig`.
     """
     from agents.rigs.new_rig import new_rig as written_rig
     from hydro_env.files import write_text
@@ -69,13 +69,13 @@ def new_rig(
     text, rig = written_rig(answers_from(given), given, str(output))
     write_text(output, text)
     say(
-        f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} that are not sure",
+        f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
         f"next: hydro check-rig --rig {output}",
     )
 
 
 def _asked(questions: list[Question]) -> dict[str, str]:
-    """The answers that the user types; what is skipped is absent."""
+    """The answers that the user types; a skipped question has none."""
     print("Give figures with their unit; Enter skips what you do not know.")
     texts, group = {}, ""
     for question in questions:
@@ -89,7 +89,7 @@ def _asked(questions: list[Question]) -> dict[str, str]:
 
 
 def _answer(question: Question) -> str:
-    """One answer, asked again until it can be read."""
+    """One answer; an unreadable one is asked for again."""
     hint = f"{'required, ' if question.required else ''}such as {question.example}"
     while True:
         try:

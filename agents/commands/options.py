@@ -29,8 +29,8 @@ Agents = Annotated[
         "--agent",
         metavar="NAME=WHAT",
         help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
-        "task), the path of weights, or a folder of `hydro export`. A name of the study replaces that controller. "
-        "Repeat the option for several.",
+        "task), the path of weights, or a folder of `hydro export`. If NAME is a controller of the study, it is "
+        "replaced. Repeat the option for several.",
     ),
 ]
 
@@ -88,7 +88,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
 
 
 def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
-    """Say in one line on standard error which controllers were made for another rig than that of the study."""
+    """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
     from agents.evaluation.opponents import trained_for
 
     untuned = [name for name in study.tuned if name in controllers]

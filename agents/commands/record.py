@@ -18,9 +18,7 @@ def record(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
     minari: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME-v0", help="Data set of Minari to write instead of a CSV file, for offline learning."
-        ),
+        typer.Option(metavar="NAME-v0", help="Minari data set to write instead of a CSV file, for offline learning."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
     task: Annotated[
@@ -35,19 +33,27 @@ def record(
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option("--fault", metavar="NAME=VALUE", help="Such as valve_null_shift=0.01; repeat it for several."),
+        typer.Option(
+            "--fault",
+            metavar="NAME=VALUE",
+            help="A fault, such as valve_null_shift=0.01; repeat the option for several.",
+        ),
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="s; default: 20, of a data set the task's own.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
+    ] = None,
     family: Annotated[
         str | None, typer.Option(help="Family of references, such as point_to_point; default: drawn.")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Of plant, reference and noise.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
+    ] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
     """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
 
-    `hydro diagnose` reads the file. The first line is a comment with this command; it tells the leak. `--minari` writes
-    episodes with observations, actions, rewards and the hidden leak instead.
+    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
+    a data set of episodes instead, with observations, actions, rewards and the hidden leak.
     """
     from agents.evaluation.opponents import opponent
     from agents.recordings.simulated import named_faults, record_axis
@@ -55,7 +61,7 @@ def record(
     from hydro_env.task.configuration import task_config
 
     if (output is None) == (minari is None):
-        raise ConfigurationError("record: needs --output FILE or --minari NAME, one of them")
+        raise ConfigurationError("record: needs either --output FILE or --minari NAME")
     faults = named_faults(fault or [])
     if output is None:
         given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}

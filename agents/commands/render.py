@@ -28,21 +28,27 @@ def render(
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option("--fault", metavar="NAME=VALUE", help="Such as valve_null_shift=0.01; repeat it for several."),
+        typer.Option(
+            "--fault",
+            metavar="NAME=VALUE",
+            help="A fault, such as valve_null_shift=0.01; repeat the option for several.",
+        ),
     ] = None,
     family: Annotated[str, typer.Option(help="Family of references.")] = "point_to_point",
-    duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="s")] = 4.0,
-    seed: Annotated[int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Of plant, reference and noise.")] = 0,
-    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1: real time; 0.1: ten times slower.")] = 1.0,
-    frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="About.")] = 25.0,
-    width: Annotated[int, typer.Option(min=160, max=7680, help="Pixels.")] = 1280,
-    columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly a square.")] = None,
+    duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="Length in s.")] = 4.0,
+    seed: Annotated[
+        int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
+    ] = 0,
+    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1 is real time, 0.1 ten times slower.")] = 1.0,
+    frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="Approximate rate.")] = 25.0,
+    width: Annotated[int, typer.Option(min=160, max=7680, help="Width in pixels.")] = 1280,
+    columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly square.")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
     """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
 
-    Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows
-    a healthy beside a leaking seal.
+    Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows a
+    healthy and a leaking seal side by side.
     """
     from agents.evaluation.opponents import opponent
     from agents.film.frames import film, film_size, panels

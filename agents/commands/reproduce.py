@@ -25,11 +25,11 @@ def reproduce_to_folder(
 ) -> Path:
     """Compute, draw and write everything; returns the page.
 
-    The page gives the reason for each figure that the rig cannot have.
+    For each figure that does not apply to the rig, the page gives the reason.
 
     Args:
         folder: for the results.
-        overwrite: replace earlier results.
+        overwrite: whether to replace earlier results.
         command: the command line, quoted on the page.
         rig_file: YAML file of a rig; ``None`` is the paper's.
 
@@ -54,7 +54,7 @@ def reproduce_to_folder(
 
 
 def _made(entry: Entry, rig: Rig, folder: Path) -> PageFigure:
-    """Compute, draw and write one figure; what the page needs of it."""
+    """Compute, draw and write one figure; returns its part of the page."""
     try:
         table = entry.compute(rig)
         words = write_words(entry, table, rig)

@@ -39,7 +39,7 @@ PROTOCOL_FILE = "protocol.yaml"
 
 
 class Place(NamedTuple):
-    """Where a protocol runs; ``None`` for what it says itself."""
+    """Where a protocol runs; ``None`` means the protocol's own value."""
 
     task: str | None  # name or file
     rig: Path | None
@@ -61,7 +61,7 @@ def evaluate_protocol(
     Args:
         name: of the protocol in ``configs/protocols``, or the path of a YAML file.
         agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
-        study_file: a study whose controllers take part; default: all that are shipped.
+        study_file: a study whose controllers take part; default: all shipped controllers.
         place: another task or rig, and the folder for the results.
         jobs: number of jobs side by side; default: one per core.
         resume: whether to use the finished jobs in the folder.
@@ -69,8 +69,8 @@ def evaluate_protocol(
         command: the command line.
 
     Raises:
-        ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed
-            (after the results of the others are written).
+        ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed (the
+            results of the others are written first).
     """
     protocol, file = protocol_named(name)
     if place.task is not None or place.rig is not None:
@@ -112,7 +112,7 @@ def evaluate_protocol(
 
 
 def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
-    """The controllers of the protocol; an agent replaces the one of its name, or all of its training seeds."""
+    """The controllers of the protocol; an agent replaces the one of the same name, with all its training seeds."""
     special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
     general = {name: what for name, what in agents.items() if name not in special}
     if study_file is None:
@@ -128,7 +128,7 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
 def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
     """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
-    table = Table(title=f"Ratios to {baseline}; every condition and family weighs the same", box=SIMPLE, pad_edge=False)
+    table = Table(title=f"Ratios to {baseline}; conditions and families weighted equally", box=SIMPLE, pad_edge=False)
     table.add_column("controller", no_wrap=True)
     for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -12,7 +12,7 @@ from agents.commands.options import Output, Overwrite, Rig, say
 
 
 class InputSignal(StrEnum):
-    """Built-in voltages."""
+    """Built-in shapes of the voltage."""
 
     STEP = "step"
     SINE = "sine"
@@ -25,17 +25,18 @@ def simulate(
     rig: Rig = None,
     signal: Annotated[InputSignal, typer.Option("--input", help="Shape of the voltage.")] = InputSignal.STOP,
     voltage: Annotated[
-        float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the start.")
+        float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the initial position.")
     ] = 3.0,
     input_file: Annotated[
         Path | None,
         typer.Option(help="CSV with one voltage per sample (column `voltage`, or the last), instead of --input."),
     ] = None,
-    duration: Annotated[float, typer.Option(help="s")] = 1.0,
-    sample_time: Annotated[float, typer.Option(help="s; each voltage is held this long.")] = 1e-3,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 1.0,
+    sample_time: Annotated[float, typer.Option(help="Time in s for which each voltage is held.")] = 1e-3,
     leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
     position: Annotated[
-        float | None, typer.Option(help="Start in m from mid-stroke, at rest; default: mid-stroke if it can be held.")
+        float | None,
+        typer.Option(help="Start at rest, in m from mid-stroke; default: mid-stroke if it can be held."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:

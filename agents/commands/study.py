@@ -21,8 +21,8 @@ def study(
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
 
-    With `--rig` the task is moved to another rig: references, sensors and reward follow from its stroke, speed and
-    pressure. Gains belong to a rig; the classical controllers are therefore tuned for it first.
+    With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
+    pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
     """
     from agents.study.run import run_study
     from agents.study.settings import default_study

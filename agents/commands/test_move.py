@@ -17,25 +17,27 @@ def design_test_move(
     rig: Rig = None,
     travel: Annotated[
         float | None,
-        typer.Option(help="mm between the outermost positions; default: the largest step of the task."),
+        typer.Option(help="Distance in mm between the outermost positions; default: the largest step of the task."),
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="Largest speed, mm/s; default: that of the task's references.")
+        float | None, typer.Option(help="Largest speed in mm/s; default: that of the task's references.")
     ] = None,
-    duration: Annotated[float, typer.Option(help="s")] = 2.0,
-    leak: Annotated[float, typer.Option(help="l/min at 100 bar, for which the move is designed.")] = 0.3,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 2.0,
+    leak: Annotated[float, typer.Option(help="Leak in l/min at 100 bar for which the move is designed.")] = 0.3,
     controller: MovingController = "pid",
-    plants: Annotated[int, typer.Option(min=3, max=10_000, help="Axes of the trial.")] = 16,
-    evaluations: Annotated[int | None, typer.Option(min=1, help="Moves that the search tries; default: 240.")] = None,
+    plants: Annotated[int, typer.Option(min=3, max=10_000, help="Simulated axes that try the move.")] = 16,
+    evaluations: Annotated[
+        int | None, typer.Option(min=1, help="Number of moves that the search tries; default: 240.")
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Design a short move that makes a leak most visible, and read the leak from it on simulated axes.
+    """Design a short move that makes a leak most visible, and estimate the leak from it on simulated axes.
 
     The move has up to four strokes with holds between them, within your limits of travel and speed; it ends where it
     began. The search lowers the Cramér–Rao bound of the leak (`hydro leak-bound`) on training plants. Then test plants
-    make the move, with and without the leak, and the leak is estimated from their signals, beside the same from
-    ordinary motion, slow motion and rest. It takes about three minutes on two quiet cores. `move.csv` holds the
-    reference for your own axis.
+    make the move, with and without the leak, and the leak is estimated from their signals. The table also shows the
+    estimates from ordinary motion, slow motion and rest. It takes about three minutes on two quiet cores. `move.csv`
+    holds the reference for your own axis.
     """
     from agents.evaluation.opponents import opponent
     from agents.information.move import MoveSettings, design, limits_of

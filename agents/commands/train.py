@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Objective(StrEnum):
-    """What tuned gains make small; see :class:`agents.learning.tuning.Score`."""
+    """The figure that tuning minimises; see :class:`agents.learning.tuning.Score`."""
 
     MEAN = "mean"
     EQUAL = "equal"
@@ -55,10 +55,10 @@ def train(
         ),
     ] = None,
     evaluations: Annotated[
-        int | None, typer.Option(min=1, help="For gains: sets of gains that are tried, instead of 2800.")
+        int | None, typer.Option(min=1, help="For gains: number of sets of gains to try, instead of 2800.")
     ] = None,
     start: Annotated[
-        Path | None, typer.Option(help="For gains: YAML file of gains from which the search starts.")
+        Path | None, typer.Option(help="For gains: YAML file with the gains where the search starts.")
     ] = None,
     seed: Seed = None,
     resume: Resume = False,
@@ -66,11 +66,12 @@ def train(
 ) -> None:
     """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
 
-    The gains of a classical controller go to KIND.yaml, the best so far after every generation.
+    The command writes the best gains of a classical controller to KIND.yaml after every generation.
     The head learns from episodes under every controller of the study; trained controllers take the shipped weights
     unless `--agent` gives others.
 
-    With `--rig` the task is moved to another rig. A controller that is to be corrected is tuned for it first.
+    With `--rig` the task is adapted to another rig. If a trained controller corrects a classical one, the command tunes
+    the classical one first.
     """
     from agents.controllers.registry import CONTROLLERS
     from agents.study.settings import default_study
@@ -188,7 +189,7 @@ def _gains(
     ):
         best = tune_gains(kind, study.task, budget, first, path, log, seed, resume, display, f"tune {kind}")
         display.say(
-            f"{kind}: training cases, price on changes of the command included: mean {1e3 * best.score.mean:.4f} mm, "
+            f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.score.mean:.4f} mm, "
             f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"
         )
     return path
