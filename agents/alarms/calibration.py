@@ -21,8 +21,7 @@ from agents.alarms.simulation import Onset
 from hydro_env import ConfigurationError
 
 BLOCK = 20.0
-"""Length in s of the blocks of looks whose averages give the spread: looks overlap, and errors last as long as a
-move."""
+"""Length in s of the blocks of looks whose averages give the spread; neighbouring looks have correlated errors."""
 
 HIGHEST_SHARE = 0.95
 """Share of healthy axes whose baseline is below ``highest_baseline``."""

@@ -1,1 +1,1 @@
-"""``hydro benchmark``: speed, memory and start-up of everything here, with peers in turn, as one table."""
+"""``hydro benchmark``: speed, memory and start-up of this package and of comparable ones, as one table."""

@@ -2,7 +2,7 @@
 
 A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
 under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
-voltage in every control period, or a sinusoid with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
+voltage in every control period, or a sine with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
 which locates limits by root finding (:mod:`hydro_env.plant.reference`).
 """
 
@@ -69,7 +69,7 @@ class Run:
 
 
 def random_runs(count: int, seed: int = SEED) -> list[Run]:
-    """Runs drawn with a seed."""
+    """Random runs of a seed."""
     env = ServoHydraulicVectorEnv(count)
     env.reset(seed=seed)
     runs = []
@@ -104,7 +104,7 @@ def reference(run: Run) -> Array:
 
 
 def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array:
-    """Largest error of each state along each run, in parts of its range, shape (runs, N_STATES)."""
+    """Largest error of each state along each run, as a fraction of its range, shape (runs, N_STATES)."""
     return np.array(
         [
             np.abs(run.states(**options) - states).max(axis=0) / state_ranges(run.parameters, states)
@@ -116,7 +116,7 @@ def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array
 def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
     """Order of the integrator from each fixed step (s) to the next, on a smooth run of the paper's rig.
 
-    Smooth: without dry friction and with small voltages the axis reaches no limit and does not turn sharply.
+    The run is smooth: without dry friction and with small voltages the axis reaches no limit and has no sharp reversal.
     """
     plant = PlantParameters().replace(friction={"model": "none"}, valve={"underlap": 0.3})
     run = Run(plant, np.sin(np.arange(SAMPLES) * 0.2), {"position": 0.01}, "sine")

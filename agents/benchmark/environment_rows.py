@@ -39,7 +39,7 @@ def single_rate(env: gym.Env[Any, Any], seconds: float, steps: int = 500) -> flo
 def vector_rate(env: Any, seconds: float, commands: Iterator[Any] | None = None) -> float:
     """Environment steps per second of a vector environment, restarts included.
 
-    Each step takes the next of the ``commands``; without them all take the same small random actions.
+    Each step takes the next of the ``commands``; without ``commands``, all steps use the same small random actions.
     """
     count: int = env.num_envs
     env.reset(seed=0)
@@ -75,7 +75,7 @@ def motor_environment() -> gym.Env[Any, Any]:
             warnings.simplefilter("ignore")
             env: gym.Env[Any, Any] = importlib.import_module("gym_electric_motor").make("Cont-CC-PMSM-v0")
             return env
-    except Exception as error:  # whatever an unfitting version raises
+    except Exception as error:  # an incompatible version may raise anything
         reason = "not installed" if isinstance(error, ImportError) else f"does not run here: {type(error).__name__}"
         raise UnavailableError(f"{reason}: {error}") from None
 

@@ -44,7 +44,7 @@ class BareKernel:
         self.restart()
 
     def restart(self) -> None:
-        """Back to rest."""
+        """Return to the initial state."""
         self.state = self._first.copy()
         self._voltage[:] = VOLTAGE
         self._periods = 0
@@ -77,8 +77,8 @@ def counted_work() -> tuple[dict[str, int], float]:
     """Arithmetic of the integrator, counted without compiling in a fresh process.
 
     Returns:
-        Operations of one right-hand side by kind, and right-hand sides per plant and control period, those of idle
-        lanes included.
+        Operations of one right-hand side by kind, and right-hand sides per plant and control period, including idle
+        lanes.
     """
     code = (
         "import json; from agents.benchmark import kernel_access as counted; "
@@ -89,7 +89,7 @@ def counted_work() -> tuple[dict[str, int], float]:
 
 
 def count_operations() -> Counter[str]:
-    """Operations of one right-hand side by kind; it runs uncompiled on numbers that count their operations."""
+    """Operations of one right-hand side by kind: it runs uncompiled, on numbers that count the operations."""
     counts: Counter[str] = Counter()
 
     def counting(function: Callable[..., Any], kind: str) -> Callable[..., Any]:

@@ -30,7 +30,7 @@ def profile_cases(extent: Extent) -> list[Case]:
 
 
 def _timed(extent: Extent, whole: str, *parts: tuple[str, Callable[[], Callable[[], Any]], str]) -> list[Case]:
-    """Time in µs of calls, given as (name, what prepares the call, note); those after the first belong to the first."""
+    """Time in µs of calls (name, function that prepares the call, note); the later ones are parts of the first."""
 
     def measure(make: Callable[[], Callable[[], Any]]) -> float:
         call = make()
@@ -56,7 +56,7 @@ def _step(env: Any) -> Callable[[], Any]:
 
 
 def _compiled_step(axes: Any, count: int) -> Callable[[], Any]:
-    """The compiled step of begun axes; their clock is stopped, and no episode ends."""
+    """The compiled step of started axes; their clock is stopped, so no episode ends."""
     command, clock = np.zeros(count), axes.column("step")
 
     def call() -> None:

@@ -55,7 +55,7 @@ def array_bytes(env: ServoHydraulicVectorEnv) -> int:
 
 
 def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
-    """Memory of one axis, of so many."""
+    """Memory per axis of a vector environment with ``count`` axes."""
 
     def arrays() -> float:
         env = ServoHydraulicVectorEnv(count)
@@ -96,7 +96,7 @@ def start_cases(extent: Extent) -> list[Case]:
             first_step(folder.name)
         return first_step(folder.name)
 
-    own, note = "import hydro_env", "what it imports included, interpreter start not"
+    own, note = "import hydro_env", "with its imports, without the start of the interpreter"
     filled, anew = "first step, warm cache", "everything compiled anew"
     return [
         process("python, nothing imported", "pass"),
@@ -116,7 +116,7 @@ def import_time(module: str) -> float:
 
 
 def inference_cases(extent: Extent) -> list[Case]:
-    """Time from observation to command, and of the leakage head, on one axis, against the control period."""
+    """Time from observation to command on one axis, with and without the leakage head."""
     policy = PolicyController.load(pretrained_folder() / "policy")
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
     monitored = MonitoredController(policy, head)

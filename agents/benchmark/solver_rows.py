@@ -60,7 +60,7 @@ def solver_cases(extent: Extent) -> list[Case]:
         name = f"solve_ivp, {method}"
         rows = (
             Row(name, "control periods/s", own, "right-hand side compiled"),
-            Row(f"{name}: relative tolerance", "1", note="the loosest of 10^(−n/2) that is as accurate"),
+            Row(f"{name}: relative tolerance", "1", note="the loosest of 10^(−n/2) with the same accuracy"),
             Row(f"{name}: error", "of range"),
         )
         return Case(rows, measure, extent.runs)
@@ -85,13 +85,13 @@ def solver_cases(extent: Extent) -> list[Case]:
 
 
 def held_random_commands(count: int) -> Iterator[Array]:
-    """Actions (count, 1) like the voltages of the solvers' run: normal, held for eight control periods each."""
+    """Actions (count, 1) like the solvers' voltages: normally distributed, each held for eight control periods."""
     generator = np.random.default_rng(0)
     return cycle([held for _ in range(16) for held in [generator.normal(0.0, 0.15, (count, 1)).clip(-0.5, 0.5)] * 8])
 
 
 def error_of(states: Array, exact: Array) -> float:
-    """Largest difference of any state at any sample, in parts of that state's range along the run."""
+    """Largest difference of any state at any sample, as a fraction of that state's range along the run."""
     spread = np.maximum(np.ptp(exact, axis=0), 1e-12)
     return float(np.max(np.abs(states - exact) / spread))
 

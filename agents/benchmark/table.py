@@ -24,7 +24,7 @@ class UnavailableError(Exception):
 
 @dataclass
 class Row:
-    """One line of the table: its name, its unit, the row of its group to compare it with, one value per run."""
+    """One row of the table: name, unit, the row of its group for comparison, and one value per run."""
 
     name: str
     unit: str
@@ -38,7 +38,7 @@ class Row:
 class Case:
     """One measurement, which fills one or more rows.
 
-    ``measure(run)`` gives a value per row, without the time of building and compiling; it may raise
+    ``measure(run)`` gives one value per row, without the time to build and compile; it may raise
     :class:`UnavailableError`.
     """
 
@@ -53,20 +53,20 @@ def one_row(name: str, unit: str, measure: Callable[[], float], runs: int, again
 
 
 def ratios(row: Row, rows: Sequence[Row]) -> list[float]:
-    """Value divided by that of the row it is compared with, for each run (both belong to the same round)."""
+    """Value divided by the value of the row for comparison, for each run (both from the same round)."""
     others = [other.values for other in rows if (other.group, other.name) == (row.group, row.against)]
     return [own / other for own, other in zip(row.values, others[0], strict=False) if other] if others else []
 
 
 def figure(value: float) -> str:
-    """A figure with three significant digits; large ones whole with thousands separated, small ones with exponent."""
+    """A figure with three significant digits: large ones as whole numbers, small ones with an exponent."""
     if 0.0 < abs(value) < 1e-3:
         return f"{value:.2e}"
     return f"{value:,.0f}" if abs(value) >= 1000.0 else number(value)
 
 
 def cells(row: Row, rows: Sequence[Row]) -> list[str]:
-    """A line of the table as text, in the order of :data:`HEADINGS`."""
+    """A row of the table as text, in the order of :data:`HEADINGS`."""
 
     def spread(values: Sequence[float]) -> str:
         return f"{figure(min(values))}–{figure(max(values))}"
@@ -78,7 +78,7 @@ def cells(row: Row, rows: Sequence[Row]) -> list[str]:
 
 
 def markdown_table(rows: Sequence[Row], group: str) -> str:
-    """The rows of a group: median, lowest–highest, and the ratio to the row that each is compared with."""
+    """The rows of a group: median, lowest–highest, and ratio to the row for comparison."""
     lines = [HEADINGS, ("---", "---", "---:", "---", "---:", "---", "---")]
     return "\n".join(
         f"| {' | '.join(line)} |" for line in [*lines, *(cells(row, rows) for row in rows if row.group == group)]
@@ -112,7 +112,7 @@ def read_csv(path: Path) -> list[Row]:
     """Read what :func:`write_csv` wrote.
 
     Raises:
-        ConfigurationError: another file, or a damaged one.
+        ConfigurationError: the file is damaged or of another kind.
     """
     try:
         lines = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))

@@ -1,4 +1,4 @@
-"""Measurement of times: rates, fresh processes, calls of functions; and the extent of the benchmark."""
+"""Measures times: rates, fresh processes, function calls; and defines the extent of the benchmark."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def fresh_process(code: str, environment: Mapping[str, str] | None = None, *opti
 
 @contextmanager
 def time_in(*functions: tuple[Any, str, str]) -> Iterator[Mapping[str, float]]:
-    """Seconds spent in functions, given as (owner, attribute, name), by name; calls inside calls count in both."""
+    """Seconds spent in functions (owner, attribute, name), by name; a nested call counts in both functions."""
     seconds: defaultdict[str, float] = defaultdict(float)
 
     def timed(plain: Callable[..., Any], name: str) -> Callable[..., Any]:

@@ -33,7 +33,7 @@ PLANTS = 4  # per leak level and kind of reference, for the comparison with the 
 SINGLE_AXES = 16  # that stable-baselines3's own vector environments run
 NATIVE_ROW = "PPO, native vector environment"
 PARTS = ("environment", "policy inputs and controllers", "inference", "update", "rest")
-"""Parts of a training: the axes' steps and restarts; what the adaptor makes of them; networks; stable-baselines3."""
+"""Parts of a training: steps and restarts of the axes; work of the adaptor; networks; stable-baselines3."""
 
 CHECK_EVERY = 50_000  # steps
 MARGIN = 0.01
@@ -99,7 +99,7 @@ def training_cases(extent: Extent) -> list[Case]:
     paired = ", each with its twin under the corrected controller" if ppo.residual and ppo.paired else ""
     size = f"{ppo.axes} axes{paired}, torch threads: {ppo.torch_threads}"
     other = 2 if ppo.torch_threads == 1 else 1
-    waiting = "fewer steps: where another process holds a core, torch's threads wait for each other"
+    waiting = "fewer steps: if another process uses a core, torch's threads wait for each other"
     alone = f"{SINGLE_AXES} single axes, plain observation, same updates per step"
     return [
         case(NATIVE_ROW, partial(native, ppo.torch_threads, steps), size),
@@ -157,7 +157,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
     """Train until the policy's validation error is 1 % below the PID's at three checks in a row.
 
     Returns:
-        Training time (s, checks not counted) and steps at the first of these checks, and the time the checks took (s).
+        Training time (s, without checks) and steps at the first of these checks, and the time of the checks (s).
 
     Raises:
         RuntimeError: a whole training did not reach this error.
@@ -182,7 +182,7 @@ def time_to_beat_pid(settings: DefaultStudy, seed: int, plants: int) -> tuple[fl
 
     train_ppo(settings.task, settings.ppo, settings.base, seed, check=check)
     if not below:
-        raise RuntimeError("PPO did not get below the PID")
+        raise RuntimeError("PPO did not reach the PID's error")
     return *below[0], checking
 
 

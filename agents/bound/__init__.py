@@ -1,1 +1,1 @@
-"""The best found: commands that a predictive controller finds when it is told what no controller can know."""
+"""The best found: commands of a predictive controller that knows the plant's true state."""

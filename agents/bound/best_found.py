@@ -1,6 +1,7 @@
-"""The best found: a predictive controller on the simulator itself, told what no controller can know.
+"""The best found: a predictive search on the simulator itself that knows the plant's true state.
 
-It measures how much room there is above a controller, and is none itself: it reads the true state of the plant.
+It estimates how much better than a given controller any controller could be. It is not a controller itself, because no
+rig can measure the true state.
 """
 
 from __future__ import annotations
@@ -36,31 +37,31 @@ class BoundSettings(Group):
         None, ge=0, le=1000, description="control periods of the reference that are known; default: the task's preview"
     )
     beyond_preview: Continuation = Field(
-        "acceleration", description="with what the reference goes on beyond the preview; hold: it stays where it is"
+        "acceleration", description="continuation of the reference beyond the preview; hold: a constant position"
     )
     aim: Literal["axis", "sensor"] = Field(
         "sensor",
         description="which position follows the reference: the true one, or the one that the biased sensor reads",
     )
-    effort: float = Field(2e-7, ge=0.0, le=1.0, description="m; price of a squared change of command of 1")
+    effort: float = Field(2e-7, ge=0.0, le=1.0, description="m; cost of a change of the command by 1, squared")
     correction_time: float = Field(
         0.02,
         ge=0.0,
         le=10.0,
-        description="s; filter of the model's error, which corrects the nominal plant's prediction",
+        description="s; filter time of the model error that corrects the nominal plant's prediction",
     )
     seed: int = Field(0, ge=0, le=2**32 - 1, description="of the random changes")
     threads: int | None = Field(None, ge=1, le=1024, description="default: one per core; does not change results")
 
 
 EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
-"""m; each Gauss–Newton step counts errors below one of these by their square, and those above it by their size."""
+"""m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
 
 STEP_LENGTHS = (1.0, 0.4)
-"""Parts of each Gauss–Newton step that are tried."""
+"""Fractions of each Gauss–Newton step that are tried."""
 
 CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)
-"""Largest random changes of the plan, in parts of 10 V."""
+"""Largest random changes of the plan, as a fraction of 10 V."""
 
 
 def best_found(
@@ -71,11 +72,11 @@ def best_found(
     progress: Callable[[int], None] | None = None,
     chunk: int = 64,
 ) -> Rollout:
-    """Run every case under commands that look best at each control period, as far as the search finds them.
+    """Run every case under the best commands that the search finds in each control period.
 
-    Told the truth, the search knows the plant of the episode, its state, leak and forces, now and later; told the
-    nominal plant, it knows the true state and the data sheet (``config.plant``). Both know the reference within the
-    task's preview.
+    With ``told="truth"`` the search knows the plant of the episode, its state, its leak and its forces, present and
+    future. With ``told="nominal"`` it knows the true state and the data sheet (``config.plant``). Both know the
+    reference within the task's preview.
 
     Args:
         config: the task.
@@ -100,7 +101,7 @@ def best_found(
 
 
 class BestFound:
-    """Plans the commands of N axes anew in each control period; :func:`~agents.running.cases.run_cases` runs it.
+    """Plans the commands of N axes afresh in each control period; :func:`~agents.running.cases.run_cases` runs it.
 
     Args:
         config: the task.
@@ -109,7 +110,7 @@ class BestFound:
     """
 
     sees: Mapping[str, str] = {"leak": "as told", "state": "true", "signals": "none", "note": "no controller"}
-    """What it reads, for tables of controllers."""
+    """Its inputs, for tables of controllers."""
 
     def __init__(self, config: TaskConfig, told: Told, settings: BoundSettings) -> None:
         self.config = config
@@ -120,7 +121,7 @@ class BestFound:
         self._prediction: Prediction | None = None
 
     def begin(self, axes: Axes) -> None:
-        """Begin the episodes of the axes, which have just been reset."""
+        """Prepare for the episodes of the axes, which have just been reset."""
         self.close()
         config, settings = self.config, self.settings
         if self.told == "truth":
@@ -172,7 +173,7 @@ class BestFound:
             self._prediction.close()
 
     def _candidates(self, now: Array, before: Array, plan: Array, target: Array, step: int) -> Array:
-        """Sequences of commands to be tried, (N, M, H); the plan itself is the first."""
+        """Candidate sequences of commands, (N, M, H); the first is the present plan."""
         settings = self.settings
         assert self._prediction is not None
         tried = [plan]
@@ -188,7 +189,7 @@ class BestFound:
         return np.concatenate([np.stack(tried, axis=1), random], axis=1)
 
     def _correct(self, now: Array) -> None:
-        """Learn what the nominal plant misses in a period, as integral action does in other controllers."""
+        """Update the model error of the nominal plant per period; it acts like the integral of other controllers."""
         if self._expected is None:
             self._drift = np.zeros_like(now)
             return

@@ -1,4 +1,4 @@
-"""Tables of the best found beside the tuned PID: for each family and leak, and as the search grows."""
+"""Tables that compare the best found with controllers: by family, by leak, and over the size of the search."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ComparisonSettings(ProtocolSettings):
 
     leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
     plants: int = Field(3, ge=3, le=1000, description="per level and family")
-    validation: bool = Field(False, description="seeds of validation instead of the test's")
+    validation: bool = Field(False, description="use validation seeds instead of test seeds")
     search: BoundSettings = BoundSettings()
 
 
@@ -58,9 +58,9 @@ def compare(
 
 
 def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
-    """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; the last row is over all.
+    """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; last row: over all.
 
-    The column ``floor`` holds the true error of the best found that is told the truth, but not the sensor's bias.
+    The column ``floor`` holds the true error of the best found that knows the true plant, but not the sensor's bias.
     """
     table = frame.pivot_table("error_mm", by, "controller", sort=False)
     base = str(frame["controller"].iloc[0])
@@ -83,7 +83,7 @@ def convergence(
     variations: Mapping[str, Sequence[Any]],
     progress: Progress | None = None,
 ) -> pd.DataFrame:
-    """Mean error of the best found, told the truth, as one setting of the search varies.
+    """Mean error of the best found with the true plant, as one setting of the search varies.
 
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.

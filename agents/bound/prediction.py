@@ -1,4 +1,4 @@
-"""Predicts the positions of many axes for many sequences of commands, with the simulator's own integrator."""
+"""Predicts the positions of many axes for many sequences of commands, with the integrator of the simulator."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ SCHEDULED = (
 
 POSITION = State._fields.index("position")
 PERTURBATION = 0.01
-"""Change of a command, in parts of 10 V, that gives the sensitivities; it exceeds the integrator's error far."""
+"""Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
 
 ROWS_PER_THREAD = 128
-"""Each thread gets at least this many rows; with fewer, waking it takes longer than its work."""
+"""Smallest number of rows per thread; with fewer, starting the thread takes longer than its work."""
 
 
 class Prediction:
@@ -77,10 +77,10 @@ class Prediction:
 
         Args:
             state: of each plant now, (N, states).
-            before: the command that acts until the first one of ``commands`` does, (N,), in parts of 10 V.
-            commands: M sequences for each axis, (N, M, H), in parts of 10 V.
+            before: the command that acts until the first of ``commands`` does, (N,), as a fraction of 10 V.
+            commands: M sequences for each axis, (N, M, H), as fractions of 10 V.
             step: number of the period that begins.
-            drift: what the model misses in each period, added to the state at its end, (N, states).
+            drift: error of the model per period, added to the state at its end, (N, states).
         """
         axes, sequences, horizon = commands.shape
         states = np.tile(state, (sequences, 1, 1))  # (M, N, states)
@@ -114,7 +114,7 @@ class Prediction:
         """
         axes, horizon = commands.shape
         changes = np.where(commands > 0.0, -PERTURBATION, PERTURBATION)
-        # Plants 0 follow the commands; plants j + 1 leave them in period j.
+        # Copy 0 of each plant follows the commands; copy j + 1 has another command in period j.
         states = np.empty((horizon + 1, axes, N_STATES))
         states[0] = state
         voltage = np.empty((horizon + 1, axes, 2))

@@ -1,4 +1,4 @@
-"""Finds commands over a horizon: Gauss–Newton steps within the command's limits, and random changes beside them."""
+"""Finds commands over a horizon: Gauss–Newton steps within the command's limits, and random changes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 NEWTON_STEPS = 6
-"""Steps of the projected Newton method; each settles which commands stay at a limit."""
+"""Steps of the projected Newton method; each decides which commands stay at a limit."""
 
 
 def bounded_least_squares(
@@ -18,16 +18,16 @@ def bounded_least_squares(
 ) -> Array:
     """Commands that minimise Σ weight · (error − jacobian · change)² + effort · Σ (change of command)² within ±1.
 
-    The projected Newton method (Bertsekas 1982): commands at a limit that want to leave the range stay there; the
+    The projected Newton method (Bertsekas 1982): commands at a limit whose gradient points outwards stay there; the
     others take the Newton step.
 
     Args:
         jacobian: (N, H, H), change of sample i per change of command j.
-        error: what remains with ``commands``, (N, H).
+        error: the error with ``commands``, (N, H).
         weight: of each sample, (N, H).
         commands: to start from, (N, H).
         before: the command before the first, (N,).
-        effort: price of the squared change from one command to the next.
+        effort: cost of the squared change from one command to the next.
 
     Returns:
         Commands (N, H) within −1 to 1.
@@ -53,7 +53,7 @@ def bounded_least_squares(
 
 
 def random_changes(generator: np.random.Generator, count: int, horizon: int, sizes: Any) -> Array:
-    """Changes of a sequence of commands, (count, horizon): each a constant on a random stretch, of mixed size."""
+    """Changes of a sequence of commands, (count, horizon): each constant on a random stretch, of random size."""
     first = generator.integers(0, horizon, count)
     last = first + 1 + generator.integers(0, horizon, count)
     period = np.arange(horizon)
@@ -68,16 +68,15 @@ BENDING = 5
 
 
 def continued(reference: Array, step: int, known: int, horizon: int, order: int) -> Array:
-    """The reference at the next ``horizon`` samples (N, H), as it looks from a step on.
+    """The reference at the next ``horizon`` samples (N, H), as known at a step and extrapolated beyond the preview.
 
     Args:
         reference: of the whole episode, (N, samples).
         step: present sample.
         known: samples after it that are known.
         horizon: samples wanted.
-        order: beyond, the reference holds its last value (0), goes on with its last speed (1), or also with its last
-            acceleration for a while (2). Both count only as far as the last differences agree, so that a jump is not
-            taken for a speed, nor a kink for an acceleration.
+        order: beyond, the reference keeps its last value (0), its last speed (1), or for a while its last acceleration
+            too (2). The last differences must agree on both: a jump is no speed, and a kink no acceleration.
     """
     samples = reference.shape[1] - 1
     times = step + 1 + np.arange(horizon)
@@ -103,6 +102,6 @@ def _agreed(a: Array, b: Array) -> Array:
 
 
 def _bent(beyond: NDArray[np.int64]) -> Array:
-    """Displacement that a unit of acceleration per period causes after so many periods, if it acts for BENDING."""
+    """Displacement after ``beyond`` periods of a unit of acceleration that lasts BENDING periods."""
     acting = np.minimum(beyond, BENDING)
     return np.asarray(0.5 * acting * (acting + 1) + BENDING * (beyond - acting), dtype=np.float64)

@@ -25,7 +25,7 @@ class ADRCGains(ObserverFeedbackGains):
     controller_bandwidth: float = gain(1.2, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)
     observer_bandwidth: float = gain(0.4, (0.1, 10.0), "1", "ω_o, per lag of the rig", low=1e-3, logarithmic=True)
     speed_lag: float = gain(
-        0.6, (0.1, 2.0), "1", "τ of the speed behind the command, in lags of the rig", low=0.01, logarithmic=True
+        0.6, (0.1, 2.0), "1", "time constant τ from command to speed, in lags of the rig", low=0.01, logarithmic=True
     )
     lead: float = gain(1.3, (0.0, 3.0), "1", "of the reference speed, in delays", high=100.0)
 
@@ -35,7 +35,7 @@ class ADRC(ObserverFeedback):
 
     The three-state extended state observer estimates position, speed and τ f (m/s) from the measured position; all its
     poles lie at exp(−ω_o T). Feedback of position, speed and last command places two poles at exp(−ω_c T) and one at 0.
-    The reference speed with its lead is fed forward.
+    The reference speed is fed forward, with a lead.
     """
 
     disturbance = 2
@@ -48,7 +48,7 @@ class ADRC(ObserverFeedback):
         pole = np.exp(-period * gains.observer_bandwidth / self.lag)
         observed = (model.outputs @ model.transition)[0]
         self.correction = placed(model.transition.T, observed, [pole] * 3)[:, None]
-        # The last command is a state, because it acts on until the latency is over.
+        # The last command is a state, because it acts until the latency is over.
         transition = np.zeros((3, 3))
         transition[:2, :2], transition[:2, 2] = model.transition[:2, :2], model.input_old[:2]
         pole = np.exp(-period * gains.controller_bandwidth / self.lag)
@@ -71,7 +71,7 @@ class ADRC(ObserverFeedback):
 
 
 def placed(a: Array, b: Array, poles: Sequence[float]) -> Array:
-    """Gain k, (n,), that gives a − b kᵀ the poles (Ackermann 1972)."""
+    """Gain k, (n,), that places the poles of a − b kᵀ (Ackermann 1972)."""
     controllability = np.column_stack([np.linalg.matrix_power(a, power) @ b for power in range(len(b))])
     polynomial = np.eye(len(b))
     for pole in poles:

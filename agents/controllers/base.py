@@ -41,7 +41,7 @@ class Controller(Protocol):
             deterministic: without exploration noise.
 
         Returns:
-            Commands in parts of 10 V (the environment limits them to [−1, 1]), and the new state.
+            Commands as fractions of 10 V (the environment limits them to [−1, 1]), and the new state.
         """
         ...
 
@@ -61,7 +61,7 @@ class ObservationLayout:
         return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
 
     def describe(self) -> dict[str, Any]:
-        """All that is needed to build this again (JSON)."""
+        """All data to build this object again (JSON)."""
         scale = {"observation_scale": list(self.scale), "control_period": self.control_period}
         return {"observation_names": list(self.names), **scale}
 
@@ -82,7 +82,7 @@ class ObservationLayout:
         return values
 
     def needs(self, names: Sequence[str], reader: str) -> None:
-        """Refuse an observation without the signals that a controller reads.
+        """Check that the observation holds the signals that a controller reads.
 
         Raises:
             ConfigurationError: the rig lacks a sensor.
@@ -110,7 +110,7 @@ class ObservationLayout:
 
 
 def as_batch(observation: Floats) -> tuple[Floats, bool]:
-    """Observation as a batch (N, n), and whether it was a single one."""
+    """The observation as a batch (N, n), and whether it was a single one."""
     array = observation if hasattr(observation, "ndim") else np.asarray(observation)
     return (array[None], True) if array.ndim == 1 else (array, False)
 
@@ -118,7 +118,7 @@ def as_batch(observation: Floats) -> tuple[Floats, bool]:
 def surely_zero(array: Any) -> bool:
     """Whether all elements are zero, for shortcuts that change no result.
 
-    Never while an export records the operations: a recorded shortcut would hold for these data only.
+    Always false while an export records the operations: a recorded shortcut would be valid for these data only.
     """
     return isinstance(array, np.ndarray) and not array.any()
 
@@ -131,8 +131,8 @@ Memory = TypeVar("Memory", bound=NamedTuple)
 class ClassicalController(Controller, Protocol):
     """A controller that is tuned rather than trained; :data:`~agents.controllers.registry.CONTROLLERS` lists them.
 
-    The task gives it what an engineer knows: the layout of the observations, the control period, the latency, and the
-    data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
+    The task gives it the knowledge of an engineer: the layout of the observations, the control period, the latency, and
+    the data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
     ``NamedTuple`` of arrays whose first axis counts the N axes.
     """
 
@@ -188,7 +188,7 @@ def rows(memory: Memory, axes: NDArray[Any]) -> Memory:
 
 
 def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
-    """The memory, with the axes at the start of an episode replaced by ``fresh``; ``None`` begins all."""
+    """The memory, with ``fresh`` for the axes at the start of an episode; ``None``: for all axes."""
     if memory is None:
         return fresh
     if episode_start is None or not np.any(episode_start):

@@ -1,4 +1,4 @@
-"""Flow linearisation: the command is the valve opening whose flow gives the wanted speed at the measured pressures.
+"""Flow linearisation: the command is the valve opening that gives the desired speed at the measured pressures.
 
 Sources: Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 5 and 6: inverse valve characteristic, exact
 linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6.
@@ -25,17 +25,17 @@ from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 Array = NDArray[np.float64]
 
 _REVERSAL = 0.3
-"""Reference speed, in parts of the speed of the Stribeck effect, at which friction counts as turned round."""
+"""Reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign."""
 
 _LEAST_GAIN = 0.3
-"""Smallest flow gain, in parts of the data sheet's, that the estimate may give."""
+"""Lower limit of the estimated flow gain, as a fraction of the data sheet's."""
 
 
 class FlowLinearisingGains(Group):
-    """Gains of :class:`FlowLinearising`: factors of what the data sheet of the rig gives, and uncertainties.
+    """Gains of :class:`FlowLinearising`: factors on values from the data sheet of the rig, and uncertainties.
 
-    A *delay* is the time from a sample to the motion that follows from it: latency, half a control period, and valve. A
-    *pace* is the longer of that and half a period of the hydraulic oscillation.
+    A *delay* is the time from a sample to the resulting motion: latency, half a control period, and valve. A *pace* is
+    the delay or half a period of the hydraulic oscillation, whichever is longer.
     """
 
     position_gain: float = gain(0.4, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
@@ -43,7 +43,7 @@ class FlowLinearisingGains(Group):
         4.0,
         (0.3, 20.0),
         "1",
-        "error beyond which the speed grows with its root, per way at full speed in a pace",
+        "error beyond which the speed grows with its root, per travel at full speed in a pace",
         low=1e-3,
         high=1e4,
         logarithmic=True,
@@ -84,44 +84,44 @@ class FlowLinearisingGains(Group):
 
 
 class FlowLinearisingState(NamedTuple):
-    """Memory of the controller; the first axis of each array counts the N axes."""
+    """Memory of the controller; the first dimension of each array is that of the N axes."""
 
     reference: Array  # (N, samples), m, as Preview keeps it
     supply: Array  # (N,), Pa
     force: Array  # (N,), N, of the oil on the piston
     slow_force: Array  # (N,), N, low-passed
-    speed: Array  # (N,), m/s, of the flow by the data sheet
+    speed: Array  # (N,), m/s, from the flow of the data sheet
     leak: Array  # (N,), m/s per leak conductance
     estimate: Array  # (N, 4), as MotionFilter keeps it
     covariance: Array  # (N, 4, 4)
 
 
 class FlowLinearising:
-    """command = opening(wanted speed), wanted speed = reference speed + φ(error) + friction − damping.
+    """command = opening(desired speed), desired speed = reference speed + φ(error) + friction − damping.
 
-    * The opening inverts the flow of the valve at the measured pressures (:class:`FlowModel`), corrected by what
-      :class:`MotionFilter` learns from spool, pressures and position: flow gain, leak, and an offset, which takes the
-      place of an integral. It works on the measured spool, so that a saturated valve cannot wind it up.
-    * Reference speed and error look ahead by the delay of the loop. Jumps are no speed: they are taken out of the
-      reference, and the axis sets off before a jump by about half the time that it needs for it.
-    * φ is linear near zero and a root beyond: the error at which braking from that speed must begin.
-    * At a reversal friction changes its sign. The flow that compresses the oil by as much is fed forward.
+    * The opening inverts the flow of the valve at the measured pressures (:class:`FlowModel`), with corrections from
+      :class:`MotionFilter`: flow gain, leak, and an offset, which replaces an integral. The filter reads the measured
+      spool; a saturated valve therefore causes no wind-up.
+    * Reference speed and error look ahead by the delay of the loop. Jumps are removed from the reference, because they
+      are no speed; the axis sets off before a jump by about half the time of the move.
+    * φ is linear near zero and a square root beyond: the speed from which the axis can still brake within the error.
+    * At a reversal friction changes its sign. The flow that compresses the oil accordingly is fed forward.
     * Damping subtracts the high-passed force of the oil (dynamic pressure feedback).
 
-    The start is bumpless: the offset takes over the command that holds the axis. The pressures at rest tell the supply
-    pressure.
+    The start is bumpless: the offset takes over the command that holds the axis. The supply pressure follows from the
+    pressures at rest.
     """
 
     memory = FlowLinearisingState
     estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
-    """What :meth:`estimates` gives."""
+    """Names of the values of :meth:`estimates`."""
 
     def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
         self.gains = gains
         self.config = config
         self.layout = ObservationLayout.of(config)
         self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")
-        # Without its sensor the spool counts as being where the last command sends it.
+        # Without a spool sensor, the last command replaces the spool position.
         self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
         self.delay = _delay(config)
         self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
@@ -155,7 +155,7 @@ class FlowLinearising:
         )
 
     def _reference_weights(self) -> Array:
-        """Weights (horizon + 1, 3) of the reference's steps: speed, way to the predicted position, earlier speed."""
+        """Weights (horizon + 1, 3) of the reference's steps: speed, travel to the predicted position, earlier speed."""
         period, horizon, lead = self.config.control_period, self._preview.horizon, self.gains.lead * self.delay
         width = self.gains.smoothing * self.delay
 
@@ -210,10 +210,10 @@ class FlowLinearising:
         return (action[0] if single else action), now
 
     def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
-        """What the controller estimates, (N, 5), numbers of order 1.
+        """Estimates of the controller, (N, 5), numbers of order 1.
 
-        Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of
-        full speed, speed in parts of it.
+        Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of full
+        speed, speed as a fraction of full speed.
         """
         x = memory.estimate
         speed = (1.0 + x[:, FLOW_GAIN]) * memory.speed + x[:, LEAK] * memory.leak + x[:, OFFSET]
@@ -227,7 +227,7 @@ class FlowLinearising:
         return np.stack(columns, axis=1).astype(np.float32)
 
     def _fresh(self, batch: Floats, position: Array, pressures: Array, command: Array) -> FlowLinearisingState:
-        """Memory of axes that rest."""
+        """Memory of axes at rest."""
         supply = self._model.supply(pressures)
         flow = self._model.at(position, pressures, supply)
         speed = self._model.speed(command, flow)
@@ -238,7 +238,7 @@ class FlowLinearising:
     def _observed(
         self, old: FlowLinearisingState, batch: Floats, flow: Flow, position: Array, spool: Array
     ) -> FlowLinearisingState:
-        """Memory one period later: what the observations tell about the period that has passed."""
+        """Memory one period later, updated from the observations at its end."""
         half = 0.5 * self.layout.control_period
         speed = self._model.speed(spool, flow)
         squeezed = (old.force - flow.force) / flow.stiffness
@@ -252,7 +252,7 @@ class FlowLinearising:
         )
 
     def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
-        """Reference speed with the flow that turns friction round (m/s), and error ahead (m), each (N,)."""
+        """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
         steps, jumps = self._jumps.split(now.reference)
         smooth = steps @ self._weights
         turned = np.tanh(smooth[:, ::2] / self._turned)
@@ -262,7 +262,7 @@ class FlowLinearising:
 
 
 def _delay(config: TaskConfig) -> float:
-    """Time in s from a sample to the motion that follows from it: latency, half a period held, valve."""
+    """Time in s from a sample to the resulting motion: latency, half a control period, valve."""
     valve = config.plant.valve
     lag = {"ideal": 0.0, "spool": 1.0, "drive": 1.0}[valve.model] * 2.0 * valve.damping_ratio / valve.natural_frequency
     coil = valve.coil_inductance / valve.coil_resistance if valve.model == "drive" else 0.0

@@ -1,4 +1,4 @@
-"""The flow of valve and chambers as an engineer knows it from the data sheet, at the measured pressures.
+"""The flow of valve and chambers from the data sheet, at the measured pressures.
 
 Sources: Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6: flow of the edges, stiffness of the oil columns,
 speed at full opening. Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 4 to 6: effective bulk modulus of oil
@@ -20,11 +20,11 @@ from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 Array = NDArray[np.float64]
 
 _LOWEST_DROP = 0.02
-"""Smallest pressure drop over an edge that counts, in parts of the supply; a smaller one would ask for full opening."""
+"""Lower limit of the pressure drop over an edge, as a fraction of the supply; below it the opening would saturate."""
 
 
 class Flow(NamedTuple):
-    """What the pressures of N axes mean for their motion, each (N,)."""
+    """Effect of the pressures of N axes on their motion, each (N,)."""
 
     extending: Array  # speed per opening of the edges P→A and B→T, m/s
     retracting: Array  # speed per opening of the edges A→T and P→B, m/s
@@ -38,8 +38,8 @@ class FlowModel:
 
     In each chamber A v = q − C dp/dt with the compliance C = V/β of its oil. Weighted with A/C and added up, the
     pressures appear as the force of the oil alone: v = Σ (A/C) q / k − dF/dt / k, with k = Σ A²/C. The flow gains
-    follow from the measured pressures. So the model also holds while the pressures move from one level to another, for
-    example after a reversal of an unequal cylinder.
+    follow from the measured pressures. The model is therefore also valid while the pressures change, for example after
+    a reversal of an unequal cylinder.
     """
 
     def __init__(self, plant: PlantParameters) -> None:
@@ -55,7 +55,7 @@ class FlowModel:
     def supply(self, pressures: Array) -> Array:
         """Supply pressure (Pa), (N,), of axes at rest whose pressures are ``pressures``, (2, N).
 
-        At rest the valve holds both chambers by the same openings: P_s − p_a = p_b − P_T, whatever the internal leak.
+        At rest the valve holds both chambers with equal openings: P_s − p_a = p_b − P_T, for any internal leak.
         """
         supply: Array = pressures.sum(axis=0) - self._c.tank_pressure
         return supply
@@ -117,9 +117,9 @@ def _edge_opening(stroke: Array, c: Any) -> Array:
 
 
 def _stroke_of(opening: Array, c: Any) -> Array:
-    """Stroke of the spool that opens a bent, overlapped edge as far as a straight one without overlap opens.
+    """Stroke of the spool that gives a bent, overlapped edge the opening of a straight one without overlap.
 
-    Within the underlap the dead band is crossed gradually, so that a command for no flow does not jump.
+    The dead band is crossed gradually within the underlap; the command for zero flow therefore does not jump.
     """
     size = np.abs(opening)
     at_knee = c.slope * c.knee_position

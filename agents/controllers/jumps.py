@@ -1,4 +1,4 @@
-"""Jumps of the reference, which no axis can follow: it sets off before they come, and brakes towards their end."""
+"""Jumps of the reference, which no axis can follow: the axis sets off before a jump, and brakes towards its end."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 
 class Jumps:
-    """Takes jumps out of the reference, and tells for which of them the axis has to move already; for N axes.
+    """Removes jumps from the reference, and decides for which of them the axis must already move; for N axes.
 
     An axis sets off ``delay`` before a jump, and earlier by ``share`` of half the time that the jump takes at full
-    speed: it is then half-way when the reference jumps.
+    speed: with ``share = 1`` it is half-way when the reference jumps.
 
     Args:
         model: the flow of the valve.
@@ -30,13 +30,13 @@ class Jumps:
         self._delay, self._half_share, self._times = delay, 0.5 * share, times
 
     def split(self, reference: Array) -> tuple[Array, Array]:
-        """The steps of a reference (N, horizon + 2) in m, without jumps and jumps alone, each (N, horizon + 1)."""
+        """Steps without jumps, and the jumps alone, of a reference (N, horizon + 2) in m, each (N, horizon + 1)."""
         steps = np.diff(reference, axis=1)
         jumps = np.where(np.abs(steps) > self._largest, steps, 0.0)
         return steps - jumps, jumps
 
     def begun(self, jumps: Array, force: Array, supply: Array) -> Array:
-        """Sum of the jumps ahead for which the axis sets off now or has set off already, m, (N,).
+        """Sum of the jumps ahead for which the axis moves already, m, (N,).
 
         Args:
             jumps: of :meth:`split`, (N, horizon + 1).
@@ -54,7 +54,7 @@ class Jumps:
 
 
 def braked(error: Array, near: float) -> Array:
-    """The error where it is small; beyond ``near`` its root, because an axis brakes to rest at constant deceleration.
+    """The error if it is small; beyond ``near`` its square root, because an axis brakes at constant deceleration.
 
     The reduced error and its slope are continuous at ``near`` (m).
     """

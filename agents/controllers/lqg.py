@@ -20,7 +20,7 @@ TAIL = 400
 """Periods after which the effect of the reference on a command has died away."""
 
 SPOOL_OFFSET_DRIFT = 1e-3
-"""1/√s; of the offset of the measured spool, in parts of full opening."""
+"""1/√s; drift of the offset of the measured spool, as a fraction of full opening."""
 
 POSITION, SPEED, ACCELERATION, FLOW, FORCE, SPOOL_OFFSET = 0, 1, 2, 6, 7, 8
 VALVE = slice(3, 6)
@@ -40,7 +40,9 @@ class LQGGains(ObserverFeedbackGains):
         0.2, (0.01, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True
     )
     flow_drift: float = gain(0.06, (0.001, 10.0), "1/√s", "of full speed", low=1e-6, logarithmic=True)
-    force_drift: float = gain(0.04, (0.001, 10.0), "1/√s", "in the same unit", low=1e-6, logarithmic=True)
+    force_drift: float = gain(
+        0.04, (0.001, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True
+    )
     valve_noise: float = gain(0.04, (0.001, 10.0), "1/√s", "of full opening", low=1e-6, logarithmic=True)
 
 
@@ -49,7 +51,7 @@ class LQG(ObserverFeedback):
 
     The linearisation is reduced to position, speed, acceleration and valve. The Kalman filter reads position, force of
     the oil and spool. The regulator minimises Σ (position − reference)² + (change of the speed command)² (T ω²)⁻²; ω is
-    its bandwidth. The reference is known as far as the preview shows it, and goes on at its last speed.
+    its bandwidth. The reference is known within the preview; beyond it, it continues at its last speed.
 
     Raises:
         ConfigurationError: the Riccati equations have no solution for these gains.
@@ -99,7 +101,7 @@ class LQG(ObserverFeedback):
             self.feedback, preview = regulator(self.model, weight, size[:REGULATED], full)
         except np.linalg.LinAlgError as error:
             raise ConfigurationError(f"lqg: no regulator or Kalman filter for these gains: {error}") from None
-        # A step of the reference moves all later samples; the last one known is repeated for ever.
+        # A step of the reference moves all later samples; the last known step repeats without end.
         later, horizon = np.cumsum(preview[::-1])[::-1], self.preview.horizon
         self._preview = np.append(0.0, later[:horizon])
         self._preview[-1] += later[horizon:].sum()
@@ -117,7 +119,7 @@ class LQG(ObserverFeedback):
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
         """See :meth:`ObserverFeedback.speed`."""
         k, disturbance = self.feedback, estimate[:, FLOW]
-        # The regulator knows no disturbance: it sees the valve at the opening that moves the axis.
+        # The regulator has no disturbance states: it sees the valve opening that moves the axis.
         valve = estimate[:, VALVE] + disturbance[:, None] * self._valve_at_rest
         motion = error * k[POSITION] + estimate[:, [SPEED, ACCELERATION]] @ k[[SPEED, ACCELERATION]] + valve @ k[VALVE]
         speed: Array = command + steps @ self._preview - motion - k[-1] * (command + disturbance)
@@ -129,7 +131,7 @@ def kalman_gain(model: SampledModel, drift: Array, noise: Array, size: Array) ->
 
     Args:
         model: n states, m measured signals.
-        drift: standard deviation of what drives each state in a period, (n,).
+        drift: standard deviation of the random change of each state in a period, (n,).
         noise: standard deviation of each measured signal, (m,).
         size: typical size of each state, (n,); scales the Riccati equation.
     """

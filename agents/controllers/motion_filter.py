@@ -1,4 +1,4 @@
-"""A Kalman filter that learns what the data sheet does not tell: flow gain, leak and offset of the speed.
+"""A Kalman filter for the unknowns beside the data sheet: flow gain, leak and offset of the speed.
 
 Source: Ljung & Söderström, *Theory and Practice of Recursive Identification* (1983), chapter 2: parameters that drift,
 estimated as states.
@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 POSITION, FLOW_GAIN, LEAK, OFFSET = range(4)
-"""Entries of the estimate: position (m), flow gain minus that of the data sheet (parts), leak conductance
+"""Entries of the estimate: position (m), relative deviation of the flow gain from the data sheet, leak conductance
 (m³/(s Pa)), offset of the speed (m/s)."""
 
 
 class MotionFilter:
     """Estimates (N, 4) of N axes and their covariances (N, 4, 4).
 
-    In a period the position grows by its known part, by the flow gain's deviation times the way of the flow, by leak
-    and by offset. Position is measured with white noise.
+    In each period the position changes by its known part, by the flow gain's deviation times the travel of the flow, by
+    the leak and by the offset. The measured position has white noise.
 
     Args:
         noise: standard deviation of the measured position, m.
         spread: standard deviations of the estimate at the start, (4,).
-        drift: standard deviations that a second of operation adds, (4,), each per √s.
+        drift: standard deviations of the random walks, (4,), each per √s.
         period: control period, s.
     """
 
@@ -42,22 +42,23 @@ class MotionFilter:
         return estimate, zeros[:, None, None] + self._spread
 
     def advanced(
-        self, estimate: Array, covariance: Array, way: Array, leak_way: Array, other: Array, measured: Array
+        self, estimate: Array, covariance: Array, travel: Array, leak_travel: Array, other: Array, measured: Array
     ) -> tuple[Array, Array]:
         """Estimate and covariance one period later.
 
         Args:
             estimate: (N, 4).
             covariance: (N, 4, 4).
-            way: m that the flow of the valve has moved the piston by the data sheet, (N,).
-            leak_way: m per leak conductance, (N,).
-            other: m of known motion besides, (N,).
+            travel: of the piston by the valve's flow according to the data sheet, m, (N,).
+            leak_travel: m per leak conductance, (N,).
+            other: other known motion, m, (N,).
             measured: position measured now, m, (N,).
         """
         slope = np.empty_like(estimate)
-        slope[:, POSITION], slope[:, FLOW_GAIN], slope[:, LEAK], slope[:, OFFSET] = 1.0, way, leak_way, self._period
+        slope[:, POSITION], slope[:, FLOW_GAIN] = 1.0, travel
+        slope[:, LEAK], slope[:, OFFSET] = leak_travel, self._period
         predicted = estimate.copy()
-        predicted[:, POSITION] = np.einsum("ni,ni->n", estimate, slope) + way + other
+        predicted[:, POSITION] = np.einsum("ni,ni->n", estimate, slope) + travel + other
         # F P Fᵀ + Q: only the row and the column of the position change.
         row = np.einsum("nij,nj->ni", covariance, slope)
         row[:, POSITION] = np.einsum("ni,ni->n", row, slope)

@@ -1,8 +1,8 @@
-"""State feedback on a speed command: what controllers with an observer have in common.
+"""State feedback on a speed command: the common base of controllers with an observer.
 
 The flow law of the valve turns openings into speeds; observer and feedback work on these speeds, which makes the axis
-nearly linear. The observer reads the command that the axis got (the observation shows it), limited to full opening:
-saturation then winds nothing up, and a correction added by a policy is no disturbance.
+nearly linear. The observer reads the command that the axis received (a part of the observation), limited to full
+opening. Saturation therefore causes no wind-up, and the correction of a policy is no disturbance.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hydro_env.units import FULL_VOLTAGE
 Array = NDArray[np.float64]
 
 JUMP = 1.2
-"""A reference that is faster than this, in parts of full speed, jumps: no axis can follow."""
+"""Reference speed, as a fraction of full speed, above which a change counts as a jump: no axis can follow."""
 
 LEAST_ADAPTED, MOST_ADAPTED = (0.6, 0.6, 0.0), (1.6, 1.6, 0.5)
 """Range of the adapted parameters, as in :class:`ObserverState`."""
@@ -38,8 +38,8 @@ _LINEARISED = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_
 class ObserverFeedbackGains(Group):
     """Gains of every controller with an observer, relative to the rig.
 
-    The lag of the rig is that of its valve plus one over its hydraulic frequency. The delay is the time from a sample
-    to the effect of its command: latency, half a period, lag of the valve.
+    The lag of the rig is the lag of its valve plus the inverse of its hydraulic frequency. The delay is the time from a
+    sample to the effect of its command: latency, half a period, lag of the valve.
     """
 
     flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
@@ -47,9 +47,11 @@ class ObserverFeedbackGains(Group):
     gain_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
     leak_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
     set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
-    set_off_share: float = gain(0.9, (0.0, 2.0), "1", "the same, in halves of its time at full speed", high=100.0)
+    set_off_share: float = gain(
+        0.9, (0.0, 2.0), "1", "earlier set-off, in halves of its time at full speed", high=100.0
+    )
     braking: float = gain(
-        1.4, (0.1, 10.0), "1", "error, in ways at full speed in a delay, beyond which the feedback grows as a root",
+        1.4, (0.1, 10.0), "1", "error, per travel at full speed in a delay, beyond which the feedback grows as a root",
         low=1e-3, logarithmic=True,
     )  # fmt: skip
 
@@ -58,11 +60,9 @@ class ObserverState(NamedTuple):
     """Memory of the controller."""
 
     estimate: Array  # (N, states), of the observer
-    command_before: Array  # (N,), m/s, speed command of the last but one period
+    command_before: Array  # (N,), m/s, speed command before the last one
     supply: Array  # (N,), Pa, at the start
-    adapted: (
-        Array  # (N, 3), flow gain extending and retracting, of the nominal one; leak at full pressure, of full speed
-    )
+    adapted: Array  # (N, 3), relative flow gains extending and retracting; leak at full pressure over full speed
     reference: Array  # (N, horizon + 2), m; see Preview
 
 
@@ -95,13 +95,14 @@ class ObserverFeedback:
     """Base of the controllers with an observer.
 
     A subclass sets ``model`` and ``correction`` (n, m), the gain of its observer on the innovations of the measured
-    signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. State
-    ``disturbance`` of the model is the speed (m/s) that the command does not explain. The subclass defines
+    signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. The state
+        ``disturbance`` of the model is the part of the speed (m/s) that the command does not explain. The subclass
+        defines
     :meth:`at_rest` and :meth:`speed`.
 
     The flow gain of each direction and the leak adapt along their gradients (Åström & Wittenmark, *Adaptive Control*
     (1995), chapter 5): a disturbance that grows with the speed is an error of the flow gain, one that grows with the
-    pressure across the piston is a leak. What they explain leaves the disturbance.
+    pressure across the piston is a leak. The explained part is removed from the disturbance.
 
     Args:
         gains: the gains.
@@ -153,7 +154,8 @@ class ObserverFeedback:
 
         Args:
             estimate: (N, n).
-            error: position minus reference, m, (N,), reduced where the axis has to brake.
+            error: position minus reference, m, (N,), reduced by the braking law
+                (:func:`~agents.controllers.jumps.braked`).
             command: speed command of the last period, m/s, (N,).
             steps: changes of the reference from one period to the next, m, (N, horizon + 1), without jumps; the first
                 one ends now.

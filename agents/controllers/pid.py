@@ -15,7 +15,7 @@ from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 
 class PIDGains(Group):
-    """Gains of :class:`PID`; the command is in parts of 10 V, lengths in m, times in s."""
+    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s."""
 
     proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
     integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
@@ -29,7 +29,7 @@ class PIDGains(Group):
         0.05, (0.005, 1.0), "s", "back-calculation while saturated", low=1e-6, high=10.0, logarithmic=True
     )
     lead_in_integral: bool = Field(
-        True, description="whether the integral sees the error with the lead, as in 0.1; without, it holds no bias"
+        True, description="whether the integral uses the error with the lead, as in 0.1; without it, no bias"
     )
 
     @classmethod

@@ -1,7 +1,7 @@
-"""The reference ahead, sample by sample, rebuilt from what an observation shows now and has shown before.
+"""The reference ahead, sample by sample, rebuilt from the present and the earlier observations.
 
-An observation shows a few samples of the future reference. From one period to the next they come nearer by one sample;
-a controller that remembers them soon knows every sample up to the farthest. Until then it interpolates.
+An observation shows a few samples of the future reference. In each period they come nearer by one sample. A controller
+that remembers them soon knows every sample up to the farthest; until then it interpolates.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ class Preview:
     """Rebuilds the reference from one period ago to the farthest preview, for N axes.
 
     Its memory is one array (N, horizon + 2): the reference one period ago, now, and 1 to ``horizon`` periods ahead.
-    Any control period and any preview times work, none included. An observation names the nominal times; the times
-    shown are whole numbers of periods (``TaskConfig.preview_samples``).
+    Any control period and any preview times work, including none. An observation names the nominal times; its samples
+    lie at whole numbers of periods (``TaskConfig.preview_samples``).
     """
 
     def __init__(self, config: TaskConfig) -> None:
@@ -40,7 +40,7 @@ class Preview:
     def start(self, batch: Floats) -> Array:
         """The memory at the start of an episode, (N, horizon + 2).
 
-        The axis has been at rest; samples between those shown are interpolated.
+        The axis has been at rest; samples between those of the observation are interpolated.
         """
         now, ahead = self._shown(batch)
         known = np.concatenate([now[:, None], ahead], axis=1)
@@ -65,10 +65,10 @@ class Preview:
 
 
 def path_weights(time: float, horizon: int, period: float) -> Array:
-    """Weights (horizon + 1,) of the reference's steps that give how far it moves from now to ``time`` (s) ahead.
+    """Weights (horizon + 1,) of the reference's steps that give its travel from now to ``time`` (s) ahead.
 
-    ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is taken to
-    move on at the speed of its last or first step.
+    ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is
+    extrapolated at the speed of its last or first step.
     """
     weights: Array = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
     weights[0] = min(time / period, 0.0)

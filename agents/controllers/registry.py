@@ -24,7 +24,7 @@ CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
     "adrc": (ADRC, ADRCGains),
     "lqg": (LQG, LQGGains),
 }
-"""Class and class of gains of each classical controller, by kind."""
+"""Each classical controller by kind: its class, and the class of its gains."""
 
 
 def kind_of(controller: ClassicalController) -> str:
@@ -36,11 +36,11 @@ def kind_of(controller: ClassicalController) -> str:
     for kind, (registered, _) in CONTROLLERS.items():
         if type(controller) is registered:
             return kind
-    raise ConfigurationError(f"{type(controller).__name__}: is no controller of CONTROLLERS ({', '.join(CONTROLLERS)})")
+    raise ConfigurationError(f"{type(controller).__name__}: must be one of CONTROLLERS ({', '.join(CONTROLLERS)})")
 
 
 def imported(name: str) -> Any:
-    """The object that ``"module:attribute"`` names; modules in the current folder count.
+    """The object that ``"module:attribute"`` names; the module may lie in the current folder.
 
     Raises:
         ConfigurationError: the module cannot be imported or has no such attribute.
@@ -78,10 +78,10 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         make = imported(kind)
         if not isinstance(make, type) and hasattr(make, "predict"):
             if settings:
-                raise ConfigurationError(f"'{kind}': is a controller already and takes no settings")
+                raise ConfigurationError(f"'{kind}': is already a controller and takes no settings")
             return make  # type: ignore[no-any-return]
         if not callable(make):
-            raise ConfigurationError(f"'{kind}': has no method predict, and is no class or function that makes one")
+            raise ConfigurationError(f"'{kind}': needs a method predict, or must be a class or function that makes one")
     elif kind in CONTROLLERS:
         controller, gains = CONTROLLERS[kind]
         return controller(validate(gains, settings or {}, kind), config)

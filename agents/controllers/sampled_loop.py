@@ -30,7 +30,7 @@ PLACES = 9
 """Number of positions at which it is examined there."""
 
 _NEUTRAL = 1e-7
-"""Excess of a spectral radius over 1 that counts as rounding."""
+"""Excess of a spectral radius over 1 that is treated as rounding."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SampledLoop:
     def largest_stable_gain(self) -> float:
         """Gain in command per metre (1 = 10 V) at which an eigenvalue of the closed loop leaves the unit circle.
 
-        0 if the axis is unstable without a loop, infinity if no gain up to 1e6 per metre makes it unstable.
+        It is 0 if the axis is unstable in open loop, and infinite if no gain up to 1e6 per metre makes it unstable.
         """
         gains = np.geomspace(1e-2, 1e6, 161)
         radii = np.abs(np.linalg.eigvals(np.array([self.closed(gain) for gain in gains]))).max(axis=1)
@@ -110,7 +110,7 @@ class SampledLoop:
         return out
 
     def final_value(self, gain: float) -> float:
-        """Final position of a stable closed loop in m per m of reference; below 1 if oil leaks."""
+        """Final position of a stable closed loop in m per m of reference; below 1 with a leak."""
         matrix, n = self.closed(gain), len(self.input_new)
         drive = np.append(self.input_new * gain, gain)
         return float(np.linalg.solve(np.eye(n + 1) - matrix, drive)[0] * self.position_size)
@@ -132,8 +132,8 @@ def sampled_loop(
 ) -> SampledLoop:
     """Linearise at rest and sample exactly (zero-order hold with latency; Åström & Wittenmark 1997, section 2.3).
 
-    The linearisation leaves out dry friction, which blocks a resting axis and hardly damps a moving one. The resting
-    valve is the worst case, because every opening adds damping.
+    The linearisation omits dry friction, which blocks an axis at rest and hardly damps a moving one. The closed valve
+    is the worst case, because every opening adds damping.
 
     Args:
         parameters: the plant.
