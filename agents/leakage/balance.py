@@ -1,21 +1,21 @@
 """The flow balance of both chambers, fitted to a window of measured signals by least squares, without simulation.
 
-The balances (12), (13), integrated from the start of the window, say how far the oil has moved the piston:
+Integrated from the start of the window, the balances (12), (13) give the travel of the piston:
 
     A_a x = ∫ (Q_a − G_i (p_a − p_b)) dt − C_a,     A_b x = ∫ (Q_b − G_i (p_a − p_b) + G_e p_b) dt + C_b
 
 C is the volume by which the oil of a chamber was compressed. Q_a and Q_b are the flows (2), (3) through the valve at
-the measured spool position and pressures. Each of the unknowns (:class:`~agents.leakage.sheet.Unknowns`) has a prior
-from the data sheet, so that a window that says nothing about one of them leaves it there (maximum a posteriori).
+the measured spool position and pressures. Each unknown (:class:`~agents.leakage.sheet.Unknowns`) has a prior from the
+data sheet (maximum a posteriori): without information in the window, it keeps the value of the prior.
 
-Two residuals are fitted. The first is the balance of chamber a, in metres of piston travel; the noise of the position
-sensor is white in it. The second is the difference between the travels that the two balances give: the position
-cancels, and the noise of the pressures is white in it. Errors of the flows add up over time, as a random walk. A scalar
-Kalman filter whitens both residuals and their derivatives, which makes the Gauss–Newton fit one of generalised least
-squares (Kailath, Sayed & Hassibi 2000, *Linear Estimation*, chapter 9).
+Two residuals are fitted. The first is the balance of chamber a, in metres of piston travel; it contains the white noise
+of the position sensor. The second is the difference between the travels of the two balances: the position cancels, and
+the white noise of the pressures remains. Errors of the flows add up over time, as a random walk. A scalar Kalman filter
+whitens both residuals and their derivatives, which turns the Gauss–Newton fit into generalised least squares (Kailath,
+Sayed & Hassibi 2000, *Linear Estimation*, chapter 9).
 
-The noise of the pressures is also in the derivative by the compressibility. Least squares would take the oil for
-stiffer than it is, most of all on an axis that stands still; the known variance of that noise is therefore taken out
+The noise of the pressures is also in the derivative with respect to the compressibility. Plain least squares would
+estimate the oil as too stiff, above all at standstill. The fit therefore subtracts the known variance of that noise
 (corrected least squares: Fuller 1987, *Measurement Error Models*, section 2.2).
 """
 
@@ -42,13 +42,13 @@ ITERATIONS = 12
 """Largest number of evaluations of the balance."""
 
 FIRST_DAMPING = 1e-3
-"""Of the normal matrix's diagonal (Levenberg–Marquardt)."""
+"""Fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)."""
 
 ENOUGH = 0.1
-"""Fall of the cost, in the unit of χ², after which the fit ends."""
+"""Decrease of the cost (χ²) below which the fit ends."""
 
 LARGEST_MOVE = 1.5
-"""Standard deviations of its prior by which an unknown may move in one iteration."""
+"""Largest change of an unknown in one iteration, in standard deviations of its prior."""
 
 SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 
@@ -56,7 +56,7 @@ CAVITATING = 1e-3
 """m per period; error of the travel while a pressure may be at the end of its sensor's range."""
 
 PARTS = 8
-"""Equal parts of a window, for each of which the leak is also estimated by itself."""
+"""Number of equal parts of a window; the leak is also estimated for each part alone."""
 
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
@@ -69,7 +69,7 @@ _set_to = tuple_replacer(Coefficients, "relief_pressure")
 
 
 class _Supplied(NamedTuple):
-    """The part of the state that the supply's law reads."""
+    """The part of the state that the law of the supply reads."""
 
     supply_pressure: float
     gas_volume: float
@@ -100,7 +100,7 @@ def _without_lag(sensed, sheet, pressure):
 
 @inline
 def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, u, c):
-    """Add what the flows of a short duration move to both travels and their derivatives (2, COUNT).
+    """Add the effect of the flows during a short time to both travels and their derivatives (2, COUNT).
 
     Returns:
         The flow in m³/s that the valve draws from the supply.
@@ -147,7 +147,7 @@ def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, u, c)
 
 @inline
 def _add_compression(travel, slope, chamber, sign, first, last, length, area, u, c):
-    """Add what the compression of a chamber takes between two pressures, Pa; ``length`` is its volume over its area."""
+    """Add the effect of compressing a chamber between two pressures, Pa; ``length`` is its volume over its area."""
     begin, end = _absolute(first), _absolute(last)
     oil = (end - begin) / c.bulk_modulus
     air = ATMOSPHERIC_PRESSURE * (1.0 / begin - 1.0 / end)
@@ -234,7 +234,7 @@ def _build(sources: int) -> Any:
                         variance[residual] *= 1.0 - blend
                         square = whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
                         mean_square[residual] += square / (samples - 1)
-                        if other:  # noise of the pressures, taken out; less in the matrix, so that it stays definite
+                        if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
                             known = (unit * sensed) ** 2
                             mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / (samples - 1)
                             rights[1, OIL] += known * u.compressibility * spread[OIL]
@@ -247,7 +247,7 @@ def _build(sources: int) -> Any:
                         pull[residual, part] -= whitened[INTERNAL] * whitened[COUNT]
                         known_leak[residual, part] += whitened[INTERNAL] ** 2
 
-                # What the model does not explain is noise: a residual above 1 counts by its logarithm.
+                # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
                 cost = 0.0
                 normal[:] = 0.0
                 for i in range(COUNT):
@@ -286,7 +286,7 @@ def _build(sources: int) -> Any:
                     for i in range(COUNT):
                         normal[i, i] *= 1.0 + damping
                     none = -estimate[window, INTERNAL] / spread[INTERNAL]
-                    if held == 1:  # at zero, for a leak cannot be negative
+                    if held == 1:  # at zero: a leak cannot be negative
                         hold(normal, right, INTERNAL, max(none, -LARGEST_MOVE))
                     factor(normal)
                     substitute(normal, right)
@@ -302,7 +302,7 @@ def _build(sources: int) -> Any:
                 right[:] = 0.0
                 right[i] = 1.0
                 substitute(best_normal, right)
-                deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # none exceeds its prior's
+                deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # at most the prior's
 
     return compiled(fit)
 
@@ -316,8 +316,8 @@ class Balance(NamedTuple):
     estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
     deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
     misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
-    spool_error: NDArray[np.float64]  # (N, T), spool reading less the answer of the most similar valve to the commands
-    part_leak: NDArray[np.float64]  # (N, PARTS), l/min at 100 bar, of each part of the window, all else as estimated
+    spool_error: NDArray[np.float64]  # (N, T), spool reading minus the response of the best-fitting candidate valve
+    part_leak: NDArray[np.float64]  # (N, PARTS), l/min at 100 bar, of each part alone, other estimates unchanged
     part_deviation: NDArray[np.float64]  # (N, PARTS)
 
 

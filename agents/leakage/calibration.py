@@ -1,4 +1,4 @@
-"""What a trained head learns from validation windows: thresholds, intervals, and the bound of its training."""
+"""Calibrates a trained head on validation windows: thresholds, intervals, and the bound of "outside"."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from hydro_env import TaskConfig
 
 FALSE_ALARM_RATE = 0.01
 COVERAGE = 0.9
-"""Share of the intervals that hold the true size."""
+"""Share of the intervals that contain the true size."""
 
 CHANGING_SHARE = 0.15
-"""Share of the windows that count as those of a changing leak."""
+"""Share of the windows that are treated as windows with a changing leak."""
 
 LARGEST_SHIFT = 2.0
-"""Of the logit of a leak on an axis that stands still."""
+"""Largest size of the shift of a leak's logit at standstill."""
 
 FEWEST, REACH = 40, 0.2
-"""Windows that a size needs, and an axis that stands still; how far from the size in decades they may lie."""
+"""Smallest number of windows for a size, and for standstill; largest distance of a window from the size in decades."""
 
 OUTSIDE_RATE = 0.01
-"""Share of validation windows that count as unlike the training."""
+"""Share of validation windows that are marked as unlike the training."""
 
 
 def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
-    """log10 of the flow, at least that of the smallest flow that counts."""
+    """log10 of the flow, but of at least the smallest flow that counts."""
     return np.log10(np.maximum(flow_lpm, SMALLEST_FLOW)).astype(np.float32)
 
 
 def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Distance of the truth from the middle quantile that 95 % do not exceed, at each of SIZES and to each side.
+    """95 % quantile of the distance between truth and middle quantile, at each of SIZES and to each side.
 
     Args:
         quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
         size: log10 of the true size, (N,).
-        chosen: windows of the group; where it has fewer than FEWEST of a size, all windows of that size count.
+        chosen: windows of the group; if it has fewer than FEWEST of a size, all windows of that size are used.
 
     Returns:
-        In parts of the distance of the outer quantiles, (SIZES, 2).
+        As a fraction of the distance of the outer quantiles, (SIZES, 2).
     """
     low, middle, high = quantiles.T
     off = np.column_stack([(middle - size) / (middle - low), (size - middle) / (high - middle)])
@@ -67,9 +67,9 @@ def calibrated(
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 
-    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. A leak is flagged at
-    1 % false alarms among healthy axes without other faults, among those that stand still as among those that move; any
-    other label at 1 % among axes that do not have it. Intervals: :mod:`agents.leakage.intervals`.
+    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. The threshold of a
+    leak gives 1 % false alarms among healthy axes without other faults, both at standstill and in motion; the threshold
+    of any other label gives 1 % among axes without it. Intervals: :mod:`agents.leakage.intervals`.
     """
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
     tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)

@@ -19,7 +19,7 @@ from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KIN
 from hydro_env.task.sensors import CHANNELS
 
 UNSEEN = ("position_offset",)
-"""Faults that no measured signal shows: they get no label."""
+"""Faults that are invisible in the measured signals; they get no label."""
 
 LABEL_OF_FAULT = {
     name: LABELS.index(
@@ -35,10 +35,10 @@ LABEL_OF_FAULT = {
 """Index of the label of each fault."""
 
 KINDS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
-"""Faults of the training; a sensor that stands still is found without the network (:mod:`agents.leakage.stuck`)."""
+"""Faults of the training; a stuck sensor is detected without the network (:mod:`agents.leakage.stuck`)."""
 
 LEAKS = ("constant", "onset", "growth", "orifice")
-"""Leaks of the training: constant through a laminar gap, beginning or growing within the window, constant orifice."""
+"""Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
 
 CHANGING = ("onset", "growth")
 
@@ -46,14 +46,14 @@ CHUNK = 256
 """Largest number of axes that are simulated together."""
 
 SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
-"""Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks drawn from the healthy bound
-on; the others begin at three times that bound."""
+"""Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
+healthy bound upwards; the other leaks are drawn from three times that bound upwards."""
 
 NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
-"""Share of chunks with other sensor noise, and its range in parts of the task's."""
+"""Share of chunks with other sensor noise, and its range as a factor on the task's."""
 
 LATEST = 0.9
-"""Part of the window in which a leak begins at the latest."""
+"""Latest onset of a leak, as a fraction of the window."""
 
 
 class Windows(NamedTuple):
@@ -65,7 +65,7 @@ class Windows(NamedTuple):
     operation: NDArray[np.int64]  # (N,), index into OPERATIONS
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
     leak: NDArray[np.int64]  # (N,), index into LEAKS
-    noise: NDArray[np.float64]  # (N,), of the sensors, in parts of the task's
+    noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
 
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
@@ -83,7 +83,7 @@ class Chunk(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """What windows are made of."""
+    """Sources of the windows."""
 
     config: TaskConfig
     controllers: Sequence[Controller]
@@ -98,7 +98,7 @@ class Plan(NamedTuple):
     per_run: int  # windows of each run
 
     def chunks(self, episodes: int) -> list[Chunk]:
-        """Parts of the runs."""
+        """Groups of runs that are simulated together."""
         parts = []
         total = sum(row.share for row in OPERATIONS)
         changing, orifice = 0.5 * self.changing_share, self.orifice_share
@@ -114,7 +114,7 @@ class Plan(NamedTuple):
         return parts
 
     def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
-        """Simulate chunk after chunk; each depends only on the plan, its number and its seeds.
+        """Simulate one chunk after another; each depends only on the plan, its number and its seeds.
 
         Args:
             episodes: number of runs; rounding may add a few.

@@ -1,4 +1,4 @@
-"""What the leakage head reads from a window of measured signals: the flow balance, and plain statistics of motion."""
+"""The features of a window of measured signals for the leakage head: the flow balance, and statistics of the motion."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_c
 SENSORS = SIGNALS[:4]
 
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
-"""What the head tells from each other. An axis may have several at once, so each has a probability of its own."""
+"""Labels of the head. An axis may have several at once; therefore each has its own probability."""
 
 FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
-"""Part of its range by which a sensor does not fall within one period: a reading that does is a lost sample."""
+"""Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""
 
 LAST_PARTS = 3
-"""Parts of the window before its end whose own leak is a feature; it tells the size of a leak that grows."""
+"""Number of last parts of the window whose own leak is a feature, for the size of a growing leak."""
 
 FEATURES = (
     *(f"fitted {name}" for name in Unknowns._fields),
@@ -83,10 +83,10 @@ FEATURES = (
 
 SPREAD = FEATURES.index("spread of position")
 STILL = np.log10(3e-4)
-"""Value of this feature below which the axis stands still."""
+"""The axis stands still if this feature is below this value."""
 
 CHANGE = FEATURES.index("change of leak")
-"""The feature by which windows with a constant leak and with a changing one are told apart."""
+"""The feature that separates windows with a constant leak from windows with a changing one."""
 
 
 class Motion(NamedTuple):
@@ -232,7 +232,7 @@ repair, describe = _build_repair(SOURCES), _build_describe(SOURCES)
 class Repaired(NamedTuple):
     """Signals without gaps."""
 
-    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the reading before
+    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the previous reading
     lost: NDArray[np.float64]  # (N, 4), share of lost samples of each sensor
 
 

@@ -1,7 +1,7 @@
-"""The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside what I know".
+"""The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside the training".
 
-It works under any operation of the axis, because it reads measured signals alone; ``MonitoredController``
-(:mod:`agents.leakage.monitor`) attaches it to a controller. A small network judges the flow balance of the window
+It works under any operation of the axis, because it reads only measured signals; ``MonitoredController``
+(:mod:`agents.leakage.monitor`) attaches it to a controller. A small network evaluates the flow balance of the window
 (:mod:`agents.leakage.balance`) and statistics of its motion (:mod:`agents.leakage.features`).
 """
 
@@ -28,27 +28,27 @@ from hydro_env.files import Group, validate
 KIND = "leakage head"
 
 SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
-"""Numbers of observations in a window; fewer say nothing, and more must be a mistake."""
+"""Allowed numbers of observations in a window; fewer carry no information, and more must be a mistake."""
 
 LARGEST_WIDTH, LAYERS = 1024, 3
 
 UPDATES_PER_WINDOW = 16
-"""``predict`` reads a new estimate so often while a window passes; between two readings it repeats the last one."""
+"""Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
 
 SMALLEST_FLOW = 0.01
-"""l/min at 100 bar; smaller leaks are not told from none, and an interval that begins here begins at 0."""
+"""l/min at 100 bar; smaller leaks count as none, and an interval that begins here begins at 0."""
 
 LARGEST_FLOW = 100.0
-"""l/min at 100 bar; no answer is larger."""
+"""l/min at 100 bar; largest answer."""
 
 FARTHEST = 8.0
-"""Standard deviations from the mean of the training at which a feature is cut off."""
+"""Limit of a feature, in standard deviations from its mean in training."""
 
 
 class LeakageEstimate(NamedTuple):
     """Estimate of the head, each (N,); NaN until a whole window of observations is known.
 
-    The five probabilities are of five separate questions, for a leak may meet another fault.
+    The five probabilities are independent answers, because a leak may occur together with another fault.
     """
 
     probability: NDArray[np.float64]  # of a leak past the piston, 0 to 1
@@ -59,12 +59,12 @@ class LeakageEstimate(NamedTuple):
     valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
     sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
     return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # 1: unlike all that the head was trained on, or a sensor stands still: its answer
+    outside: NDArray[np.float64]  # 1: unlike the training, or a sensor is stuck: the answer
     # does not count; else 0
 
     @property
     def none(self) -> NDArray[np.float64]:
-        """Probability that nothing is wrong, as if the five questions were independent."""
+        """Probability of no fault, if the five answers are independent."""
         probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
         result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
         return result
@@ -77,17 +77,17 @@ BESIDE_STUCK_SENSOR = {
     "sensor_fault": 1.0,
     "outside": 1.0,
 }
-"""The answer beside a sensor that stands still: the sensor is at fault, the leak may be any or none."""
+"""The answer with a stuck sensor: the sensor is faulty, and the leak is unknown."""
 
 
 @dataclass(frozen=True)
 class HeadSettings:
     """Settings of inference besides the weights."""
 
-    task: TaskConfig  # its observations, and the data sheet of its axis
+    task: TaskConfig  # observations, and data sheet of the axis
     window: int  # observations of the shortest window, which ``predict`` reads
     longest: int  # observations
-    threshold: float  # probability from which a leak is flagged: 1 % false alarms on validation plants
+    threshold: float  # probability at which a leak is flagged: 1 % false alarms on validation plants
     training: dict[str, Any]
 
     @property
@@ -152,7 +152,7 @@ def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArr
 def probabilities(
     output: NDArray[np.float64], features: NDArray[np.float32], still_shift: float
 ) -> NDArray[np.float64]:
-    """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak where an axis stands."""
+    """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak at standstill."""
     logits = output[:, : len(LABELS)].copy()
     logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
     result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
@@ -194,8 +194,8 @@ class LeakageHead:
     ) -> tuple[NDArray[np.float64], HeadState]:
         """The fields of :class:`LeakageEstimate`, (9,) or (N, 9), and the memory for the next call.
 
-        NaN until a whole window of observations is known; then read :data:`UPDATES_PER_WINDOW` times per window. The
-        arguments are those of a controller (:class:`~agents.controllers.base.Controller`).
+        They are NaN until a whole window of observations is known, and are then updated :data:`UPDATES_PER_WINDOW`
+        times per window. The arguments are those of a controller (:class:`~agents.controllers.base.Controller`).
         """
         del deterministic
         batch, single = as_batch(observation)
@@ -241,7 +241,7 @@ class LeakageHead:
             history: observations (N, T, n) or (T, n), oldest first.
 
         Raises:
-            ConfigurationError: the history has another shape, or its length is none that the head reads.
+            ConfigurationError: the history has the wrong shape, or a length that the head cannot read.
         """
         array = np.asarray(history)
         if array.ndim == 2:
@@ -259,10 +259,10 @@ class LeakageHead:
     def estimate_windows(self, signals: NDArray[Any], batch: int = 512) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
 
-        Of windows that are longer than any of the training the head reads the end.
+        If the windows are longer than those of the training, the head reads their end.
 
         Raises:
-            ConfigurationError: another shape, or windows that are too short.
+            ConfigurationError: the shape is wrong, or the windows are too short.
         """
         shape = np.shape(signals)
         if len(shape) != 3 or shape[1] != len(SIGNALS) or shape[2] < self.settings.window:
@@ -339,7 +339,7 @@ class LeakageHead:
             raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
         bias = tensors.get("bias_0")
         if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
-            raise ConfigurationError(f"{path}: width = {stored.width}: its tensors are of another network")
+            raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
         like = tensors_like(stored.width)
         require(tensors, like, path)
         described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)

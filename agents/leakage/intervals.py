@@ -1,8 +1,9 @@
-"""Intervals of the leak's size that hold what they say at every size.
+"""Intervals of the leak's size with correct coverage at every size.
 
-The network gives three quantiles of the size. Validation windows tell, for every true size, how far the truth lies from
-the middle one, in parts of the distance to the outer one. The interval holds the sizes for which the answer of the
-network is none of the rarest 5 % at either end (Neyman 1937, *Outline of a Theory of Statistical Estimation*).
+The network gives three quantiles of the size. Validation windows give, for every true size, the distance between the
+truth and the middle quantile, relative to the distance of the outer one. The interval contains the sizes for which the
+network's answer is not among the rarest 5 % at either end (Neyman 1937, *Outline of a Theory of Statistical
+Estimation*).
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ SIZES = np.linspace(-2.0, 0.7, 10)
 
 WIDTHS = 3
 GROUPS = 2 * WIDTHS
-"""Kinds of windows with distances of their own: by the width of the network's own interval, and with a constant or a
+"""Groups of windows, each with its own distances: by the width of the network's interval, and with a constant or a
 changing leak."""
 
 ROUNDS = 6
-"""Repetitions of the search for the ends."""
+"""Iterations of the search for the ends."""
 
 
 def groups(
@@ -33,7 +34,7 @@ def groups(
         quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
         change: how much the leak changes within the window, (N,).
         widths: bounds between the widths, (WIDTHS - 1,).
-        changing: from which change on a leak counts as changing.
+        changing: smallest change of a leak that counts as changing.
     """
     width = np.searchsorted(widths, quantiles[:, 2] - quantiles[:, 0])
     result: NDArray[np.int64] = WIDTHS * (change > changing).astype(np.int64) + width
@@ -45,7 +46,8 @@ def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray
 
     Args:
         quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
-        distance: of the ends from the middle at each of SIZES, in parts of those of the quantiles, (N, SIZES, 2).
+        distance: of the ends from the middle at each of SIZES, relative to the distances of the quantiles, (N, SIZES,
+            2).
     """
     low, middle, high = quantiles.T
     ends, places = [], np.arange(len(SIZES))

@@ -19,7 +19,7 @@ class Curve(NamedTuple):
 
 
 def _counts(scores: NDArray[Any], positive: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """True and false positives at each distinct threshold, in falling order; the first entry has none."""
+    """True and false positives at each distinct threshold, in falling order; the first entry is zero."""
     order = np.argsort(-scores, kind="stable")
     sorted_scores = np.asarray(scores, dtype=np.float64)[order]
     last_of_each = np.append(np.flatnonzero(np.diff(sorted_scores)), len(scores) - 1)

@@ -7,7 +7,7 @@ import math
 from hydro_env.compiling import inline
 
 SMALLEST_PIVOT = 0.05
-"""A smaller pivot is raised to this, which keeps a matrix definite from which known noise was taken out."""
+"""Lower limit of a pivot; it keeps a matrix definite after the subtraction of known noise."""
 
 OUTLIER = 3.0
 """Standard deviations beyond which a residual counts linearly (Huber)."""
@@ -15,9 +15,9 @@ OUTLIER = 3.0
 
 @inline
 def whiten(value, slope, other, filtered, whitened, spread, blend, unit):
-    """Whitened residual and derivatives, into ``whitened``; returns the residual's square, linear beyond an outlier.
+    """Write the whitened residual and derivatives to ``whitened``; returns the residual's square, linear for outliers.
 
-    ``other``: the residual is the difference of both travels, else position less the travel of chamber a.
+    If ``other`` is true, the residual is the difference of both travels, else position minus the travel of chamber a.
     """
     count = spread.shape[0]
     innovation = value - filtered[count]
@@ -34,7 +34,7 @@ def whiten(value, slope, other, filtered, whitened, spread, blend, unit):
 
 @inline
 def factor(matrix):
-    """Cholesky factor of a symmetric positive definite matrix, in place; the lower half counts."""
+    """Cholesky factor of a symmetric positive definite matrix, in place; only the lower half is used."""
     for i in range(matrix.shape[0]):
         for j in range(i + 1):
             total = matrix[i, j]
@@ -45,7 +45,7 @@ def factor(matrix):
 
 @inline
 def hold(matrix, right, unknown, value):
-    """Give an unknown of the normal equations a fixed value, in place; the lower half of the matrix counts."""
+    """Fix an unknown of the normal equations at a value, in place; only the lower half of the matrix is used."""
     for i in range(right.shape[0]):
         row, column = max(i, unknown), min(i, unknown)
         right[i] -= matrix[row, column] * value

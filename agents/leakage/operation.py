@@ -16,17 +16,17 @@ Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 WAVES = ("sine", "square", "noise")
-"""Shapes that may be added to the command; noise is a new random level in each half period."""
+"""Waves that may be added to the command; noise is a new random level in each half period."""
 
 
 class Manner(NamedTuple):
     """How an axis is operated: ranges from which each axis draws; all are log-uniform."""
 
-    gain: Span = (2.0, 60.0)  # command per error of one stroke
+    gain: Span = (2.0, 60.0)  # command for an error of one stroke
     delay: Span = (1.0, 1.0)  # control periods from the error to the command; 1: none
     interval: Span = (1.0, 1.0)  # control periods between two decisions
-    step: Span = (1e-9, 1e-9)  # of the command, which is rounded to multiples of it
-    relay: Span = (1e-9, 1e-9)  # size of a command towards the reference that replaces the gain; 1e-9: none
+    step: Span = (1e-9, 1e-9)  # resolution of the command
+    relay: Span = (1e-9, 1e-9)  # size of a relay command towards the reference, instead of the gain; 1e-9: none
     amplitude: Span = (1e-9, 1e-9)  # of the wave
     period: Span = (2.0, 2.0)  # of the wave, control periods
     waves: tuple[str, ...] = WAVES
@@ -46,20 +46,20 @@ class OperationState(NamedTuple):
     """Memory of :class:`Operation`."""
 
     time: int  # control periods since the start
-    holding: Array  # (N,), command that held the start
+    holding: Array  # (N,), command that holds the initial position
     decided: Array  # (N,), command of the last decision
     level: Array  # (N,), of the noise
     errors: NDArray[np.float64]  # (longest delay, N)
 
 
 class Operation:
-    """Operates N axes in one manner, each with numbers of its own; one episode per axis.
+    """Operates N axes in one manner, each with its own parameters; one episode per axis.
 
     Args:
-        manner: ranges of the numbers.
+        manner: ranges of the parameters.
         config: the task.
         count: number of axes N.
-        seed: of the numbers.
+        seed: of the parameters.
     """
 
     def __init__(self, manner: Manner, config: TaskConfig, count: int, seed: int) -> None:
@@ -119,7 +119,7 @@ def slow(config: TaskConfig, factor: float = 12.0) -> TaskConfig:
 
 
 def still(config: TaskConfig) -> TaskConfig:
-    """The task with references that stand still, each at a place of its own."""
+    """The task with constant references, each at its own position."""
     changes = {"weights": {"step": 1.0}, "step_range": (1e-6, 1e-6)}
     return task_config(config, references=config.references.model_dump() | changes)
 
@@ -130,7 +130,7 @@ def loaded(config: TaskConfig) -> TaskConfig:
 
 
 class Row(NamedTuple):
-    """A part of the training data: its share, what is asked of the axes, and how they are operated."""
+    """A part of the training data: its share, the task of the axes, and their manner of operation."""
 
     name: str
     share: float

@@ -1,18 +1,18 @@
-"""Gaps of measured signals, filled: a lost sample takes the reading before. Compiled code for one signal at a time."""
+"""Fills gaps of measured signals: a lost sample gets the previous reading. Compiled code for one signal at a time."""
 
 from __future__ import annotations
 
 from hydro_env.compiling import inline
 
 LONGEST_GAP = 5
-"""Samples; a reading that stays at the lower end of its range for longer is believed."""
+"""Samples; a reading that stays at the lower end of its range for longer is valid."""
 
 
 @inline
 def mark_lost(values, low, high, far, lost):
-    """Mark the samples that are lost, NaN and short falls to the lower end of the sensor's range, by 1 in ``lost``.
+    """Mark lost samples by 1 in ``lost``: NaN, and short falls to the lower end of the sensor's range.
 
-    ``far``: part of its range by which the signal does not fall within one period.
+    ``far`` is the fraction of the range by which a valid signal does not fall within one period.
     """
     samples = values.shape[0]
     end = low + 1e-9 * (high - low)
@@ -31,7 +31,7 @@ def mark_lost(values, low, high, far, lost):
 
 @inline
 def fill_gaps(values, lost, filled):
-    """Copy a signal to ``filled``, with the reading before in the place of lost ones; returns the share of these.
+    """Copy a signal to ``filled``, with lost readings replaced by the previous one; returns the share of lost readings.
 
     Gaps at the start take the first reading; a signal without any reading is 0.
     """

@@ -1,4 +1,4 @@
-"""What the leakage head knows of an axis beforehand: its data sheet, as numbers for compiled code, and priors."""
+"""Prior knowledge of the leakage head about an axis: its data sheet, as numbers for compiled code, and priors."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ POINTS = 2
 """Points between two samples at which the flows are evaluated."""
 
 FREQUENCIES, DAMPINGS = 9, 3
-"""Numbers of natural frequencies and damping ratios of the valve that are tried."""
+"""Numbers of natural frequencies and of damping ratios of the candidate valves."""
 
 AT_ONCE = 1e5
-"""1/s; of parts of the valve that the model lets follow at once."""
+"""1/s; rate for the ideal parts of the valve model."""
 
 NOISE_WITHOUT_LAG = 1.17
-"""Factor by which taking out the transducers' lag raises their noise."""
+"""Factor by which the removal of the transducers' lag raises their noise."""
 
 SPOOL_NOISE_LEFT = 0.4
-"""Share of the noise of the spool's sensor that smoothing leaves."""
+"""Share of the spool sensor's noise that remains after smoothing."""
 
 FLOW_ERROR = 0.015
-"""Error of the flow between two samples, in parts of the change that the spool's motion makes."""
+"""Error of the flow between two samples, as a fraction of the change due to the spool's motion."""
 
 
 class Unknowns(NamedTuple):
-    """What the fit estimates; as a value, as its standard deviation, and as its prior."""
+    """The unknowns of the fit: their values, their standard deviations, or their priors."""
 
-    flow_gain: Any  # of the valve, in parts of the data sheet's
+    flow_gain: Any  # of the valve, relative to the data sheet
     supply_pressure: Any  # Pa, setting of the relief valve
     supply_excess: Any  # Pa, supply pressure above that setting when the window begins
     underlap: Any  # of full stroke
     null: Any  # of full stroke; null shift of the valve and bias of the spool sensor together
     internal_leak: Any  # l/min at 100 bar
     external_leak: Any  # l/min at 100 bar
-    compressibility: Any  # of the oil without air, in parts of the data sheet's
+    compressibility: Any  # of the oil without air, relative to the data sheet
     air_fraction: Any
     dead_volume: Any  # m³, above the data sheet's
     bias_a: Any  # Pa, of the pressure transducer of chamber a
@@ -56,7 +56,7 @@ class Unknowns(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """What the data sheet says of an axis, for the compiled fit."""
+    """The data sheet of an axis, for the compiled fit."""
 
     coefficients: NDArray[np.float64]  # of the nominal plant
     mean: NDArray[np.float64]  # (COUNT,), of the priors
@@ -74,14 +74,14 @@ class Sheet(NamedTuple):
     position_noise: float  # m
     pressure_noise_a: float  # Pa
     pressure_noise_b: float  # Pa
-    flow_noise: float  # m per period, of the travel that the noise of the spool's sensor makes
-    flow_error: float  # m per period, of the travel that full spool stroke makes, times FLOW_ERROR
+    flow_noise: float  # m per period, travel due to the noise of the spool sensor
+    flow_error: float  # m per period, travel at full spool stroke, times FLOW_ERROR
 
 
 def sheet_of(config: TaskConfig) -> Sheet:
-    """The data sheet of a task's axis, with priors that also hold worn axes.
+    """The data sheet of a task's axis, with priors that include worn axes.
 
-    The width of a prior is that of the task's range of the parameter, and more where faults change it.
+    The width of a prior is the task's range of the parameter; it is larger if faults change the parameter.
     """
     plant, sensors = config.plant, config.sensors
     c = plant_coefficients(plant)
@@ -157,10 +157,10 @@ def sheet_of(config: TaskConfig) -> Sheet:
 
 
 def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArray[np.float64]:
-    """Matrices (POINTS + 1, 3, 5) of a valve: its states at the points of a period and at its end.
+    """Matrices (POINTS + 1, 3, 5) of a valve: its states at the points of a period and at the end of the period.
 
-    They multiply the states at its start, the previous command and the new one. States: spool position, its speed, and
-    the current of the coil as the spool position that it commands.
+    They multiply the states at the start, the previous command and the new one. States: spool position, spool speed,
+    and coil current (as the commanded spool position).
     """
     c = plant_coefficients(config.plant)
     if c.ideal_spool > 0.0:

@@ -1,4 +1,4 @@
-"""The spool between two samples: the valve that answers most like it tells its motion, the readings correct it."""
+"""The spool between two samples: the best-fitting candidate valve gives its motion, and the readings correct it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _advance(valve, row, old, new):
 
 @inline
 def best_valve(reading, command, candidates, noise, valve):
-    """Index of the valve whose answer to the commands is nearest to the readings, apart from a constant."""
+    """Index of the valve whose response to the commands is closest to the readings, apart from a constant."""
     best, least = 0, 1e300
     for candidate in range(candidates.shape[0]):
         row = candidates[candidate, POINTS]
@@ -27,7 +27,7 @@ def best_valve(reading, command, candidates, noise, valve):
         mean, total = 0.0, 0.0
         for k in range(1, reading.shape[0]):
             _advance(valve, row, command[k - 1], command[k])
-            # Far differences, such as at the slew limit, count no more than 20 times the noise.
+            # Large differences, such as at the slew limit, count as at most 20 times the noise.
             off = min(max(reading[k] - valve[0] - mean, -20.0 * noise), 20.0 * noise)
             mean += off / (k + 5.0)
             total += off * off
@@ -38,10 +38,10 @@ def best_valve(reading, command, candidates, noise, valve):
 
 @inline
 def spool_between(reading, command, transition, noise, valve, spool, error, smooth):
-    """Spool position between samples (T − 1, POINTS), and the readings less the valve's answer at the samples (T,).
+    """Spool position between samples (T − 1, POINTS), and the readings minus the valve's response at the samples (T,).
 
-    The difference between readings and answer is taken as a random walk under the sensor's noise, and smoothed
-    (Rauch, Tung & Striebel 1965, with the gains of the steady state).
+    The difference between readings and response is modelled as a random walk with sensor noise, and smoothed (Rauch,
+    Tung & Striebel 1965, with steady-state gains).
     """
     samples = reading.shape[0]
     valve[0], valve[1], valve[2] = reading[0], 0.0, command[0]

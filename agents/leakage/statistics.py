@@ -1,4 +1,4 @@
-"""Plain statistics of a window of measured signals, in compiled code."""
+"""Statistics of a window of measured signals, in compiled code."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from agents.leakage.normal_equations import factor, substitute
 from hydro_env.compiling import inline
 
 STILL_COMMAND = 2e-3
-"""Change of the command within one period below which the spool ought to stand where it is told."""
+"""Change of the command within one period below which the spool should be at the commanded position."""
 
 FULL_COMMAND = 0.999
 
 RIDGE = 1e-3
-"""Added to the diagonal of the normal equations of the load, per sample."""
+"""Added to the diagonal of the normal equations of the load, per sample (ridge regression)."""
 
 
 class Summary(NamedTuple):
@@ -27,15 +27,15 @@ class Summary(NamedTuple):
 
 
 class SpoolErrors(NamedTuple):
-    """How the spool departs from what it is told."""
+    """Deviations of the spool from the commanded position."""
 
-    over_position: float  # slope of the error over the position told
+    over_position: float  # slope of the error over the commanded position
     against_direction: float  # mean error in the direction in which the command moves
-    at_rest: float  # mean size of the error while the command rests
+    at_rest: float  # mean size of the error while the command is constant
 
 
 class Load(NamedTuple):
-    """The oil's force over position and speed, in parts of the force of the supply."""
+    """The oil's force over position and speed, as a fraction of the supply's force."""
 
     spring: float
     offset: float
@@ -85,7 +85,7 @@ def share_of_full(command):
 
 @inline
 def spool_errors(spool, error, command):
-    """:class:`SpoolErrors`; ``error``: spool reading less what the valve answers to the command."""
+    """:class:`SpoolErrors`; ``error``: spool reading minus the response of the valve to the command."""
     samples = spool.shape[0]
     told_mean, covariance, variance, turning, resting, rests = 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
     for k in range(samples):
@@ -104,7 +104,7 @@ def spool_errors(spool, error, command):
 
 @inline
 def leak_changes(leak, deviation, change):
-    """How far the leak of each part of the window is from their mean, into ``change``; returns the mean square.
+    """Write the distance of each part's leak from their mean to ``change``; returns the mean square.
 
     The unit is the part's own standard deviation.
     """

@@ -1,4 +1,4 @@
-"""Sensors that stand still: the noise of a working one does not let it repeat one reading for long."""
+"""Stuck sensors: a working sensor has noise and does not repeat one reading for long."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from hydro_env.compiling import SOURCES, compiled
 from hydro_env.task.sensors import CHANNELS
 
 SHORTEST, FEWEST = 0.1, 20
-"""s, and samples: for so long at least a stuck sensor repeats its reading. With noise of one step of the acquisition,
-the smallest that counts, 20 equal readings come up by chance once in 10¹¹ samples."""
+"""s, and samples: shortest repetition of one reading that marks a sensor as stuck. With noise of one acquisition step,
+the smallest that is judged, 20 equal readings occur by chance once in 10¹¹ samples."""
 
 
 def _build(sources: int) -> Any:
@@ -34,14 +34,14 @@ def _build(sources: int) -> Any:
 
 
 find_stuck = _build(SOURCES)
-"""Mark by 1 which sensors stand still, in ``stuck`` (N, 4); ``bounds`` as :func:`bounds_of` gives them."""
+"""Mark stuck sensors by 1 in ``stuck`` (N, 4); ``bounds`` are those of :func:`bounds_of`."""
 
 
 def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
-    """Of each sensor, (4, 3): the readings between which it is judged, and how often a stuck one repeats its reading.
+    """For each sensor, (4, 3): range of readings in which it is judged, and number of equal readings of a stuck one.
 
-    At an end of its range a working sensor repeats itself, too. A sensor whose noise is below a step of its acquisition
-    is not judged.
+    At an end of its range a working sensor repeats itself as well. A sensor with noise below one acquisition step is
+    not judged.
     """
     shortest = max(FEWEST, round(SHORTEST / config.control_period))
     rows = []
@@ -54,7 +54,7 @@ def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
 
 
 def stuck_sensors(signals: NDArray[np.float64], config: TaskConfig) -> NDArray[np.bool_]:
-    """Which sensors stand still in which windows, (N, 4).
+    """Whether each sensor is stuck in each window, (N, 4).
 
     Args:
         signals: (N, 5, T) in SI units: position, pressures, spool position and command; NaN where a sample is lost.

@@ -38,10 +38,10 @@ from hydro_env.task.sensors import CHANNELS
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
 RISE = 0.05
-"""Share of the training during which the learning rate rises."""
+"""Part of the training during which the learning rate rises."""
 
 RIDGE = 0.05
-"""Added to the covariance of the features, whose spread is 1, before it is inverted."""
+"""Added to the covariance of the standardised features before inversion."""
 
 Progress = Callable[[str, int, int, float], None]
 
@@ -53,12 +53,12 @@ class HeadTrainingSettings(Group):
 
     episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
     validation_episodes: int = Field(2_000, ge=20, le=500_000, description="for thresholds and intervals")
-    windows: int = Field(3, ge=1, le=100, description="windows that are cut from each run")
+    windows: int = Field(3, ge=1, le=100, description="windows from each run")
     longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
-    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with another fault than a leak")
+    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
     changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
-    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="runs with a leak as through an orifice")
+    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
     lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     epochs: int = Field(20, ge=1, le=100_000)
@@ -70,7 +70,7 @@ class HeadTrainingSettings(Group):
     torch_threads: int = Field(2, ge=1, le=256)
 
     def check(self, config: TaskConfig) -> None:
-        """Check that the leaks of the training and the window suit a task.
+        """Check that the training leaks and the window suit a task.
 
         Raises:
             ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
@@ -79,7 +79,7 @@ class HeadTrainingSettings(Group):
         absent = [name for name in CHANNELS if not getattr(config.sensors, name).fitted]
         if absent:
             raise ConfigurationError(
-                f"leakage_head: reads {', '.join(absent)}, and this rig has no such sensor; hydro diagnose reads the "
+                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
                 "leak without it"
             )
         if config.steps < SHORTEST_WINDOW:
@@ -127,7 +127,7 @@ class HeadTrainingSettings(Group):
 
 
 def make_network(width: int) -> nn.Sequential:
-    """The network: features to the logits of the labels, and three numbers that make the quantiles of the size."""
+    """The network: from features to the logits of the labels and to three numbers for the quantiles of the size."""
     sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
     layers: list[nn.Module] = []
     for layer in range(LAYERS):
@@ -162,7 +162,7 @@ def train_head(
 
     Args:
         config: the task; the head's shortest window is one episode.
-        controllers: those that drive the axes in a part of the runs, besides the other kinds of operation.
+        controllers: controllers of the axes in a part of the runs; the other runs have other kinds of operation.
         settings: settings of the training.
         seed: seed of data and network.
         progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
@@ -171,9 +171,9 @@ def train_head(
         resume: continue from that checkpoint.
 
     Raises:
-        ConfigurationError: settings that do not suit the task; a checkpoint that is missing, damaged or of other
+        ConfigurationError: the settings do not suit the task, or the checkpoint is missing, damaged or of other
             settings.
-        KeyboardInterrupt: Ctrl-C; the checkpoint keeps all but the part of the simulation or the epoch in progress.
+        KeyboardInterrupt: Ctrl-C; the checkpoint keeps everything except the unfinished chunk or epoch.
     """
     settings.check(config)
     torch.set_num_threads(settings.torch_threads)
@@ -288,7 +288,7 @@ class _Job:
         save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        """Simulate the windows of a phase that are missing."""
+        """Simulate the missing windows of a phase."""
         parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
         if not parts:
             self.save()
