@@ -1,1 +1,1 @@
-"""From a recording to a verdict: healthy, an internal leak, something else, or cannot tell."""
+"""From a recording to a verdict: healthy, internal leak, something else, or cannot tell."""

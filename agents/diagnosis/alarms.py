@@ -1,4 +1,4 @@
-"""The alarm over a recording: what an alarm on top of the leakage head would have said while the axis ran."""
+"""The alarm over a recording: an alarm on top of the leakage head, replayed sample by sample."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from agents.leakage.head import LeakageHead
 from agents.recordings.sampling import Sampled
 
 MOST_GAPS = 20
-"""Longest recording with its gaps, in times of its samples; a longer one is no continuous run."""
+"""Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
 
 
 class Watched(NamedTuple):
-    """What the alarm said."""
+    """Result of the alarm."""
 
     at: float | None  # s, of the alarm; None: there was none
     rate: float | None  # false alarms per 100 h for which it was set
-    note: str  # why it said nothing; empty if it watched
+    note: str  # why it did not watch; empty if it watched
 
     def line(self) -> str:
         """The alarm in one sentence."""
@@ -33,7 +33,7 @@ class Watched(NamedTuple):
 
 
 def watch(samples: Sampled, head: LeakageHead, settings: AlarmSettings) -> Watched:
-    """Follow a recording with an alarm, as if the axis had been switched on at its beginning."""
+    """Run an alarm over a recording, as if the axis had been switched on at its start."""
     rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
     if count < head.settings.window:
         return Watched(None, rate, "the recording is shorter than a window of the head")

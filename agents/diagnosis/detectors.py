@@ -1,7 +1,8 @@
 """The two detectors on the windows of a recording: the leakage head, and the estimator with the simulator as model.
 
-The estimator takes as unknown what the task draws and, besides, what wears: the valve's null shift, its edges, its flow
-and the return line. The model without these is wrong for a worn valve and would read a leak that is none.
+The unknowns of the estimator are the parameters that the task draws and those that change by wear: the valve's null
+shift, its edges, its flow and the return line. Without the latter the model would read a leak on an axis with a worn
+valve.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ Floats = NDArray[np.float64]
 Progress = Callable[[int], None]
 
 SURE = 3.0
-"""Standard deviations by which an estimate must lie beyond its healthy range to name a fault."""
+"""Distance of an estimate from its healthy range that names a fault, in standard deviations."""
 
 WIDE_BIAS = 3.0
-"""Standard deviation of a sensor's offset, in parts of the largest one of its data sheet."""
+"""Standard deviation of a sensor's offset, relative to the largest offset of the data sheet."""
 
 DETERMINED = 0.05
-"""Largest standard deviation in l/min at 100 bar, or share of the leak, of a reading that counts."""
+"""Largest standard deviation of a valid reading, in l/min at 100 bar, or as a share of the leak."""
 
 
 HEAD_FAULTS = {
@@ -44,11 +45,11 @@ HEAD_FAULTS = {
     "sensor_fault": "fault of a sensor",
     "return_line": "raised pressure in the return line",
 }
-"""Faults that the leakage head tells from a leak past the piston, in words."""
+"""Names of the faults that the leakage head distinguishes from a leak past the piston."""
 
 
 def read_head(windows: Windows, head: LeakageHead) -> Reading:
-    """Readings of the leakage head; it needs all commands, and does not count where it has seen nothing alike."""
+    """Readings of the leakage head; it needs all commands, and is not valid for windows unlike its training."""
     count, chosen = len(windows.begin), np.flatnonzero(windows.commanded)
     leak, low, high = (np.full(count, np.nan) for _ in range(3))
     holds, misfits = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
@@ -81,7 +82,7 @@ def head_misfit(head: LeakageHead, config: TaskConfig, windows: Windows) -> str:
 
 
 def wear_priors(config: TaskConfig) -> dict[str, Prior]:
-    """Priors of what wears or drifts: wide enough for the faults of :mod:`hydro_env.task.faults`."""
+    """Priors of the parameters that wear or drift, wide enough for the faults of :mod:`hydro_env.task.faults`."""
     valve = config.plant.valve
     wide = {
         "valve.null_shift": Prior(valve.null_shift, 0.01),
@@ -96,7 +97,7 @@ def wear_priors(config: TaskConfig) -> dict[str, Prior]:
 
 
 def unknowns_of(config: TaskConfig) -> tuple[str, ...]:
-    """Names of all unknowns: what an episode draws, the start, and what wears."""
+    """Names of all unknowns: parameters that an episode draws, initial state, and wear."""
     drawn = default_unknowns(config)
     return (*drawn, *(name for name in wear_priors(config) if name not in drawn))
 
@@ -104,7 +105,7 @@ def unknowns_of(config: TaskConfig) -> tuple[str, ...]:
 def read_estimator(windows: Windows, config: TaskConfig, progress: Progress | None = None) -> Reading:
     """Readings of the estimator; it needs all commands, and any sensor may be absent.
 
-    Windows that show no wear are fitted again without it: the simpler model knows the leak better.
+    Windows without signs of wear are fitted again without it: the simpler model gives the leak more precisely.
 
     Args:
         windows: of the recording.
@@ -149,10 +150,10 @@ UNDETERMINED = "the window does not determine the leak; more motion is needed"
 
 
 class Shown(NamedTuple):
-    """How a person reads an unknown that names a fault."""
+    """Name and unit of an unknown for a reader."""
 
     what: str
-    factor: float  # units of a person per unit of the unknown
+    factor: float  # displayed units per unit of the unknown
     unit: str
 
 
@@ -166,15 +167,15 @@ NAMED_FAULTS: dict[str, Shown] = {
     "pressure_b_bias": Shown("offset of the pressure sensor of chamber b", 1e-5, "bar"),
     "spool_position_bias": Shown("offset of the spool sensor", 100.0, "% of full stroke"),
 }
-"""Unknowns that name a fault. An offset of the position is none: its zero is a matter of agreement."""
+"""Unknowns that name a fault. An offset of the position is no fault: its zero is arbitrary."""
 
 LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
-"""Of a healthy axis: null shift in parts of full stroke, Pa in the return line beyond the data sheet's, and offset of a
-sensor in parts of that of its data sheet."""
+"""Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
+offset of a sensor relative to its data sheet."""
 
 
 def healthy_range(config: TaskConfig, name: str) -> tuple[float, float]:
-    """Lowest and highest value of an unknown on an axis without a fault: those that the task draws."""
+    """Lowest and highest value of an unknown on an axis without a fault, from the ranges of the task."""
     if name == "valve.null_shift":
         middle, reach = config.plant.valve.null_shift, LARGEST_NULL_SHIFT
     elif name == "supply.tank_pressure":
@@ -192,7 +193,7 @@ def healthy_range(config: TaskConfig, name: str) -> tuple[float, float]:
 
 
 def _faults(found: Estimate, window: int, config: TaskConfig) -> list[str]:
-    """Names of the unknowns that surely lie beyond their healthy range."""
+    """Names of the unknowns that lie significantly outside their healthy range."""
     faults = []
     for name in NAMED_FAULTS:
         if name in found.names:
@@ -204,7 +205,7 @@ def _faults(found: Estimate, window: int, config: TaskConfig) -> list[str]:
 
 
 def _in_words(found: Estimate, faults: list[list[str]]) -> list[str]:
-    """The faults of each window in words; a fault has its median size of all windows that show it."""
+    """The faults of each window as text; the size of a fault is the median over all windows that show it."""
     words = {}
     for name, shown in NAMED_FAULTS.items():
         rows = [row for row, names in enumerate(faults) if name in names]

@@ -1,4 +1,4 @@
-"""``hydro diagnose``: the whole way from a recording to verdict, table, picture and page."""
+"""``hydro diagnose``: from a recording to verdict, table, picture and page."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Progress = Callable[[str, int, int], None]
 
 
 class Diagnosis(NamedTuple):
-    """All that was found about a recording."""
+    """All results for a recording."""
 
     recording: Recording
     checked: Checked
@@ -63,9 +63,9 @@ def diagnose(
         path: the recording, CSV.
         config: the task whose rig was recorded.
         head: the leakage head.
-        columns: which column is which; default: the names that ``hydro record`` writes.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; the head has its own.
-        alarm: settings of an alarm that follows the recording.
+        alarm: settings of an alarm that watches the recording.
         progress: called with phase, done, total.
 
     Raises:

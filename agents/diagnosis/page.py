@@ -22,9 +22,9 @@ ADVICE = {
     Kind.HEALTHY: "The piston seal leaks too little to matter for the axis. Record again after some time.",
     Kind.LEAK: "The piston seal leaks. Plan its replacement by the size and by how fast it grows; record again after "
     "some time under the same conditions.",
-    Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check what the verdict names "
+    Kind.OTHER: "Something besides the piston seal differs from the rig's data sheet. Check the named part "
     "before the seal.",
-    Kind.UNKNOWN: "This recording gives no answer. The reason stands in the verdict; mend it and record again.",
+    Kind.UNKNOWN: "This recording gives no answer. The verdict gives the reason; correct it and record again.",
 }
 
 STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
@@ -37,7 +37,7 @@ MEANING = {
 }
 
 MOST_ROWS = 200
-"""Windows in the table of the page; the CSV file holds all."""
+"""Largest number of windows in the table of the page; the CSV file holds all."""
 
 
 def write_page(path: Path, diagnosis: Diagnosis, command: str) -> None:
@@ -86,16 +86,16 @@ def _plot(diagnosis: Diagnosis) -> Plot:
 
 
 def sentence(text: str) -> str:
-    """The text with a capital at its beginning."""
+    """The text with a capital first letter."""
     return text[:1].upper() + text[1:]
 
 
 def head_line(reading: Reading | None) -> str:
-    """What the leakage head says of the whole recording, to compare; empty if it was not used."""
+    """The result of the leakage head for the whole recording, for comparison; empty if it was not used."""
     if reading is None:
         return ""
     if not reading.holds.any():
-        return "The leakage head gives no reading that counts."
+        return "The leakage head gives no valid reading."
     leak, _ = combined(reading)
     fault = named_fault(reading)
     return f"The leakage head reads {leak.text()}; other faults that it names: {fault or 'none'}."
@@ -110,7 +110,7 @@ def _counts(diagnosis: Diagnosis) -> str:
 
 
 def findings_table(diagnosis: Diagnosis) -> Table | None:
-    """What is wrong with the recording; ``None`` if nothing is."""
+    """The findings about the recording; ``None`` without findings."""
     findings = diagnosis.checked.findings
     if not findings:
         return None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from agents.diagnosis.diagnose import Diagnosis
 
 MOST_POINTS = 4000
-"""Points of a line; longer ones show the lowest and highest value of each stretch."""
+"""Largest number of points of a line; a longer line shows the lowest and highest value of each stretch."""
 
 GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
 COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
@@ -41,7 +41,7 @@ def paint(figure: Figure, diagnosis: Diagnosis) -> None:
 
 
 def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
-    """The leak of each window with its 90 % interval; hollow where the reading does not count."""
+    """The leak of each window with its 90 % interval; a hollow marker is an invalid reading."""
     windows, limits = diagnosis.windows, diagnosis.limits
     axes.set_yscale("log")
     axes.set_ylim(LOWEST, HIGHEST)
@@ -90,7 +90,7 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: st
 
 
 def paint_signals(axes: Any, diagnosis: Diagnosis) -> None:
-    """Position, pressures, and spool with command, in the units of a person; marks where something was found."""
+    """Draw position, pressures, and spool with command, in mm, bar and %, and mark the findings."""
     recording = diagnosis.recording
     position, pressure_a, pressure_b, spool, command = recording.signals
     looks = list(looks_of(range(2)).values())

@@ -1,20 +1,19 @@
 """The rules of the verdict, in one place.
 
-They hold in this order; the first one that applies decides:
+The first rule that applies decides:
 
 1. A severe finding about the recording → **cannot tell**: what was found.
 2. A sensor sticks or loses readings, and the estimator's model explains less than half of the windows, or no detector
    has read a window → **something else**: that sensor.
 3. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this rig.
 4. No detector has read a window → **cannot tell**: why not.
-5. The interval of the leak lies above what a healthy seal lets through → **internal leak** of so much; a fault
-   besides it is named.
-6. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
-7. The interval lies below the smallest leak that counts as a fault → **healthy**.
-8. The interval holds both → **cannot tell**.
+5. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any other
+fault is named too. 6. A sensor sticks or loses readings, or most windows show another fault → **something else**:
+which. 7. The interval lies below the smallest leak that counts as a fault → **healthy**. 8. The interval contains
+healthy and faulty leaks → **cannot tell**.
 
-The estimator leads if it has read at least one window, because its model says when it does not hold; the leakage
-head leads otherwise.
+The estimator decides if it has read at least one window, because its model shows when it is not valid; otherwise the
+leakage head decides.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from agents.report.text import decimals_for, number
 Floats = NDArray[np.float64]
 
 MOST = 0.5
-"""Share of the windows that makes "most"."""
+"""Share of the windows that counts as "most"."""
 
 CHANGED = 3.0
-"""Change of the leak within the recording, in standard deviations of a window's reading, that is mentioned."""
+"""Change of the leak within the recording that the verdict mentions, in standard deviations of a window's reading."""
 
 HALF_WIDTH = 1.645
-"""Half of a 90 % interval, in standard deviations."""
+"""Half width of a 90 % interval, in standard deviations."""
 
 
 class Kind(StrEnum):
@@ -59,28 +58,28 @@ class Leak(NamedTuple):
     high: float
 
     def text(self) -> str:
-        """``1.02 [0.98, 1.06] l/min at 100 bar``; as many decimals as the interval is worth."""
+        """``1.02 [0.98, 1.06] l/min at 100 bar``; the width of the interval sets the number of decimals."""
         decimals = min(decimals_for(self.high - self.low, 2), 4)
         parts = (number(max(part, 0.0), decimals) for part in self)
         return "{} [{}, {}] l/min at 100 bar".format(*parts)
 
 
 class Reading(NamedTuple):
-    """What a detector has read from each of B windows."""
+    """Readings of a detector from B windows."""
 
-    leak: Floats  # (B,), l/min at 100 bar; NaN: nothing
+    leak: Floats  # (B,), l/min at 100 bar; NaN: no reading
     low: Floats  # (B,), 90 % interval
     high: Floats  # (B,)
-    holds: NDArray[np.bool_]  # (B,), whether the reading counts
+    holds: NDArray[np.bool_]  # (B,), whether the reading is valid
     fault: tuple[str, ...]  # (B,), fault besides the piston seal that the window shows; empty: none
-    why: tuple[str, ...]  # (B,), why the reading does not count; empty where it counts
-    misfits: NDArray[np.bool_]  # (B,), the detector was at work, but the window is outside what it describes
+    why: tuple[str, ...]  # (B,), why the reading is invalid; empty if it is valid
+    misfits: NDArray[np.bool_]  # (B,), the detector ran, but its model does not describe the window
 
 
 class Limits(NamedTuple):
     """Leaks in l/min at 100 bar."""
 
-    healthy: float  # a healthy seal lets through no more
+    healthy: float  # largest leak of a healthy seal
     fault: float  # smallest leak that counts as a fault
 
 
@@ -89,8 +88,8 @@ class Verdict(NamedTuple):
 
     kind: Kind
     why: str  # the fault, or the reason
-    leak: Leak | None  # where one was read
-    detector: str  # that has decided; empty: none
+    leak: Leak | None  # None: no reading
+    detector: str  # that decided; empty: none
 
     def line(self) -> str:
         """The verdict in one line."""
@@ -143,16 +142,16 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
 
 
 def named_fault(reading: Reading) -> str:
-    """The fault besides the piston seal that most windows which count show; empty if they show none."""
+    """The fault other than the piston seal in most valid windows; empty if there is none."""
     named = Counter(fault for fault, holds in zip(reading.fault, reading.holds, strict=True) if holds and fault)
     return named.most_common(1)[0][0] if named and named.total() >= MOST * reading.holds.sum() else ""
 
 
 def combined(reading: Reading) -> tuple[Leak, str]:
-    """The leak of the recording, and words about its change; of the last third if it has changed.
+    """The leak of the recording, or of its last third if the leak has changed, and a phrase about the change.
 
-    Windows of one axis share its unknown parameters, so that many windows know the leak no better than one: the
-    interval is that of a typical window, widened if the windows scatter more than their intervals say.
+    Windows of one axis share its unknown parameters; many windows are therefore no more precise than one. The interval
+    is that of a typical window, widened if the windows scatter more than their intervals.
     """
     leak, low, high = (values[reading.holds] for values in (reading.leak, reading.low, reading.high))
     change = ""
@@ -178,7 +177,7 @@ def _share(mask: NDArray[np.bool_]) -> float:
 
 
 def _why_nothing(*readings: Reading | None) -> str:
-    """The reason that most windows give, of the first detector that was at work."""
+    """The most frequent reason of the first detector that ran."""
     for reading in readings:
         if reading is not None and any(reading.why):
             return Counter(why for why in reading.why if why).most_common(1)[0][0]

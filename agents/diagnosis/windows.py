@@ -22,7 +22,7 @@ class Windows(NamedTuple):
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
-        """Windows whose commands are all known, (B,): without them no model can be replayed."""
+        """Windows whose commands are all known, (B,): a simulation needs every command."""
         return np.asarray(np.isfinite(self.signals[:, COMMAND]).all(axis=1))
 
     @property
@@ -36,7 +36,7 @@ class Windows(NamedTuple):
 
 
 def cut(samples: Sampled, length: int) -> Windows:
-    """Windows of ``length`` samples; a rest that is shorter, and windows without any sample, are left out."""
+    """Windows of ``length`` samples; a shorter remainder and windows without any sample are left out."""
     window, place = samples.place // length, samples.place % length
     chosen = np.unique(window)
     if len(samples.place):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class _Extractor(MlpExtractor):
-    """As its parent, but the actor sees the first inputs alone.
+    """Like its parent, but the actor sees only the first inputs.
 
     Args:
         actor_inputs: number of the inputs that the actor sees.

@@ -1,4 +1,4 @@
-"""What happens between the rollouts of PPO: log, checkpoints, schedule of the exploration."""
+"""Work between the rollouts of PPO: log, checkpoints, schedule of the exploration."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class TrainingCallback(BaseCallback):
         return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
 
     def _between_rollouts(self) -> None:
-        """Log the last rollout and its update, and copy the state at the start of the next one."""
+        """Log the last rollout and its update, and copy the state at the start of the next rollout."""
         steps = self.num_timesteps
         if steps > self._logged:
             self._log(steps, steps - self._logged)
@@ -104,7 +104,7 @@ class TrainingCallback(BaseCallback):
         self.logger.dump(steps)
 
     def write_checkpoint(self) -> None:
-        """Write the state at the start of the present rollout, or of the next one between rollouts."""
+        """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
         if self._write is not None and self._checkpoint is not None:
             self._write(self._checkpoint)
             self._written = time.monotonic()

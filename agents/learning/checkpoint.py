@@ -52,7 +52,7 @@ def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoin
 
 
 def save(checkpoint: Checkpoint, folder: Path, made_with: Mapping[str, Any]) -> None:
-    """Write a checkpoint and the circumstances ``made_with`` (JSON), whole or not at all.
+    """Write a checkpoint and its conditions ``made_with`` (JSON) atomically.
 
     Raises:
         ConfigurationError: the folder cannot be written.
@@ -66,16 +66,16 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
 
     Args:
         folder: folder of the checkpoint.
-        made_with: groups that must equal those of the checkpoint, each a dictionary or a single value.
+        made_with: conditions that must equal those of the checkpoint, each a dictionary or a single value.
 
     Raises:
-        ConfigurationError: the checkpoint is missing, damaged, or was made with other groups.
+        ConfigurationError: the checkpoint is missing, damaged, or was made under other conditions.
     """
     path = folder / CHECKPOINT_FILE
     tensors, stored = load_checkpoint(path, KIND)
     before = stored.get("made_with")
     if not isinstance(before, dict):
-        raise ConfigurationError(f"{path}: damaged: it does not say what it was made with")
+        raise ConfigurationError(f"{path}: damaged: its conditions (made_with) are missing")
     for what, now in made_with.items():
         old = before.get(what)
         if old != now:
@@ -135,7 +135,7 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
     model._n_updates = checkpoint.updates
     generator["state"] = {"key": tensors["numpy_generator"], "pos": int(tensors["numpy_generator_position"])}
     try:
-        if not 0 <= generator["state"]["pos"] <= 624:  # NumPy would read beyond its array
+        if not 0 <= generator["state"]["pos"] <= 624:  # otherwise NumPy reads beyond its array
             raise ValueError
         np.random.set_state(generator)
         torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
@@ -144,7 +144,7 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
-    """An array that safetensors can hold: of an array with named fields, its bytes."""
+    """An array that safetensors can hold: the bytes of an array with named fields, any other array unchanged."""
     return array if array.dtype.names is None else np.frombuffer(array.tobytes(), dtype=np.uint8)
 
 

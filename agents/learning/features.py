@@ -27,14 +27,14 @@ HISTORY_SIGNALS = (
     "tracking_error",
 )
 HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
-"""Control periods back."""
+"""Ages of the samples in the history, in control periods."""
 
 
 LASTING_TIME = 0.2
-"""s; time constant of the slow average of the correction. What lasts longer is the integrator's business."""
+"""s; time constant of the slow average of the correction. Integral action handles slower errors."""
 
 PREVIEW_SCALE = 0.01
-"""m; the rebuilt samples of the preview enter in parts of this, as the shown ones do."""
+"""m; scale of the rebuilt samples of the preview, the same as in the observation."""
 
 FEATURE_LIMIT = 50.0
 """Inputs of the policy are limited to ± this value."""
@@ -56,7 +56,7 @@ class FeatureState(NamedTuple):
     """Command of the corrected controller at the last call, (N, 1)."""
 
     correction: NDArray[np.float32]
-    """What the policy added to that controller's command in the period before, (N, 1); after the limits."""
+    """The policy's correction of that controller's command in the previous period, (N, 1); after the limits."""
 
     lasting: NDArray[np.float32]
     """Slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)."""
@@ -65,7 +65,7 @@ class FeatureState(NamedTuple):
     """The reference from one period ago to the farthest preview, m, (N, samples)."""
 
     def aligned(self) -> FeatureState:
-        """The same memory with the oldest signals at place 0 of the ring."""
+        """The same memory with the oldest signals at index 0 of the ring."""
         ring = np.concatenate([self.ring[:, self.slot :], self.ring[:, : self.slot]], axis=1)
         return self._replace(ring=ring, slot=0)
 
@@ -84,12 +84,13 @@ class PolicyFeatures:
         base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
         residual_scale: command per 1 of the policy's output in the residual form.
         see_correction: whether the policy sees its last correction and the slow average of its corrections.
-        full_preview: whether the policy sees every sample of the preview; it remembers those that are not shown.
-        see_estimates: whether the policy sees what the corrected controller estimates.
+        full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
+            memory.
+        see_estimates: whether the policy sees the estimates of the corrected controller.
         normalisation: of the inputs; ``None`` leaves them as they are.
 
     Raises:
-        ConfigurationError: the corrected controller estimates nothing.
+        ConfigurationError: the corrected controller has no estimates.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class PolicyFeatures:
         self.see_estimates = see_estimates and base is not None
         estimates = tuple(getattr(base, "estimate_names", ()))
         if self.see_estimates and not estimates:
-            raise ConfigurationError(f"see_estimates: {type(base).__name__} estimates nothing")
+            raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
         self.layout = layout = ObservationLayout.of(config)
         self.base = base
         self.residual_scale = residual_scale if base is not None else 1.0
@@ -131,8 +132,8 @@ class PolicyFeatures:
     ) -> tuple[NDArray[np.float32], FeatureState]:
         """Inputs (N, size) for a batch of observations (N, n), and the new memory.
 
-        The history consists of the changes since each past sample. The first observation of an episode stands for the
-        time before it.
+        The history consists of the changes since each past sample. Before the start of an episode, it repeats the first
+        observation.
         """
         inputs = observation.astype(np.float32, copy=False)
         signals = inputs[:, self._columns]
@@ -173,9 +174,9 @@ class PolicyFeatures:
         return inputs if self.normalisation is None else self.normalisation(inputs)
 
     def normalised(self) -> PolicyFeatures:
-        """The same features, normalised by what they are on training plants under the corrected controller.
+        """The same features, normalised by their values on training plants under the corrected controller.
 
-        Without one, the axes get commands at random.
+        Without a corrected controller, the commands are random.
         """
         plain = self._with(None)
         generator = np.random.default_rng(0)
@@ -208,7 +209,7 @@ class PolicyFeatures:
         return command
 
     def describe(self) -> dict[str, Any]:
-        """All that is needed to build this again (JSON)."""
+        """All data to build this object again (JSON)."""
         return {
             "task": self.config.model_dump(mode="json"),
             "base": None

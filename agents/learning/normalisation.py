@@ -1,4 +1,4 @@
-"""Inputs of a network in units of their own size, so that 10 µm count as well as 10 mm."""
+"""Normalises the inputs of a network by their typical sizes: 10 µm and 10 mm are both visible."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ MIDDLE = 0.6
 """Share of the samples that stay within one unit."""
 
 RARE = 0.3
-"""An input that rests most of the time has this share of its standard deviation as unit."""
+"""Unit of an input that is constant most of the time, as a fraction of its standard deviation."""
 
 LEAST = 0.02
-"""It rests if the unit by its middle is smaller than this share of its standard deviation."""
+"""An input is constant most of the time if its unit (from MIDDLE) is below this fraction of its standard deviation."""
 
 
 class Normalisation(NamedTuple):

@@ -39,9 +39,9 @@ class SACSettings(TrainingSettings):
     learning_rate: float = Field(5e-4, gt=0.0, le=1.0)
     gradient_steps: int = Field(8, ge=1, le=10_000, description="after each control period of all axes")
     batch_size: int = Field(512, ge=2, le=1_000_000)
-    buffer_size: int = Field(500_000, ge=100, le=10_000_000, description="samples that are kept")
+    buffer_size: int = Field(500_000, ge=100, le=10_000_000, description="samples in the buffer")
     learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
-    initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts itself")
+    initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
     log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
 
 
@@ -49,8 +49,8 @@ class OffPolicyTrainer(PolicyTrainer):
     """A trainer that learns from a buffer of past samples.
 
     A checkpoint holds the networks, the weight of the entropy and the number of steps. A resumed training fills a new
-    buffer under the policy that it has, and its optimiser begins anew; it does not end bit for bit as an uninterrupted
-    one.
+    buffer with the present policy and restarts its optimiser; its result therefore differs from that of an
+    uninterrupted training.
 
     Args:
         name: of the algorithm.

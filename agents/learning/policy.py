@@ -58,7 +58,7 @@ class _StoredPolicy(Group):
 
 
 class PolicyController:
-    """An actor network of dense layers from features to a command, as trained by PPO or A2C.
+    """An actor network of dense layers from features to a command, trained by PPO or A2C.
 
     It has the interface of every controller; see :class:`~agents.controllers.base.Controller`.
     ``deterministic=False`` adds Gaussian exploration noise of the trained size.
@@ -162,7 +162,7 @@ class PolicyController:
             ConfigurationError: the environment's inputs are not those of this policy.
         """
         if self.output != "linear":
-            raise ConfigurationError("to_sb3: only policies of PPO and A2C go back to stable-baselines3")
+            raise ConfigurationError("to_sb3: must be a policy of PPO or A2C")
         import torch
         from stable_baselines3 import PPO
 

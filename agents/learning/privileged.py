@@ -1,4 +1,4 @@
-"""What a critic is told in training and no controller can measure: leak, plant, true state, bias, latency, family."""
+"""Hidden quantities for the critic in training: leak, plant, true state, bias, latency, family."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from hydro_env.plant.states import TYPICAL_SIZE
 from hydro_env.task.sensors import CHANNELS
 
 PLANTS = 256
-"""Plants that are drawn to learn the mean and the spread of each parameter."""
+"""Number of plants that are drawn for the mean and the spread of each parameter."""
 
 ERROR_SCALE = 1e-3
-"""m; the true error enters in parts of this."""
+"""m; scale of the true error."""
 
 SMALLEST_LEAK = 1e-4
-"""l/min; the leak enters as the logarithm of its size, from here."""
+"""l/min; the leak enters as the logarithm of its size relative to this."""
 
 
 class Privileged:
-    """The hidden side of N axes as numbers of order 1.
+    """The hidden quantities of N axes, scaled to order 1.
 
     Args:
         config: the task of the training.
 
     Raises:
-        ConfigurationError: the task's plants cannot hold their starts.
+        ConfigurationError: a plant of the task cannot hold its initial position.
     """
 
     def __init__(self, config: TaskConfig) -> None:

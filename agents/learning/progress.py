@@ -30,12 +30,12 @@ class Progress:
 
 
 class ProgressFile(KVWriter):
-    """``progress.csv``: one row per update, written at once; a resumed training continues the file.
+    """``progress.csv``: one row per update, written immediately; a resumed training continues the file.
 
     Args:
         path: path of the file.
-        steps: number of steps at the checkpoint; later rows are dropped, because a training wrote them that was killed
-            before its next checkpoint.
+        steps: number of steps at the checkpoint; later rows are dropped, because they come from a training that was
+            killed before its next checkpoint.
 
     Raises:
         ConfigurationError: the file is damaged or cannot be written.
@@ -61,7 +61,7 @@ class ProgressFile(KVWriter):
             file.write(self._line(row))
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing: the file is closed after each row."""
 
     def _line(self, row: Row) -> str:
         return ",".join(_text(row.get(key, math.nan)) for key in self._columns) + "\n"
@@ -120,6 +120,6 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
     writers: list[KVWriter] = []
     if folder is not None:
         writers.append(ProgressFile(folder / PROGRESS_FILE, steps))
-        with suppress(AssertionError):  # TensorBoard is not installed
+        with suppress(AssertionError):  # TensorBoard may not be installed
             writers.append(TensorBoardOutputFormat(str(folder)))
     return Logger(None if folder is None else str(folder), writers)

@@ -14,23 +14,26 @@ LARGEST_ROLLOUT = 10_000_000
 
 
 class Prices(Group):
-    """Costs of a control period on top of the task's reward; commands in parts of 10 V.
+    """Costs of a control period in addition to the task's reward; commands are fractions of 10 V.
 
-    The costs of the command are counted relative to the twin, if there is one.
+    The costs of the command are relative to the twin, if there is one.
     """
 
     lasting: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the squared slow average of the correction, which the integrator fights"
+        0.0,
+        ge=0.0,
+        le=1e6,
+        description="on the squared slow average of the correction, which integral action counteracts",
     )
     change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
     travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")
     reversal: float = Field(
-        0.0, ge=0.0, le=1e6, description="on the smaller of the two swings that a reversal of the command joins"
+        0.0, ge=0.0, le=1e6, description="on the smaller of the two swings at a reversal of the command"
     )
 
 
 class TrainingSettings(Group):
-    """Settings that all trainers of this package share: what the policy sees, corrects and is paid for."""
+    """Settings that all trainers of this package share: inputs of the policy, corrected controller, and costs."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -43,18 +46,18 @@ class TrainingSettings(Group):
         False, description="the policy sees every sample of the preview; those between the shown ones come from memory"
     )
     see_estimates: bool = Field(
-        False, description="the policy sees what the corrected controller estimates (residual form only)"
+        False, description="the policy sees the estimates of the corrected controller (residual form only)"
     )
-    normalise: bool = Field(False, description="inputs in units of their own size, as observed on training plants")
+    normalise: bool = Field(False, description="divide inputs by their typical sizes on training plants")
     paired: bool = Field(
         True, description="reward relative to a twin under the corrected controller (residual form only)"
     )
     family_units: bool = Field(
-        False, description="reward in parts of the corrected controller's mean error in the family of the reference"
+        False, description="reward relative to the corrected controller's mean error in the family of the reference"
     )
     prices: Prices = Field(default_factory=Prices)
     practice: dict[str, Any] = Field(
-        default_factory=dict, description="fields of the task that differ in training, such as the share of leaks"
+        default_factory=dict, description="fields of the task with other values in training, such as the share of leaks"
     )
     reward_scale: float = Field(0.2, gt=0.0, le=1e6)
     total_steps: int = Field(8_000_000, ge=1, le=10**12, description="control periods, all axes together")
@@ -64,7 +67,7 @@ class TrainingSettings(Group):
         "relu", description="of the hidden layers; relu takes a third less time"
     )
     discount: float = Field(0.98, gt=0.0, lt=1.0)
-    validation_every: int = Field(1_000_000, ge=0, description="steps between errors on validation plants; 0: none")
+    validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
 
     @model_validator(mode="after")
@@ -83,18 +86,18 @@ class PPOSettings(TrainingSettings):
     """Settings of PPO; ``configs/agents/ppo.yaml`` holds those of the studies."""
 
     told_critic: bool = Field(
-        False, description="the critic is told leak, plant, true state and sensor biases; the actor is not"
+        False, description="the critic, not the actor, sees leak, plant, true state and sensor biases"
     )
     steps_per_rollout: int = Field(64, ge=2, le=1_000_000, description="control periods per axis between updates")
     minibatches: int = Field(4, ge=1)
     epochs: int = Field(4, ge=1, le=1000)
-    learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; falls to a tenth along a cosine")
+    learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="at the start; decreases to a tenth along a cosine")
     advantage_decay: float = Field(0.95, gt=0.0, le=1.0, description="λ of generalised advantage estimation")
     clip_range: float = Field(0.2, gt=0.0, le=10.0)
     entropy_weight: float = Field(0.0, ge=0.0, le=10.0)
     initial_log_standard_deviation: float = Field(-1.5, ge=-10.0, le=2.0, description="of the exploration")
     final_log_standard_deviation: float = Field(
-        -3.0, ge=-10.0, le=2.0, description="linear schedule; the gradient alone would reduce it too early"
+        -3.0, ge=-10.0, le=2.0, description="end of a linear schedule; the gradient alone would reduce it too early"
     )
 
     @model_validator(mode="after")
@@ -111,7 +114,7 @@ class PPOSettings(TrainingSettings):
 
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
-        share = min(1.0 - remaining, 1.0)  # the last rollout may go past the end
+        share = min(1.0 - remaining, 1.0)  # the last rollout may exceed the end
         return self.learning_rate * (0.1 + 0.9 * 0.5 * (1.0 + math.cos(math.pi * share)))
 
     def log_standard_deviation_at(self, share: float) -> float:

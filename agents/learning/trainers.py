@@ -27,7 +27,7 @@ class TrainedController(Controller, Protocol):
 
 
 class Trainer(Protocol):
-    """An algorithm that makes a controller for a task."""
+    """An algorithm that trains a controller for a task."""
 
     settings: type[Group]
     """Class of the settings in a YAML file."""
@@ -52,7 +52,7 @@ class Trainer(Protocol):
             folder: for checkpoints and logs.
             resume: continue from the checkpoint in ``folder``.
             base: the controller that a residual form corrects, if there is one.
-            progress: called from time to time.
+            progress: called regularly.
 
         Raises:
             ConfigurationError: impossible settings, or nothing to resume.
@@ -98,10 +98,10 @@ TRAINERS: dict[str, Trainer] = {
 
 
 def trainer(kind: str) -> Trainer:
-    """The trainer with a name in :data:`TRAINERS`, or the one that ``my_module:MyTrainer`` names.
+    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
 
     Raises:
-        ConfigurationError: no such trainer, or it cannot be loaded.
+        ConfigurationError: the trainer is unknown or cannot be loaded.
     """
     if kind in TRAINERS:
         return TRAINERS[kind]

@@ -38,14 +38,14 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
     """The features that a training uses.
 
     Raises:
-        ConfigurationError: the residual form without a controller to correct, or with one that is not classical.
+        ConfigurationError: the residual form has no controller to correct, or one that is not classical.
     """
     corrected: ClassicalController | None = None
     if settings.residual:
         if base is None:
-            raise ConfigurationError("the residual form needs a controller that the policy corrects")
+            raise ConfigurationError("residual: true needs a controller that the policy corrects")
         corrected = cast(ClassicalController, base)
-        kind_of(corrected)  # refuses one that weights could not name
+        kind_of(corrected)  # the weights' file must be able to name it
     options = (settings.residual_scale, settings.see_correction, settings.full_preview, settings.see_estimates)
     features = PolicyFeatures(config, corrected, *options)
     return features.normalised() if settings.normalise else features
@@ -55,7 +55,8 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
     """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
     Raises:
-        ConfigurationError: ``practice`` is no part of a task, or changes the observations or the control period.
+        ConfigurationError: ``practice`` has no valid fields of a task, or changes the observations or the control
+            period.
     """
     try:
         practised = task_config(config, **settings.practice)
@@ -83,9 +84,9 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
 
 
 def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConfig:
-    """The task with rewards in parts of each family's mean error (m).
+    """The task with rewards relative to each family's mean error (m).
 
-    The largest cost, and with it that of a failure, still begins at the same error.
+    The error with the largest cost, and so the cost of a failure, stays the same.
     """
     reward = config.reward
     scale = {name: error / reward.error_scale for name, error in errors.items()}
@@ -99,7 +100,7 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
 
 
 def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
-    """A PPO model whose policy starts at (nearly) zero output: a correction starts as the corrected controller."""
+    """A PPO model with nearly zero initial output: a correction starts at the corrected controller."""
     assert env.features is not None
     model = PPO(
         AsymmetricPolicy if settings.told_critic else "MlpPolicy",
@@ -157,7 +158,7 @@ def train_ppo(
         The trained policy.
 
     Raises:
-        ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
+        ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
         KeyboardInterrupt: Ctrl-C; the checkpoint holds the start of the interrupted rollout.
     """
     torch.set_num_threads(settings.torch_threads)
@@ -186,7 +187,7 @@ def train_ppo(
     def current() -> PolicyController:
         return PolicyController.from_sb3(model, features)
 
-    base_error = math.nan  # of the corrected PID; computed once
+    base_error = math.nan  # of the corrected controller; computed once
 
     def validation() -> dict[str, float]:
         nonlocal base_error
@@ -223,7 +224,7 @@ def train_ppo(
 def training_record(
     algorithm: str, env: AxisVecEnv, seed: int, steps: int, seconds: float, settings: TrainingSettings
 ) -> dict[str, Any]:
-    """What the weights' JSON says about their training."""
+    """The record of a training for the JSON file of the weights."""
     practised = env.env.config
     return {
         "algorithm": f"{algorithm} (stable-baselines3)",

@@ -30,26 +30,26 @@ Floats = NDArray[np.float64]
 Objective = Literal["mean", "equal"]
 
 LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-"""l/min at 100 bar; every candidate meets each of them in each family."""
+"""l/min at 100 bar; every candidate runs with each leak in each family."""
 
 POPULATION = 14
-"""Candidates of a generation."""
+"""Number of candidates per generation."""
 
 EVALUATIONS = 2800
-"""Candidates in all."""
+"""Total number of candidates."""
 
 EFFORT_TIME = 3e-3
-"""s; the squared change of the command in a period costs as much as the way at full speed in this time."""
+"""s; the squared change of the command in a period costs as much as the travel at full speed in this time."""
 
 REFUSED = 1e3
-"""m; cost of a candidate that is refused or fails."""
+"""m; cost of an invalid or failing candidate."""
 
 _SIGMA = 0.2
 
 
 @dataclass(frozen=True)
 class TuningCases:
-    """The training cases of every candidate, each (N,): N a multiple of families × leak levels at best."""
+    """The training cases of every candidate, each (N,); N should be a multiple of families × leak levels."""
 
     seeds: tuple[int, ...]
     leakage_flow_lpm: tuple[float, ...]
@@ -72,12 +72,12 @@ class TuningCases:
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate reaches on the training cases, in m; each includes the price on changes of the command."""
+    """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
 
     mean: float
     """Mean over all cases of the mean absolute error."""
     equal: float
-    """Geometric mean over the families of the mean over their cases: each family weighs the same."""
+    """Geometric mean over the families of the mean over their cases; all families have the same weight."""
 
 
 class Trial:
@@ -94,10 +94,10 @@ class Trial:
         self._env.close()
 
     def costs(self, controllers: Sequence[Controller | None]) -> Floats:
-        """Mean absolute error and price on changes of the command of each candidate's cases, m, (candidates, cases).
+        """Mean absolute error plus cost of command changes, m, (candidates, cases).
 
-        A failed axis pays the length of the stroke in every period that is left. A candidate that is ``None``, raises
-        or returns no finite commands pays :data:`REFUSED`.
+        A failed axis costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an
+        error or returns a command that is not finite costs :data:`REFUSED`.
         """
         config, cases, size = self.config, self.cases, len(self.cases)
         count = self.candidates * size
@@ -151,7 +151,7 @@ class Trial:
 
 
 class Space:
-    """The search space of a class of gains as a unit cube; fields with ``logarithmic`` count by their logarithm."""
+    """The search space of a class of gains as a unit cube; fields with ``logarithmic`` have a logarithmic scale."""
 
     def __init__(self, gains: type[Group]) -> None:
         self.gains = gains
@@ -165,7 +165,7 @@ class Space:
         return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)
 
     def point(self, gains: Group) -> Floats:
-        """Gains as a point of the cube, (n,); a gain outside its search range is moved to the nearer end."""
+        """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
         values = np.array([float(getattr(gains, name)) for name in self.names])
         tiny = np.exp(self._low)
         scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
@@ -207,18 +207,18 @@ def tune(
         kind: the controller.
         config: the task.
         objective: ``mean`` (mean absolute error) or ``equal`` (geometric mean over the families); see :class:`Score`.
-        evaluations: candidates in all, rounded up to whole generations.
+        evaluations: total number of candidates, rounded up to whole generations.
         seed: of the optimiser and of the training cases.
         cases: training cases of each candidate; a multiple of leak levels × families gives each the same number.
         start: gains from which the search starts; their class's defaults by default. Fields that are not searched keep
             these values.
-        log: CSV file with the costs of every generation. It is the checkpoint too.
-        resume: continue from ``log``; the result is bit-equal to that of a run without a break.
-        progress: called after every generation with the best so far.
-        population: candidates of a generation.
+        log: CSV file with the costs of every generation. It is also the checkpoint.
+        resume: continue from ``log``; the result is bit-equal to that of an uninterrupted run.
+        progress: called after every generation with the best candidate so far.
+        population: candidates per generation.
 
     Raises:
-        ConfigurationError: unknown kind, or a log that is damaged or was written with other settings.
+        ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
     """
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}")
@@ -271,7 +271,7 @@ def tune(
 
 
 def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
-    """The gains of a candidate; ``None`` if their class refuses them."""
+    """The gains of a candidate; ``None`` if they are invalid."""
     try:
         return validate(group, values, "candidate")
     except ConfigurationError:

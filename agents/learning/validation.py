@@ -1,4 +1,4 @@
-"""Errors of a policy on validation plants, for the log of its training, and of its base on training plants."""
+"""Errors of a policy on validation plants, for the training log, and of a controller on training plants."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ ENV = "env."
 
 
 class AxisVecEnv(VecEnv):
-    """N axes in one compiled step for any algorithm of stable-baselines3, several times faster than ``DummyVecEnv``.
+    """N axes in one compiled step, for any algorithm of stable-baselines3; several times faster than ``DummyVecEnv``.
 
     Observations and actions are those of the environment::
 
@@ -32,13 +32,13 @@ class AxisVecEnv(VecEnv):
         env = AxisVecEnv({"episode_duration": 1.0}, 64)
         model = PPO("MlpPolicy", env, n_steps=128, device="cpu").learn(100_000)
 
-    With ``features`` the policy gets :class:`PolicyFeatures` instead, which also turn its outputs into commands.
+    With ``features`` the policy gets :class:`PolicyFeatures` instead; they also turn its outputs into commands.
 
     ``infos`` holds the entries of stable-baselines3 (``terminal_observation``, ``TimeLimit.truncated``, ``episode``)
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
 
     With ``paired`` each axis has a twin with the same plant, reference and noise, driven by the corrected controller
-    alone; the reward is the difference to the twin's reward. Error that no controller can avoid cancels out. The twin
+    alone; the reward is the difference to the twin's reward. Errors that no controller can avoid cancel out. The twin
     does not depend on the policy's actions; the policy gradient therefore remains unbiased.
 
     Args:
@@ -50,12 +50,13 @@ class AxisVecEnv(VecEnv):
         paired: reward relative to a twin under the corrected controller; needs features in the residual form.
         stagger: advance the clock of axis i by i/N of an episode at the first reset; the axes then restart at
             different times. The references jump at that moment; later episodes are whole.
-        told_critic: append to the inputs what only a critic may know (:class:`~agents.learning.privileged.Privileged`).
-        prices: further costs; see :class:`~agents.learning.settings.Prices`.
+        told_critic: append hidden quantities to the inputs, for the critic
+            (:class:`~agents.learning.privileged.Privileged`).
+        prices: additional costs; see :class:`~agents.learning.settings.Prices`.
         overrides: single fields of the task.
 
     Raises:
-        ConfigurationError: an impossible task, or ``paired`` without a controller to compare with.
+        ConfigurationError: the task is impossible, or ``paired`` has no controller to compare with.
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class AxisVecEnv(VecEnv):
         return self._with_privileged(inputs, slice(self.num_envs))
 
     def _with_privileged(self, inputs: NDArray[np.float32], axes: slice | NDArray[np.int64]) -> NDArray[np.float32]:
-        """The policy's inputs of some axes, within their limits, and what the critic is told besides."""
+        """The policy's inputs of some axes, within their limits, with the hidden quantities for the critic."""
         if self._privileged is not None:
             inputs = np.concatenate([inputs, self._privileged(self.env.axes, axes)], axis=1)
         return np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
@@ -168,14 +169,14 @@ class AxisVecEnv(VecEnv):
         return inputs, (worth * self.reward_scale).astype(np.float32), done, infos
 
     def _prices_of_commands(self, before: Array, change: Array) -> Array:
-        """Price of a period's change of each command, given the change ``before``."""
+        """Cost of a period's change of each command, given the previous change."""
         prices = self._prices
         reversed_swing = np.where(change * before < 0.0, np.minimum(np.abs(change), np.abs(before)), 0.0)
         price: Array = prices.travel * np.abs(change) + prices.reversal * reversed_swing
         return price
 
     def _prices_of_correction(self, command: Array) -> Array:
-        """Price of each correction that led to ``command``."""
+        """Cost of each correction that led to ``command``."""
         prices, state = self._prices, self._state
         if state is None or not (prices.lasting or prices.change):
             return np.zeros(self.num_envs)
@@ -247,12 +248,12 @@ class AxisVecEnv(VecEnv):
         self.env.close()
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed of the next reset; axis i gets ``seed + i``."""
+        """Set the seed of the next reset; axis i gets ``seed + i``."""
         self._first_seed = seed
         return [None if seed is None else seed + axis for axis in range(self.num_envs)]
 
     def set_options(self, options: Any = None) -> None:
-        """Options of the next reset, as the vector environment takes them."""
+        """Set the options of the next reset; see :meth:`hydro_env.ServoHydraulicVectorEnv.reset`."""
         self._next_options = options
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:

@@ -141,7 +141,7 @@ def changed(tensors, name, value):
         (lambda t, d: (t, d | {"steps": "many"}), "damaged: steps"),
         (lambda t, d: (t, d | {"steps": -5}), "damaged: steps"),
         (lambda t, d: (t, d | {"seconds": float("inf")}), "damaged: steps"),
-        (lambda t, d: (t, d | {"made_with": []}), "does not say what it was made with"),
+        (lambda t, d: (t, d | {"made_with": []}), "its conditions"),
         (lambda t, d: (changed(t, "episodes", np.zeros((3, 5))), d), "'episodes' holds float64 of shape"),
         (lambda t, d: (changed(t, "episodes", np.full((3, 2), np.nan)), d), "'episodes' holds values that are not"),
         (lambda t, d: (changed(t, "axes.env.record", np.zeros((2, 2))), d), "'axes.env.record' holds"),

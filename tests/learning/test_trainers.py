@@ -81,7 +81,7 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     np.testing.assert_array_equal(run.command, run_cases(CONFIG, policy, cases).command)
     assert not np.array_equal(run.command, run_cases(CONFIG, BASE, cases).command)
     assert np.isfinite(read_progress(tmp_path / "progress.csv")[-1]["train/critic_loss"])
-    with pytest.raises(ConfigurationError, match="only policies of PPO and A2C"):
+    with pytest.raises(ConfigurationError, match="must be a policy of PPO or A2C"):
         again.to_sb3(None)
 
     # A resumed training goes on with the networks and the number of steps.
