@@ -1,1 +1,1 @@
-"""Estimation with the simulator as model: which parameters and start states explain measured signals best."""
+"""Estimation with the simulator as model: the parameters and initial states that explain measured signals best."""

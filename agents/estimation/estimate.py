@@ -1,4 +1,4 @@
-"""Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains what was measured."""
+"""Estimates the unknowns of recorded windows: values, uncertainty, and whether the model explains the readings."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 SAMPLES_PER_BATCH = 25_600
-"""Samples of all windows that are fitted together; more would only take more memory."""
+"""Largest number of samples, over all windows, in one fit; more would only need more memory."""
 
 SHORTEST_FIT = 10
-"""Samples; shorter fits say nothing."""
+"""Samples; shorter fits carry no information."""
 
 RESTART = 0.7
-"""Standard deviation of the random values of a further search, in standard deviations of the prior."""
+"""Standard deviation of the random start of a further search, in standard deviations of the prior."""
 
 UNLIKELY = 4.0
 """Standard deviations of the prior beyond which a value contradicts it."""
 
 UNDETERMINED = 0.7
-"""An unknown is undetermined where its standard deviation remains above this share of the prior's."""
+"""An unknown is undetermined if its standard deviation remains above this share of the prior's."""
 
 
 class EstimationSettings(Group):
-    """How an estimate is searched."""
+    """Settings of the search for an estimate."""
 
     horizons: tuple[Number, ...] = Field(
         (0.1, 0.2, 0.4, 0.7, 1.2, 2.4, 4.8),
-        description="s; lengths of the first, rough fits, up to the whole window; each begins where the last ended",
+        description="s; lengths of the first, rough fits; each starts from the result of the previous one",
     )
     horizon_iterations: int = Field(6, ge=1, le=1000, description="largest number of iterations of each rough fit")
-    horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="as tolerance, of each rough fit")
+    horizon_tolerance: Number = Field(5.0, gt=0.0, le=1e6, description="the same as tolerance, for each rough fit")
     iterations: int = Field(100, ge=1, le=1000, description="largest number of iterations of the last fit")
     tolerance: Number = Field(
-        0.05, gt=0.0, le=10.0, description="an iteration that lowers the cost by less is the last"
+        0.05, gt=0.0, le=10.0, description="the search ends after an iteration that lowers the cost by less"
     )
-    restarts: int = Field(3, ge=0, le=100, description="further searches of windows that misfit")
+    restarts: int = Field(3, ge=0, le=100, description="further searches for windows that the model does not explain")
     largest_misfit: Number = Field(
-        4.0, gt=0.0, description="standard deviations of chi2; above, the model does not hold"
+        4.0, gt=0.0, description="standard deviations of chi2; above this the model is not valid"
     )
 
 
@@ -66,20 +66,20 @@ class EstimationSettings(Group):
 class Estimate:
     """Estimates of B windows with P unknowns; values in the units of :mod:`agents.estimation.names`.
 
-    ``deviations`` and ``covariance`` hold where ``holds`` is true. Elsewhere the model does not explain the readings,
-    or the search stopped in a local minimum; the values say little then.
+    ``deviations`` and ``covariance`` are valid where ``holds`` is true. Elsewhere the model does not explain the
+    readings, or the search ended in a local minimum; the values are then unreliable.
     """
 
     names: tuple[str, ...]
     values: Array  # (B, P), most probable values
     deviations: Array  # (B, P), standard deviations
     covariance: Array  # (B, P, P)
-    remaining: Array  # (B, P), standard deviation over that of the prior, both of the scaled unknown
-    chi2_per_sample: Array  # (B,), 1 where noise alone separates readings and model
+    remaining: Array  # (B, P), standard deviation over the prior's, both of the scaled unknown
+    chi2_per_sample: Array  # (B,), about 1 if readings and model differ only by noise
     misfit: Array  # (B,), standard deviations by which chi2, of samples or of block means, exceeds its expectation
     holds: NDArray[np.bool_]  # (B,), whether the model explains the readings
     iterations: Indices  # (B,), of the last fit
-    searches: Indices  # (B,), 1 where the first guess led to the result
+    searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Array  # (B, P), the values in standard deviations of the prior from its mean
     precision: Array  # (B, P, P), inverse covariance of the scaled unknowns
 
@@ -95,7 +95,7 @@ class Estimate:
         return self.deviations[:, self._place(name)]
 
     def interval(self, name: str, coverage: float = 0.9) -> tuple[Array, Array]:
-        """Lower and upper end, (B,) each, of the interval that holds the true value with probability ``coverage``."""
+        """Lower and upper end, (B,) each, of the interval that covers the true value with probability ``coverage``."""
         reach = NormalDist().inv_cdf(0.5 + 0.5 * coverage) * self.deviation(name)
         return self.value(name) - reach, self.value(name) + reach
 
@@ -105,16 +105,16 @@ class Estimate:
         return np.array([normal.cdf(x) for x in (self.value(name) - limit) / self.deviation(name)])
 
     def undetermined(self, window: int) -> tuple[str, ...]:
-        """Unknowns of which a window says little: their standard deviation stays above 0.7 of the prior's."""
+        """Unknowns that a window hardly determines: their standard deviation stays above 0.7 of the prior's."""
         return tuple(n for n, left in zip(self.names, self.remaining[window], strict=True) if left > UNDETERMINED)
 
     def unlikely(self, window: int) -> tuple[str, ...]:
-        """Unknowns that a window puts further from the prior's mean than 4 of its standard deviations."""
+        """Unknowns whose value lies more than 4 standard deviations from the prior's mean."""
         far = np.abs(self.scaled[window]) > UNLIKELY
         return tuple(name for name, is_far in zip(self.names, far, strict=True) if is_far)
 
     def replace(self, windows: Indices, by: Estimate, its: Indices) -> None:
-        """Put the windows ``its`` of another estimate into the place of ``windows`` of this one."""
+        """Replace ``windows`` of this estimate by the windows ``its`` of another estimate."""
         for name in _PER_WINDOW:
             getattr(self, name)[windows] = getattr(by, name)[its]
 
@@ -137,17 +137,17 @@ def estimate(
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Estimate:
-    """Estimate the unknowns of measured windows: maximum a posteriori, the simulator as model.
+    """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
 
     Args:
         signals: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
-            the readings of sample k and the command that acts until the latency after it has passed. NaN: no reading.
+            the readings of sample k and the command that acts until one latency after sample k. NaN: no reading.
         config: the task: the rig, its ranges, its sensors.
-        unknowns: names (:mod:`agents.estimation.names`); ``None``: all that an episode draws, and the start.
+        unknowns: names (:mod:`agents.estimation.names`); ``None``: all quantities that an episode draws, and the start.
         priors: priors that replace those of the task, by name.
         durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
-        physical: parameters of each window that are not unknown, (B, parameters); ``None``: those of the task's plant.
-        first: values to begin with, by name, each (B,) or a number; ``None``: guessed from the signals.
+        physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.
+        first: initial values by name, each (B,) or a number; ``None``: guessed from the signals.
         settings: of the search.
         threads: worker threads; ``None`` takes one per core.
         progress: called with the number of finished windows.
@@ -198,16 +198,16 @@ def checked_signals(signals: Any) -> Array:
         name = [*CHANNELS, "command"][channel]
         raise ConfigurationError(
             f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "
-            "NaN where no reading exists"
+            "NaN if there is no reading"
         )
     return windows
 
 
 def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
-    """Readings over their noise (B, channels, T); NaN where a reading is missing or tells nothing.
+    """Readings over their noise (B, channels, T); NaN if a reading is missing or useless.
 
-    Left out are readings within three standard deviations of the noise from the end of the sensor's range, where they
-    saturate, and the first reading of each pressure, whose lag depends on what came before the window.
+    Useless are readings within three standard deviations of the noise from an end of the sensor's range, where they
+    saturate, and the first reading of each pressure, whose lag depends on the time before the window.
     """
     readings = signals[:, : len(CHANNELS)].copy()
     if config.sensors.enabled:
@@ -227,11 +227,11 @@ def search(
     settings: EstimationSettings,
     directions: Array | None = None,
 ) -> Estimate:
-    """Search the most probable values from a first guess, (B, P) scaled; windows that misfit are searched again.
+    """Search the most probable values from a first guess, (B, P) scaled; repeat the search for windows with a misfit.
 
-    The second search approaches the whole window more slowly. Further ones begin at random values, which come from the
-    priors by a fixed seed; start states begin at the first guess again. ``directions`` are the steps of the first
-    differences (:meth:`~agents.estimation.model.Model.directions`).
+    The second search approaches the whole window in more steps. Further searches begin at random values from the
+    priors, with a fixed seed; their initial states begin at the first guess again. ``directions`` are the steps of the
+    first differences (:meth:`~agents.estimation.model.Model.directions`).
     """
     best = _descend(model, measured, np.arange(model.count), first, belief, settings, directions)
     random = np.random.default_rng(0)
@@ -252,7 +252,7 @@ def search(
 
 
 def _between(horizons: Sequence[float]) -> tuple[float, ...]:
-    """The same horizons, and one more between each two of them."""
+    """The same horizons, with another one between each two of them."""
     return tuple(sorted({*horizons, *((a * b) ** 0.5 for a, b in pairwise(horizons))}))
 
 
@@ -275,7 +275,7 @@ def _descend(
     directions: Array | None,
     searches: int = 1,
 ) -> Estimate:
-    """Fit short, then longer beginnings of some windows, then all of them: roughly, then to the lowest point."""
+    """Fit short and then longer beginnings of some windows roughly, then the whole windows to the lowest cost."""
     scaled = first
     interval = float(np.median(model.commands.durations))
     lengths = [max(round(length / interval), SHORTEST_FIT) for length in settings.horizons]
@@ -308,7 +308,7 @@ def assess(
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", covariance)
-    # A search that ended far off may leave a singular information: such a window says nothing.
+    # A search that ended far off may have a singular information matrix: such a window is unreliable.
     solvable = np.all(variance > 0.0, axis=1)
     misfit = np.where(solvable, misfit_of(residual, jacobian, covariance, known), np.inf)
     scale = model.derivative(scaled)

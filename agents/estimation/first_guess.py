@@ -1,4 +1,4 @@
-"""Where an estimate begins: start states, supply, spring and external force as far as the signals show them."""
+"""Initial values of an estimate: start states, supply, spring and external force, from the signals where possible."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from hydro_env.task.sensors import CHANNELS
 Array = NDArray[np.float64]
 
 _FIRST_SAMPLES = 6
-"""Samples from whose line over time each start value is read."""
+"""Number of samples for the straight line that gives each start value."""
 
 
 def first_values(signals: Array, durations: Array, config: TaskConfig, priors: Mapping[str, Prior]) -> Array:
-    """First values (B, P) of the unknowns of B windows; the prior's mean where the signals show nothing.
+    """First values (B, P) of the unknowns of B windows; the prior's mean where the signals give no information.
 
     Args:
         signals: (B, channels + 1, T), NaN where a reading is missing.
@@ -33,7 +33,7 @@ def first_values(signals: Array, durations: Array, config: TaskConfig, priors: M
     value, slope = _starts(signals[:, : len(CHANNELS)], durations)
     seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(CHANNELS)}
     seen["start.velocity"] = slope[:, CHANNELS.index("position")]
-    command = signals[:, -1, 0]  # where the spool is not measured, it has followed its command
+    command = signals[:, -1, 0]  # without a spool sensor, the spool equals its command
     seen["start.spool_position"] = np.where(
         np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"]
     )
@@ -74,7 +74,7 @@ def _starts(signals: Array, durations: Array) -> tuple[Array, Array]:
 
 
 def supply_pressure(signals: Array, config: TaskConfig) -> Array:
-    """Supply pressure (B,), Pa: a valve with equal edges and no flow through it holds p_a + p_b − p_T equal to it."""
+    """Supply pressure (B,), Pa: with equal edges and without flow through the valve, it equals p_a + p_b − p_T."""
     sums = signals[:, CHANNELS.index("pressure_a")] + signals[:, CHANNELS.index("pressure_b")]
     opening = np.abs(signals[:, CHANNELS.index("spool_position")])
     opening = np.where(np.isfinite(opening), opening, np.abs(signals[:, -1]))

@@ -1,4 +1,4 @@
-"""Estimates along a run: window after window, each begun where the one before ended; offline or in real time."""
+"""Estimates along a run: each window starts from the result of the previous one; offline or in real time."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ Indices = NDArray[np.int64]
 _SUPPLY, _CURRENT, _GAS = (STATE_NAMES.index(name) for name in ("supply_pressure", "coil_current", "gas_volume"))
 
 MODEL_ERROR = 1e-3
-"""Standard deviation, in parts of each state's typical size, that the end of a window adds to what it says of the next.
+"""Standard deviation, as a fraction of each state's typical size, that is added at the transition to the next window.
 
-It covers the integrator's error and the curvature that the linear uncertainty leaves out.
+It covers the integrator's error and the curvature that the linear uncertainty omits.
 """
 
 
 class _Before(NamedTuple):
-    """What a window hands on to the next."""
+    """Results that a window passes on to the next."""
 
     scaled: Array  # (N, P), first guess
     belief: Belief  # prior
@@ -48,25 +48,25 @@ class _Before(NamedTuple):
 
 
 class Follower:
-    """Follows N axes: estimates from the last ``window`` samples after every ``hop`` further ones.
+    """Follows N axes: after every ``hop`` samples it estimates from the last ``window`` samples.
 
-    Each window begins with the parameters and the state that the window before found. Without ``memory`` the windows
-    may overlap, and each is judged by itself: a moving window. With ``memory`` the windows do not overlap, and what one
-    has found of parameters and states is the prior of the next: an iterated extended Kalman filter that takes a window
-    at a time. Parameters may drift: what is known of them is forgotten within ``memory``.
+    The search of each window starts from the parameters and the state of the previous window. Without ``memory`` the
+    windows may overlap, and each is estimated alone: a moving window. With ``memory`` the windows do not overlap, and
+    the estimate of one is the prior of the next: an iterated extended Kalman filter that processes one window at a
+    time. Parameters may drift: earlier information about them fades within ``memory``.
 
     Args:
         config: the task.
         unknowns: names; ``None``: as in :func:`~agents.estimation.estimate.estimate`.
         window: samples of a window.
         hop: samples from one window to the next; ``None``: windows that touch.
-        memory: s; ``None``: each window by itself.
+        memory: s; ``None``: each window alone.
         priors: priors that replace those of the task, by name.
         settings: of the search.
         threads: worker threads; ``None`` takes one per core.
 
     Raises:
-        ConfigurationError: the numbers do not fit together, or a name is unknown.
+        ConfigurationError: the arguments contradict each other, or a name is unknown.
     """
 
     def __init__(
@@ -91,18 +91,18 @@ class Follower:
             raise ConfigurationError(f"hop = {self.hop}: must be 1 to {window - 1}, less than the window")
         if memory is not None and (not memory > 0.0 or self.hop != window - 1):
             raise ConfigurationError(
-                f"memory = {memory:g} s, hop = {self.hop}: memory must be above 0, and its windows must touch (no hop)"
+                f"memory = {memory:g} s, hop = {self.hop}: memory must be above 0, and needs touching windows (no hop)"
             )
         self._signals: list[Array] = []
         self._durations: list[float] = []
         self._before: _Before | None = None
 
     def update(self, signals: Array, duration: float | None = None) -> Estimate | None:
-        """Take one sample of each axis; the estimate of a window when one is complete, else ``None``.
+        """Add one sample of each axis; returns the estimate if a window is complete, else ``None``.
 
         Args:
-            signals: (N, 5), SI: a column of what :func:`~agents.estimation.estimate.estimate` takes.
-            duration: since the sample before, s; ``None``: the control period.
+            signals: (N, 5), SI: one column of the signals of :func:`~agents.estimation.estimate.estimate`.
+            duration: since the previous sample, s; ``None``: the control period.
         """
         if self._signals:
             self._durations.append(self.config.control_period if duration is None else duration)
@@ -115,9 +115,9 @@ class Follower:
         return found
 
     def window_of(self, signals: Array) -> Estimate:
-        """Take a whole window, (N, 5, window); its estimate. It begins anew unless the window follows on from the last.
+        """Estimate a whole window, (N, 5, window); the search starts afresh unless the window continues the last one.
 
-        A window follows on if its first samples are those that the last one shares with it: window − hop of them.
+        A window continues the last one if its first window − hop samples are the last ones of that window.
         """
         shared = len(self._signals)
         if shared and not np.array_equal(np.stack(self._signals, axis=-1), signals[:, :, :shared], equal_nan=True):
@@ -150,24 +150,24 @@ class Follower:
         return found
 
     def _anew(self, model: Model, windows: Array) -> Estimate:
-        """Estimate windows as if nothing had come before."""
+        """Estimate windows without earlier ones."""
         measured = usable_readings(windows, self.config, model)
         guess = first_values(windows, model.commands.durations, self.config, self.priors)
         return search(model, measured, model.scaled(guess), prior_belief(model, model.count), self.settings)
 
     def _onwards(self, model: Model, windows: Array, before: _Before) -> Estimate:
-        """Estimate windows from what the windows before have found."""
+        """Estimate windows from the results of the previous windows."""
         measured = usable_readings(windows, self.config, model)
         belief = prior_belief(model, model.count)
         if self.memory is not None:
-            measured[:, :, 0] = np.nan  # the window before has used these readings
+            measured[:, :, 0] = np.nan  # the previous window has used these readings
             belief = before.belief
         settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
         directions = model.directions(before.precision, LONG_STEP)
         return search(model, measured, before.scaled, belief, settings, directions)
 
     def _hand_on(self, model: Model, found: Estimate, durations: Array) -> _Before:
-        """First guess and prior of the next window: this one's parameters, and its state where the next begins."""
+        """First guess and prior of the next window: the parameters, and the state at the start of the next window."""
         linear = model.linearise(found.scaled, None, model.directions(found.precision, LONG_STEP), self.hop + 1)
         scaled, turned = found.scaled.copy(), np.tile(np.eye(len(model.names)), (model.count, 1, 1))
         added = np.zeros((model.count, len(model.names)))  # variance
@@ -207,7 +207,7 @@ def estimate_run(
     """Estimates of the windows of one long run, and the last sample of each window, (W,).
 
     Args:
-        signals: (5, T), as one window of :func:`~agents.estimation.estimate.estimate`.
+        signals: (5, T), like one window of :func:`~agents.estimation.estimate.estimate`.
         config: the task.
         unknowns: names; ``None``: as there.
         window: samples of a window.

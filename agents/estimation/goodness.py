@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 BLOCK = 20
-"""Samples of a block whose mean residual is tested."""
+"""Number of samples per block; the mean residual of each block is tested."""
 
 
 def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Array:
-    """Standard deviations by which the residuals exceed what noise leaves after a fit, (B,); infinite if not a number.
+    """Excess of the residuals over their expectation from noise after a fit, in standard deviations, (B,).
 
-    Two sums of squares are tested, and the larger excess counts: of all residuals, and of their means over blocks of
-    samples. A model that is wrong by little errs slowly; its error hides in the noise of the samples, but not of means.
+    The excess is infinite if it is not a number. Two sums of squares are tested, and the larger excess counts: of all
+    residuals, and of their means over blocks of samples. A small model error changes slowly; it is hidden in the noise
+    of single samples, but not in that of block means.
 
     Args:
         residual: over the noise, (B, channels · T), 0 where a reading is missing.

@@ -1,11 +1,11 @@
-"""The Cramér–Rao bound: the smallest standard deviation with which any method can tell an unknown from a window.
+"""The Cramér–Rao bound: the smallest standard deviation with which any method can estimate an unknown from a window.
 
 The readings are r = h(θ) + noise, with the simulator as h, white noise of each sensor (its 16-bit steps included), and
 a normal prior of each unknown. The information about θ is then I = Jᵀ W J + P, with J = ∂h/∂θ at the truth, W the
 inverse variances of the noise and P those of the priors; no unbiased estimate of θ_i has a variance below (I⁻¹)_ii
 (Kay, *Fundamentals of Statistical Signal Processing: Estimation Theory*, 1993, chapter 3; with priors: Van Trees,
-*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples, so
-one Jacobian serves every choice of sensors, every shorter window and every smaller set of unknowns.
+*Detection, Estimation, and Modulation Theory* I, 1968, section 2.4). Information adds up over sensors and samples; one
+Jacobian therefore serves every choice of sensors, every shorter window and every smaller set of unknowns.
 
 The bound assumes that the model has the true structure.
 """
@@ -30,17 +30,17 @@ from hydro_env.task.sensors import CHANNELS
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-8
-"""Of the integrator while derivatives are taken; a stricter one changes the bound by less than 0.1 %."""
+"""Tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %."""
 
 RESPONSE = 3.0
-"""Change of the readings by one step of a difference, in standard deviations of their noise, all samples together.
+"""Change of the readings by one step of a difference, in standard deviations of their noise, over all samples.
 
-Smaller steps drown in the integrator's error, larger ones leave the range where the readings change linearly; a tenth
-of it changes the bound by 0.01 %, ten times as much by up to 1 %.
+With smaller steps the integrator's error dominates; with larger ones the readings do not change linearly. A tenth of
+this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
 
 WINDOWS_PER_BATCH = 16
-"""Windows that are linearised together; more would only take more memory."""
+"""Number of windows that are linearised together; more would only need more memory."""
 
 
 class Information(NamedTuple):
@@ -62,13 +62,13 @@ def information(
     lengths: Sequence[float] | None = None,
     threads: int | None = None,
 ) -> Information:
-    """Information of the readings of known windows about the unknowns, without that of the priors.
+    """Information of the readings of known windows about the unknowns, without the priors.
 
     Args:
         config: the task.
         windows: the windows; their commands are replayed on the true plants.
         priors: the unknowns, as :func:`agents.estimation.unknowns.priors_of` gives them.
-        lengths: parts of the windows from their start, s; ``None``: the whole windows.
+        lengths: of the windows, from their start, s; ``None``: the whole windows.
         threads: worker threads; ``None`` takes one per core.
 
     Raises:
@@ -107,7 +107,7 @@ def true_model(
 def jacobian_at(model: Model, scaled: Array) -> Array:
     """Derivatives of the readings over their noise, (B, P, channels, T), by central differences.
 
-    A first, coarse derivative tells the steps: each changes the readings by about :data:`RESPONSE`.
+    A first, coarse derivative gives the steps: each changes the readings by about :data:`RESPONSE`.
     """
     coarse = model.linearise(scaled).jacobian[:, model.simulated]
     steps = np.clip(RESPONSE / np.sqrt(1.0 + (coarse**2).sum(axis=(2, 3))), 1e-7, 0.1)
@@ -125,13 +125,13 @@ def covariance(
     """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
 
     Args:
-        known: what the readings tell.
+        known: information of the readings.
         unknowns: names; ``None``: all.
-        sensors: those that the rig has.
-        widths: factors on the standard deviations of priors, by name; ``inf`` stands for no prior.
+        sensors: available sensors.
+        widths: factors on the standard deviations of priors, by name; ``inf`` means no prior.
 
     Raises:
-        ConfigurationError: an unknown or a sensor is none of those of ``known``.
+        ConfigurationError: an unknown or a sensor is not in ``known``.
     """
     names = known.names if unknowns is None else tuple(unknowns)
     for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, CHANNELS)):
@@ -143,7 +143,7 @@ def covariance(
     matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]
     width = np.array([(widths or {}).get(name, 1.0) for name in names])
     matrix = matrix + np.diag(1.0 / width**2)
-    # Unknowns of very different information: the inverse keeps its digits when each is scaled by its own.
+    # The unknowns have very different information; scaling each by its own keeps the inverse accurate.
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", matrix), 1e-300))
     inverse = np.linalg.inv(matrix * scale[..., :, None] * scale[..., None, :])
     unit = known.unit[:, None, place] * scale
@@ -167,24 +167,24 @@ def sigma(
 
 
 class Ratio(NamedTuple):
-    """Errors of a detector beside the bound at one level of the leak."""
+    """Errors of a detector relative to the bound at one level of the leak."""
 
     level: float  # l/min at 100 bar
     windows: int
     error: float  # root mean square of the errors, l/min
     bound: float  # root mean square of the bound, l/min
     ratio: float  # error over bound
-    median_ratio: float  # median of the absolute errors over that of an estimate that attains the bound
+    median_ratio: float  # median of the absolute errors over the median for an estimate at the bound
 
 
 def ratios_to_bound(level: Array, estimate: Array, bound: Array) -> list[Ratio]:
-    """Errors of any detector beside the bound, by level of the leak; 1 is what physics allows.
+    """Errors of any detector relative to the bound, by level of the leak; 1 is the physical limit.
 
-    The ratio of root mean squares counts outliers fully; the ratio of medians hardly sees them.
+    The ratio of root mean squares includes outliers; the ratio of medians is robust against them.
 
     Args:
         level: true leaks (N,), l/min at 100 bar.
-        estimate: the detector's, (N,), l/min; NaN, where it gave none, is left out.
+        estimate: of the detector, (N,), l/min; NaN (no estimate) is left out.
         bound: standard deviations of the bound (N,), l/min.
 
     Raises:

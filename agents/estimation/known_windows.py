@@ -1,4 +1,4 @@
-"""Windows of simulated axes with the truth about them: what a rig would measure, and what only a simulation knows."""
+"""Windows of simulated axes: the signals that a rig measures, and the hidden true values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class KnownWindows:
     latency: Array  # (B,), s
     gain: Array  # (B, channels), reading over true value; 1 for a sound sensor
     bias: Array  # (B, channels), SI; a fault's offset included
-    case: NDArray[np.int64]  # (B,), index of the case; cases that failed are left out
+    case: NDArray[np.int64]  # (B,), index of the case; failed cases are left out
 
     @property
     def count(self) -> int:
@@ -67,15 +67,15 @@ class KnownWindows:
 def known_windows(
     config: TaskConfig, controller: Controller, cases: Cases, begin: float, length: float
 ) -> KnownWindows:
-    """Run every case and cut one window out of it.
+    """Run every case and extract one window.
 
     Leak, faults and external force stay constant during an episode, as the model assumes.
 
     Args:
-        config: the task; its episodes become as long as the windows need.
+        config: the task; its episodes get the length that the windows need.
         controller: moves the axes.
         cases: the episodes.
-        begin: start of the window after that of the episode, s.
+        begin: start of the window, s after the start of the episode.
         length: of the window, s.
 
     Raises:
@@ -103,7 +103,7 @@ def known_windows(
 
 
 class _Watcher:
-    """Passes on the commands of a controller and reads the axes beside it."""
+    """Passes on the commands of a controller, and records the state of the axes."""
 
     def __init__(self, controller: Controller, first: int, samples: int) -> None:
         self.controller, self.first, self.last = controller, first, first + samples
@@ -112,7 +112,7 @@ class _Watcher:
         self._step = 0
 
     def begin(self, axes: Axes) -> None:
-        """Take the axes whose episodes begin."""
+        """Store the axes whose episodes begin."""
         self._axes = axes
         if isinstance(self.controller, Insider):
             self.controller.begin(axes)
@@ -136,7 +136,7 @@ class _Watcher:
 
 
 def _physical(axes: Axes, axis: int) -> Array:
-    """Parameters of an axis now; its external force includes the steady part that the task adds."""
+    """Present parameters of an axis; its external force includes the constant part that the task adds."""
     vector = to_vector(axes.parameters(axis))
     vector[PARAMETER_PATHS.index("load.external_force")] = axes.external_force(axis)
     return vector

@@ -1,4 +1,4 @@
-"""The simulator as a model of recorded windows: unknowns to sensor readings, and the readings' derivatives."""
+"""The simulator as a model of recorded windows: from unknowns to sensor readings and their derivatives."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LONG_STEP, SHORT_STEP = 2.0, 0.05
-"""Steps of the differences, in standard deviations of the uncertainty along each of its axes.
+"""Steps of the finite differences, in standard deviations along each axis of the uncertainty.
 
-Long ones find the way where friction that sticks makes the readings rough. Short ones follow a narrow, curved valley to
-its lowest point, as at rest, where long ones reach across it.
+Long steps work where sticking friction makes the readings rough. Short steps follow a narrow, curved valley to its
+lowest point, for example at rest; long ones would reach across it.
 """
 
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
-"""Steps of the first differences, in standard deviations of the prior, of parameters and of start states."""
+"""Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
@@ -49,7 +49,7 @@ class Linearised(NamedTuple):
 def noise_of(config: TaskConfig) -> Array:
     """Standard deviation of each channel's white noise, (channels,): noise and steps of the acquisition.
 
-    Exact sensors get a millionth of their range, about the integrator's error.
+    For exact sensors it is a millionth of their range, about the integrator's error.
     """
     sensors = [getattr(config.sensors, channel) for channel in CHANNELS]
     on = float(config.sensors.enabled)
@@ -63,18 +63,19 @@ class Model:
     the mean of the prior (of the logarithm, for a logarithmic prior).
 
     Args:
-        config: the task; its plant gives every parameter that is not unknown, its sensors noise and lag.
+        config: the task; its plant gives the known parameters, its sensors give noise and lag.
         priors: the unknowns and their priors, by name.
-        commands: recorded commands (B, T), column k acting until the latency after sample k has passed.
+        commands: recorded commands (B, T); column k acts until one latency after sample k.
         durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
-        physical: parameters that are not unknown, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those
-            of the task's plant.
-        start: start states that are not unknown, (B, N_STATES); NaN as coil current or gas volume: what belongs to the
-            first command and to the supply pressure. ``None``: 0, supply pressure at its setting, and NaN for those.
+        physical: known parameters, (B, parameters) in the order of ``PARAMETER_PATHS``; ``None``: those of the task's
+            plant.
+        start: known start states, (B, N_STATES). NaN as coil current means the current of the first command, NaN as gas
+            volume the volume at the supply pressure. ``None``: supply pressure at its setting, NaN for these two, and 0
+            for all others.
         threads: worker threads; ``None`` takes one per core.
 
     Raises:
-        ConfigurationError: the arrays do not fit together.
+        ConfigurationError: the shapes of the arrays contradict each other.
     """
 
     def __init__(
@@ -118,7 +119,7 @@ class Model:
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
-        # A bias adds to the readings: the simulator need not run for its derivative.
+        # A bias adds to the readings: its derivative needs no simulation.
         self._added = {place: BIASES.index(name) for place, name in enumerate(self.names) if name in BIASES}
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
         self._first_steps = np.array(
@@ -126,7 +127,7 @@ class Model:
         )
 
     def values(self, scaled: Array) -> Array:
-        """Values in their units of scaled ones, both (…, P)."""
+        """Scaled values to values in their units, both (…, P)."""
         with np.errstate(over="ignore"):
             logarithmic = self._mean * np.exp(np.where(self._logarithmic, self._deviation * scaled, 0.0))
         values: Array = np.where(self._logarithmic, logarithmic, self._mean + self._deviation * scaled)
@@ -173,7 +174,7 @@ class Model:
             else:
                 physical[:, PARAMETER_PATHS.index(name)] = value
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
-            start[:, _SUPPLY] = physical[:, _SETTING]  # it never moves from there
+            start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         used = samples or self.samples
         commands = Commands(self.commands.command[:, :used], self.commands.durations[:, : used - 1])
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads)
@@ -189,7 +190,7 @@ class Model:
         Args:
             scaled: the unknowns of each window, (B, P).
             window: index of each window, (B,); ``None``: all in order.
-            directions: steps of the differences (:meth:`directions`); ``None``: a small one for each unknown.
+            directions: steps of the differences (:meth:`directions`); ``None``: a small step for each unknown.
             samples: number of first samples to replay; ``None``: all.
         """
         if window is None:
@@ -203,7 +204,7 @@ class Model:
         read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, moved + 1), samples)
         read, last = read.reshape(count, moved + 1, len(CHANNELS), -1), last.reshape(count, moved + 1, N_STATES)
         with np.errstate(invalid="ignore", over="ignore"):
-            # A plant that failed beside its neighbour tells nothing of the derivative.
+            # If one of the two plants of a difference failed, there is no derivative.
             change = np.nan_to_num(read[:, 1:] - read[:, :1], posinf=0.0, neginf=0.0)
             last_change = np.nan_to_num(last[:, 1:] - last[:, :1], posinf=0.0, neginf=0.0)
         back = np.linalg.inv(directions).transpose(0, 2, 1)
@@ -216,11 +217,11 @@ class Model:
         return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)
 
     def directions(self, precision: Array, length: float) -> Array:
-        """Steps (B, S, S), one a column, along the axes of the uncertainty with this precision (B, P, P).
+        """Steps (B, S, S), one per column, along the axes of the uncertainty with this precision (B, P, P).
 
-        Each step is ``length`` standard deviations long. It changes the readings about as much as their noise does:
-        far more than the integrator's error, and no further than where the result may lie. Steps along single unknowns
-        would leave that region, because some of them compensate each other.
+        Each step is ``length`` standard deviations long. It changes the readings by about their noise: far more than
+        the integrator's error, but within the region of probable values. Steps along single unknowns would leave that
+        region, because some unknowns compensate each other.
         """
         own = precision[:, self.simulated[:, None], self.simulated]
         values, vectors = np.linalg.eigh(own)
@@ -229,7 +230,7 @@ class Model:
 
 
 def _resistance(flow_lpm: Array) -> Array:
-    """Leakage resistance in Pa s/m³ of leaks in l/min at 100 bar; negative ones, which differences need, as well."""
+    """Leakage resistance in Pa s/m³ of leaks in l/min at 100 bar, including negative ones for finite differences."""
     with np.errstate(divide="ignore"):
         return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE)
 

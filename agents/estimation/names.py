@@ -19,7 +19,7 @@ STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
 EXTERNAL_RESISTANCE = "leakage.external_resistance"
 
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
-"""Numbers of the plant; the leaks have names of their own."""
+"""Parameters of the plant; the leaks have their own names."""
 
 NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, *BIASES, *GAINS, *STARTS, *PATHS)
-"""Every name that an unknown can have."""
+"""All possible names of unknowns."""

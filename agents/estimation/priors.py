@@ -1,6 +1,7 @@
-"""What a task says of each unknown before anything is measured: ranges become normal distributions.
+"""The priors of the unknowns from a task: its ranges become normal distributions.
 
-A normal distribution takes mean and variance of the task's own one; for positive numbers its logarithm does.
+The normal distribution has the mean and variance of the task's distribution; for positive quantities those of the
+logarithm.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import flow_from_resistance
 
 _SHARE_UNKNOWN = 0.1
-"""Standard deviation, as a share of its value, of a parameter that the task does not draw."""
+"""Relative standard deviation of a parameter that the task does not draw."""
 
 _NOT_DRAWN = {
     "valve.null_shift": 0.01,
@@ -51,7 +52,7 @@ _FAULT_OF = {
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of an unknown before the measurement: a normal distribution of its value or of its logarithm."""
+    """Prior of an unknown: a normal distribution of its value or of its logarithm."""
 
     mean: float  # in the unknown's unit; the median if logarithmic
     deviation: float  # standard deviation, in the unknown's unit; of the natural logarithm if logarithmic
@@ -74,7 +75,7 @@ class _Moments(NamedTuple):
 
 
 def prior_of(config: TaskConfig, name: str) -> Prior:
-    """The prior of an unknown that follows from the task: ranges of its plants, leak, faults, biases of its sensors.
+    """The prior of an unknown from the task: ranges of plants, leak and faults, biases of sensors.
 
     Raises:
         ConfigurationError: no unknown has this name.
@@ -100,7 +101,7 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
             return Prior(moments.mean * math.exp(-0.5 * spread), math.sqrt(spread), True)
         return Prior(moments.mean, math.sqrt(moments.variance))
     raise ConfigurationError(
-        f"unknowns: '{name}' is no unknown; known are {LEAKAGE}, {EXTERNAL_LEAKAGE}, {LATENCY}, paths of the plant, "
+        f"unknowns: '{name}': unknown name; known: {LEAKAGE}, {EXTERNAL_LEAKAGE}, {LATENCY}, paths of the plant, "
         "start.<state>, <sensor>_bias and <sensor>_gain"
     )
 
@@ -113,7 +114,7 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
     value = flow_from_resistance(own) if name == EXTERNAL_LEAKAGE else own
     if not math.isfinite(value):
         raise ConfigurationError(
-            f"unknowns: '{name}' is infinite on this rig: give its prior, or give the rig a finite value"
+            f"unknowns: '{name}' is infinite on this rig: give a prior, or a finite value in the rig file"
         )
     if drawn is None:
         result = _Moments(value, _NOT_DRAWN.get(name, max(abs(value) * _SHARE_UNKNOWN, 1e-9)) ** 2)
@@ -128,7 +129,7 @@ def _of_plant(config: TaskConfig, name: str) -> _Moments:
             result = _product(result, _of_plant(config, drawn.times))
         if otherwise is not None:
             result = _mixture(drawn.otherwise_probability, _Moments(otherwise, 0.0), result)
-        # An unknown needs some freedom, even where the task draws a single value.
+        # An unknown needs a range, even if the task draws a single value.
         result = _Moments(result.mean, max(result.variance, (1e-4 * result.mean) ** 2, 1e-18))
     return _with_fault(config, name, result, value if name == "valve.rated_flow" else 1.0)
 
@@ -139,7 +140,7 @@ def _stays_positive(config: TaskConfig, name: str) -> bool:
 
 
 def _with_fault(config: TaskConfig, name: str, healthy: _Moments, unit: float) -> _Moments:
-    """A quantity to which the task's fault of this kind, if any, adds; ``unit``: what a magnitude of 1 adds."""
+    """Moments of a quantity including the task's fault of this kind, if any; ``unit``: effect of a magnitude of 1."""
     kind = _FAULT_OF.get(name)
     fault = getattr(config.faults, kind) if kind is not None else None
     if kind is None or fault is None or fault.probability == 0.0:
@@ -172,14 +173,14 @@ def _product(a: _Moments, b: _Moments) -> _Moments:
 
 
 def _mixture(share: float, first: _Moments, second: _Moments) -> _Moments:
-    """Moments of what is the first with probability ``share``, else the second."""
+    """Moments of a mixture: the first with probability ``share``, else the second."""
     mean = share * first.mean + (1.0 - share) * second.mean
     parts = ((share, first), (1.0 - share, second))
     return _Moments(mean, sum(part * (m.variance + (m.mean - mean) ** 2) for part, m in parts))
 
 
 def _start(config: TaskConfig, state: str) -> Prior:
-    """Wide: what a state may be on the rig; the search begins at the measured value where there is one."""
+    """A wide prior over the range of a state on the rig; the search begins at the measured value, if there is one."""
     plant = config.plant
     pressure = plant.supply.pressure
     known = {

@@ -1,4 +1,4 @@
-"""Replays recorded commands on many plants at once and returns what their sensors would have read."""
+"""Replays recorded commands on many plants at once and returns the readings of their sensors."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from hydro_env.units import FULL_VOLTAGE
 Array = NDArray[np.float64]
 
 ROWS_PER_THREAD = 64
-"""Each thread gets at least this many rows; with fewer, waking it takes longer than its work."""
+"""Smallest number of rows per thread; with fewer, starting the thread takes longer than its work."""
 
 MOST_STEPS = 500.0
-"""Budget of inner steps between two samples; a plant that exceeds it is none that could have moved as recorded."""
+"""Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
 
 _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
@@ -51,7 +51,7 @@ class Lag(NamedTuple):
 class Commands(NamedTuple):
     """The commands of B recorded windows of T samples; see docs/estimation.md for the format."""
 
-    command: Array  # (B, T), −1 to 1; column k acts until the latency after sample k has passed
+    command: Array  # (B, T), −1 to 1; column k acts until one latency after sample k
     durations: Array  # (B, T − 1), s, from each sample to the next
 
 
@@ -77,14 +77,14 @@ def replay(
         commands: the recorded commands of B windows.
         window: index of the window that each row replays, (R,).
         physical: parameters of each plant, (R, parameters), in the order of ``PARAMETER_PATHS``.
-        start: state at the first sample, (R, N_STATES). NaN as coil current stands for the current of the first
-            command, NaN as gas volume for the one that belongs to the supply pressure.
+        start: state at the first sample, (R, N_STATES). NaN as coil current means the current of the first command, NaN
+            as gas volume the volume at the supply pressure.
         latency: from a sample until its command acts, (R,), s.
         threads: worker threads; ``None`` takes one per core.
 
     Returns:
-        Readings (R, channels, T) in the order of ``CHANNELS``, and states (R, N_STATES). NaN from where the
-        integration failed.
+        Readings (R, channels, T) in the order of ``CHANNELS``, and states (R, N_STATES). They are NaN after a failure
+        of the integration.
     """
     rows, samples = len(window), commands.command.shape[1]
     readings = np.full((rows, len(CHANNELS), samples), np.nan)
@@ -147,7 +147,7 @@ def _build(sources: int) -> Any:
             if math.isnan(own[_GAS_VOLUME]):
                 own[_GAS_VOLUME] = gas_volume_at(own[_SUPPLY_PRESSURE], p)
             s = read_state(own)
-            # A lag that has followed a steady change stays behind by this change within its time constant.
+            # After a steady change, a lag is behind by the change within its time constant.
             rate = derivatives(s, c, volts)
             true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
             sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
@@ -160,7 +160,7 @@ def _build(sources: int) -> Any:
                 duration = durations[source, sample - 1]
                 interval[row, 0] = min(latency[first + row], duration)
                 interval[row, 1] = duration - interval[row, 0]
-                if math.isnan(states[row, 0]):  # it has failed: no time is spent on it
+                if math.isnan(states[row, 0]):  # it has failed
                     interval[row, :] = 0.0
                 voltage[row, 0] = FULL_VOLTAGE * command[source, sample - 1]
                 voltage[row, 1] = FULL_VOLTAGE * command[source, sample]

@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt on many windows at once: the most probable values of the unknowns given readings and priors."""
+"""Levenberg–Marquardt for many windows at once: the most probable values of the unknowns given readings and priors."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DAMPINGS = (0.1, 1.0, 10.0, 100.0)
-"""Multiples of the damping whose steps compete in each iteration."""
+"""Factors on the damping; the best of their steps is taken in each iteration."""
 
 
 SMALL_DAMPING = 1e-2
-"""Damping up to which a step is nearly that of Gauss and Newton."""
+"""Damping up to which a step is nearly a Gauss–Newton step."""
 
 
 class Belief(NamedTuple):
@@ -28,7 +28,7 @@ class Belief(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Where the search of B windows ended."""
+    """Result of the search in B windows."""
 
     scaled: Array  # (B, P)
     chi2: Array  # (B,), sum of the squared residuals over the noise
@@ -37,7 +37,7 @@ class Fit(NamedTuple):
 
 
 def prior_belief(model: Model, count: int) -> Belief:
-    """The priors themselves: scaled unknowns are independent, with mean 0 and standard deviation 1."""
+    """The priors: scaled unknowns are independent, with mean 0 and standard deviation 1."""
     unknowns = len(model.names)
     return Belief(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
 
@@ -55,22 +55,22 @@ def fit(
     thorough: bool = True,
     step: float = LONG_STEP,
 ) -> Fit:
-    """Improve the unknowns of some windows until they change no more.
+    """Improve the unknowns of some windows until convergence.
 
-    While a fit is bad, the residuals count less by their own mean square: the prior keeps the unknowns near what is
-    possible until the readings are explained.
+    While a fit is bad, its residuals are weighted by their own mean square: the prior then keeps the unknowns in a
+    plausible range until the model explains the readings.
 
     Args:
         model: the model of all windows.
         measured: readings over their noise, (windows of the model, channels, T); NaN is left out.
         window: index of the windows to fit, (B,).
-        first: scaled unknowns to begin with, (B, P).
+        first: initial scaled unknowns, (B, P).
         belief: prior of each window.
         samples: number of first samples that are used.
         iterations: largest number of iterations.
         tolerance: stop a window when an iteration lowers its cost by less.
         directions: steps of the first differences, (B, S, S).
-        thorough: stop only after a step with little damping; a small gain by a damped one does not end the search.
+        thorough: stop only after a step with little damping; a small gain with a damped step does not end the search.
         step: of the differences after the first, standard deviations.
     """
     count, unknowns = first.shape
@@ -138,7 +138,7 @@ def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[A
 
 
 def _damped_steps(curvature: Array, gradient: Array, level: Array) -> Array:
-    """Steps (B, dampings, P) of Levenberg and Marquardt, the diagonal enlarged by each damping."""
+    """Levenberg–Marquardt steps (B, dampings, P); each damping enlarges the diagonal."""
     diagonal = np.einsum("bii->bi", curvature)
     factors = level[:, None] * np.array(DAMPINGS)
     damped = curvature[:, None] + factors[:, :, None, None] * (diagonal[:, None, :, None] * np.eye(curvature.shape[1]))

@@ -1,4 +1,4 @@
-"""Which quantities an estimate takes for unknown, and with which priors."""
+"""The default unknowns of an estimate, and their priors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ START = tuple(
 
 
 def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
-    """All that an episode of the task draws, faults included, and the start: leaks, plant, biases, start states."""
+    """All quantities that an episode draws, including faults, and the start: leaks, plant, biases, start states."""
     faults, drawn = config.faults, config.randomisation
     others = {
         EXTERNAL_LEAKAGE: EXTERNAL_RESISTANCE in drawn or faults.external_leak.probability > 0.0,

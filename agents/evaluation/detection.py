@@ -27,11 +27,11 @@ from hydro_env import LEAKAGE_CLASSES, TaskConfig
 SEEDS_OFFSET = 500_000
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
-"""l/min at 100 bar; bounds of the size ranges, as far as the task draws such leaks."""
+"""l/min at 100 bar; bounds of the size ranges, if the task draws such leaks."""
 
 
 class LeakBounds(NamedTuple):
-    """Bounds between healthy, leaking and moderately leaking seals of a task, l/min at 100 bar; pages use them too."""
+    """Bounds between healthy, leaking and moderately leaking seals of a task, l/min at 100 bar."""
 
     healthy_up_to: float
     leaking_above: float
@@ -83,7 +83,7 @@ def detection_table(controller: str, cases: Cases, rollout: Rollout, head: Leaka
 
 
 def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
-    """Share flagged: per class, per range of sizes, and for all leaks from the moderate class on."""
+    """Share flagged: per class, per range of sizes, and for all leaks of the moderate class and above."""
     rows = []
     bounds = LeakBounds.of(config)
     smallest, largest = config.leakage.faulty_range

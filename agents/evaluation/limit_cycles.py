@@ -1,7 +1,7 @@
-"""Limit cycles: an oscillation that goes on while the reference stands still.
+"""Limit cycles: oscillations that continue at a constant reference.
 
-Under sensor noise every stiff loop moves a little, and nobody can tell this motion from a limit cycle. The axis
-therefore runs without noise: a small step of the reference and back excites it, then it must come to rest.
+With sensor noise every stiff loop moves a little, which looks like a limit cycle. The axis therefore runs without
+noise: a small step of the reference and back excites it, then it must come to rest.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from hydro_env import TaskConfig
 Array = NDArray[np.floating[Any]]
 
 LEAST_CYCLES = 3
-"""Cycles that the judged time must hold; a slower motion is drift."""
+"""Smallest number of cycles in the evaluated time; a slower motion is drift."""
 
 LASTING = 0.5
-"""An oscillation whose last third has less than this share of its amplitude is dying out."""
+"""An oscillation whose last third has less than this share of its amplitude is decaying."""
 
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
-"""s: rest, step of the reference, time to come to rest after it returns, time that is judged."""
+"""s: rest, step of the reference, time to come to rest after its return, evaluated time."""
 
 LIMIT_CYCLE: dict[str, tuple[str, str]] = {
-    "limit_cycle": ("1", "1 if the axis goes on to oscillate without noise, 0 if it comes to rest"),
+    "limit_cycle": ("1", "1 if the axis continues to oscillate without noise, 0 if it comes to rest"),
     "amplitude_um": ("µm", "amplitude of the motion that remains"),
     "frequency_hz": ("Hz", "its strongest frequency; NaN at rest"),
     "failed": ("1", "1 if the axis failed"),
 }
-"""Name, unit and meaning of what a standstill tells."""
+"""Name, unit and meaning of the standstill metrics."""
 
 
 _DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles
@@ -47,12 +47,12 @@ class LimitCycle(NamedTuple):
 
 
 def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle:
-    """The oscillation of an axis that should rest; slow drift does not count.
+    """The oscillation of an axis that should be at rest; slow drift does not count.
 
     Args:
         position: true position while the reference is constant, without sensor noise, (T,), m; T ≥ 18.
         period: time between samples, s.
-        floor: m; a limit cycle has a larger amplitude, and does not die out within the run.
+        floor: m; a limit cycle has a larger amplitude, and does not decay within the run.
     """
     values = np.asarray(position, dtype=np.float64)
     time = np.linspace(-1.0, 1.0, len(values))

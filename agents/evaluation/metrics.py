@@ -22,7 +22,8 @@ FINAL_SHARE = 0.05
 """s; the last part of a standstill, over which the steady-state error is averaged."""
 
 REVERSAL_THRESHOLD = 0.005
-"""Swing of the command, in parts of 10 V, that counts as a reversal: a servo valve does not answer a smaller one."""
+"""Swing of the command, as a fraction of 10 V, that counts as a reversal: a servo valve does not respond to smaller
+ones."""
 
 METRICS: dict[str, tuple[str, str]] = {
     "mean_error_mm": ("mm", "mean of |reference − position|"),
@@ -34,18 +35,18 @@ METRICS: dict[str, tuple[str, str]] = {
         "standstill, when the preview shows the next move, does not count",
     ),
     "unsettled_share": ("1", "share of standstills on which the axis never settled"),
-    "overshoot_percent": ("%", "beyond the target, of the size of the step (family 'step')"),
+    "overshoot_percent": ("%", "beyond the target, relative to the size of the step (family 'step')"),
     "steady_state_error_mm": (
         "mm",
         "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
     ),
     "mean_error_sensor_mm": (
         "mm",
-        "mean of |reference − reading|, without the sensor's noise: what a controller can see",
+        "mean of |reference − reading|, without the sensor's noise: visible to a controller",
     ),
     "steady_state_error_sensor_mm": ("mm", "the steady-state error between reference and reading, without noise"),
     "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
-    "control_effort": ("1", "root mean square of the limited command, in parts of 10 V"),
+    "control_effort": ("1", "root mean square of the limited command, as a fraction of 10 V"),
     "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
     "reversals_per_s": ("1/s", "changes of the command's direction by more than 0.5 % of 10 V"),
     "supply_energy_j": ("J", "∫ of the flow that the valve draws, times supply pressure"),
@@ -115,13 +116,13 @@ def case_metrics(
     Args:
         position: true position, (T,), m.
         reference: (T,), m.
-        command: (T,), in parts of 10 V.
+        command: (T,), as a fraction of 10 V.
         spool: true spool position, (T,).
         period: control period, s.
         is_step: whether the reference jumps, so that overshoot has a meaning.
         failed: whether the axis failed.
-        preview: s; the controller sees the reference this far ahead. This much of the end of each standstill does not
-            count, because an axis may start before the reference does.
+        preview: s; the controller sees the reference this far ahead. The same time at the end of each standstill does
+            not count, because an axis may start before the reference does.
         bias: m; the position sensor reads the true position plus this.
         power: hydraulic power from the supply, (T,), W; ``None`` if unknown.
     """

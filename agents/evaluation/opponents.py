@@ -25,7 +25,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
     """The tuned PID or the trained policy that comes with the project.
 
     Raises:
-        ConfigurationError: there is none of this kind.
+        ConfigurationError: the kind is not shipped.
     """
     if kind in SHIPPED_WEIGHTS:
         return TRAINERS[kind].load(pretrained_folder() / SHIPPED_WEIGHTS[kind])
@@ -49,7 +49,7 @@ def opponent(
         trainer: trainer that loads weights; default PPO.
 
     Raises:
-        ConfigurationError: there is no such controller, or it needs other observations; the message names it.
+        ConfigurationError: the controller does not exist, or needs other observations; the message names it.
     """
     try:
         controller: Controller
@@ -60,7 +60,7 @@ def opponent(
             controller = shipped(what, config)
         elif what.endswith(".zip"):
             raise ConfigurationError(
-                f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in a module of your own "
+                f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
                 "and give module:attribute"
             )
         elif Path(what).is_dir():
@@ -85,14 +85,14 @@ def trained_for(controller: Controller) -> PlantParameters | None:
 
 
 def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
-    """Check that weights fit a task: its observations must be those of their training.
+    """Check that weights fit a task: the observations must be the same as in training.
 
     Raises:
         ConfigurationError: names, scales or control period differ.
     """
     if layout != ObservationLayout.of(config):
         raise ConfigurationError(
-            "was trained on other observations (names, scales or control period) than this task gives"
+            "was trained on other observations (names, scales or control period) than those of this task"
         )
 
 
@@ -100,7 +100,7 @@ def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
     """Check that a leakage head can watch the episodes of a task.
 
     Raises:
-        ConfigurationError: other observations, or a window that is longer than an episode.
+        ConfigurationError: its observations differ, or its window is longer than an episode.
     """
     try:
         check_layout(head.settings.layout, config)

@@ -59,7 +59,7 @@ class ProtocolSettings(Group):
                 raise ValueError(f"families: unknown '{family}'; known: {', '.join(DRAWN_FAMILIES)}")
         for name in ("leak_levels", "families"):
             if len(set(getattr(self, name))) != len(getattr(self, name)):
-                raise ValueError(f"{name}: holds something twice")
+                raise ValueError(f"{name}: has a duplicate entry")
         return self
 
 
@@ -76,7 +76,7 @@ class Evaluation:
     detection_summary: pd.DataFrame  # per controller: AUROC, average precision, false alarms, size error
     curves: pd.DataFrame  # ROC and precision–recall
     bounds: LeakBounds = field(default_factory=lambda: LeakBounds.of(TaskConfig()))
-    errors: dict[str, str] = field(default_factory=dict)  # controller → reason why it has no results
+    errors: dict[str, str] = field(default_factory=dict)  # controller → reason for missing results
 
     @property
     def controllers(self) -> list[str]:
@@ -119,21 +119,21 @@ def evaluate(
 
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
-        controllers: by name, objects with stable-baselines3's ``predict``, or texts that
-            :func:`~agents.evaluation.opponents.opponent` understands. The first one is the baseline of the ratios.
+        controllers: by name, objects with stable-baselines3's ``predict``, or texts for
+            :func:`~agents.evaluation.opponents.opponent`. The first one is the baseline of the ratios.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of cases done, and their total.
 
     Raises:
-        ConfigurationError: impossible task or settings, a text that names no controller, weights of another task, or
-            all controllers failed.
+        ConfigurationError: the task or the settings are impossible, a text names no controller, weights belong to
+            another task, or all controllers failed.
     """
     config = task_config(task)
     if not isinstance(settings, ProtocolSettings):
         settings = validate(ProtocolSettings, settings or {}, "evaluation")
     if not controllers:
-        raise ConfigurationError("evaluate: at least one controller is needed")
+        raise ConfigurationError("evaluate: needs at least one controller")
     if head is not None:
         check_head(head, config, "leakage head")
     cases, table = tracking_cases(settings)

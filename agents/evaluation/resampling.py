@@ -1,9 +1,9 @@
 """Bootstrap over plants and training seeds at once, stratified by family: means, interquartile means, shares.
 
 Values of one controller are an array (S, U, K): S training seeds, U plants (each belongs to one family of references),
-K situations in which each plant is run (condition and leak); NaN where a plant is not run. A resampling is a table of
-weights: how often each plant, and each training seed, is drawn. Its first row has every weight 1 and gives the
-estimate itself; the others give the interval. Two controllers share the weights of plants: comparisons are paired.
+K situations of each plant (condition and leak); NaN if a plant was not run. A resampling is a table of weights: how
+often each plant, and each training seed, is drawn. The first row has only weights of 1 and gives the estimate; the
+others give the interval. Two controllers share the weights of plants: comparisons are paired.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.floating[Any]]
 RESAMPLES = 1000
 
 _LARGEST = 20_000
-"""Numbers that are weighted at once: they fit into the processor's cache, which makes it three times faster."""
+"""Numbers that are weighted at once: they fit into the processor's cache, which is three times faster."""
 
 
 class Weights(NamedTuple):
@@ -30,7 +30,7 @@ class Weights(NamedTuple):
 
 
 def plant_weights(strata: NDArray[Any], resamples: int = RESAMPLES, seed: int = 0) -> NDArray[np.float64]:
-    """Draw plants with replacement, in each stratum as many as it has; (resamples + 1, U)."""
+    """Draw plants with replacement within each stratum; (resamples + 1, U)."""
     generator = np.random.default_rng(seed)
     weights = np.ones((resamples + 1, len(strata)))
     for stratum in dict.fromkeys(strata.tolist()):
@@ -74,23 +74,23 @@ def interquartile_means(values: Array, weights: Weights) -> Array:
         each = weights.seeds[part][:, seeds] * weights.plants[part][:, plants]
         upper = np.cumsum(each, axis=1)
         quarter = 0.25 * upper[:, -1:]
-        # The part of each value's weight that lies between the first and the last quarter.
+        # The part of each value's weight between the first and the last quarter.
         inside = np.clip(np.minimum(upper, 3.0 * quarter) - np.maximum(upper - each, quarter), 0.0, None)
-        with np.errstate(invalid="ignore"):  # a resampling may draw no plant that has a value
+        with np.errstate(invalid="ignore"):  # a resampling may contain no plant with a value
             parts.append(inside @ flat / inside.sum(axis=1))
     return np.concatenate(parts)
 
 
 def improvements(values: Array, others: Array, weights: Weights, other_seeds: Array) -> Array:
-    """Probability that a training seed of one controller beats one of another on the same case, in every resampling.
+    """Probability that a training seed of one controller beats one of another in the same case, for every resampling.
 
     Equal errors count half (Agarwal et al. 2021, with the case as the task).
 
     Args:
-        values: (S, U, K), of the one.
-        others: (S', U, K), of the other.
-        weights: of the seeds of the one, and of the plants.
-        other_seeds: weights of the seeds of the other, (R + 1, S').
+        values: (S, U, K), of the first controller.
+        others: (S', U, K), of the second controller.
+        weights: of the seeds of the first controller, and of the plants.
+        other_seeds: weights of the seeds of the second controller, (R + 1, S').
     """
     found = np.zeros(len(other_seeds))
     for index in range(len(others)):

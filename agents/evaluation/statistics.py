@@ -23,7 +23,7 @@ class Interval(NamedTuple):
     high: float
 
     def columns(self, name: str) -> dict[str, float]:
-        """A part of a table's row: the value under its name, ``low`` and ``high``."""
+        """Columns of a table: the value under its name, ``low`` and ``high``."""
         return {name: self.value, "low": self.low, "high": self.high}
 
 
@@ -37,7 +37,7 @@ def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
 
 
 def ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) -> Interval:
-    """Mean of one over mean of the other, on the same plants, with a paired 95 % bootstrap interval."""
+    """Ratio of two means on the same plants, with a paired 95 % bootstrap interval."""
     a, b = np.asarray(per_plant, dtype=np.float64), np.asarray(reference_per_plant, dtype=np.float64)
     kept = ~(np.isnan(a) | np.isnan(b))
     if not kept.any():
@@ -48,7 +48,7 @@ def ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) 
 def geometric_ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) -> Interval:
     """Geometric mean over groups of the ratio of means, (groups, plants) each, with a paired 95 % bootstrap interval.
 
-    Every group weighs the same, however large its values are.
+    All groups have the same weight, independent of the size of their values.
     """
     a, b = np.asarray(per_plant, dtype=np.float64), np.asarray(reference_per_plant, dtype=np.float64)
     groups = len(a)

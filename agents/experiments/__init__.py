@@ -1,1 +1,1 @@
-"""Experiments on the true plant with a controller in the loop: frequency response, stiffness, standstill, prices."""
+"""Experiments on the true plant with a controller in the loop: frequency response, stiffness, standstill, costs."""

@@ -24,19 +24,19 @@ from hydro_env import TaskConfig
 from hydro_env.plant.analysis import reachable_range
 
 FREQUENCIES = (0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 40.0, 55.0)
-"""Hz; those from a third of the sampling frequency on are left out."""
+"""Hz; frequencies from a third of the sampling frequency upwards are left out."""
 
 AMPLITUDE_SHARE = 0.01
 """Amplitude of the sines as a share of the range of positions that the supply can hold."""
 
 SPEED_SHARE = 0.15
-"""Largest speed of the sines, as a share of the speed at full command: the valve is far from its limits."""
+"""Largest speed of the sines, as a share of the speed at full command; it keeps the valve far from its limits."""
 
 SETTLING = 0.5
-"""s (and two cycles) until the response is steady."""
+"""s (plus two cycles) until the response is steady."""
 
 WATCHED = 0.5
-"""s (and three cycles) over which it is fitted."""
+"""s (plus three cycles) of the fit."""
 
 
 def frequency_response(
@@ -52,18 +52,18 @@ def frequency_response(
     """Gain and phase of each controller, leak, plant and frequency, with the preview and with the preview hidden.
 
     Args:
-        config: the task; its plants, sensors and timing count.
+        config: the task, for its plants, sensors and timing.
         controllers: by name.
         leaks: l/min at 100 bar.
         plants: number of plants, drawn.
         frequencies: Hz.
-        amplitude: m, of the reference; default a share of range, less where the speed would be too high.
+        amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
         place: m, centre of the sines; default :func:`~agents.experiments.runs.working_place`.
         first_seed: seed of the first plant.
 
     Returns:
         Columns controller, preview (whether the controller sees it), leakage_flow_lpm, seed, frequency_hz,
-        amplitude_mm, gain (1), phase_deg, rest (root mean square of what is no sine, as a share of the amplitude).
+        amplitude_mm, gain (1), phase_deg, rest (root mean square of the residual, as a share of the amplitude).
 
     Raises:
         ControllerError: a controller raises an exception or returns no finite commands.
@@ -116,7 +116,7 @@ def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
 
     Returns:
         Per controller, preview and leak: minus_3_db_hz, minus_90_deg_hz (medians of the plants; infinity: beyond the
-        sweep), the lowest of any plant (``_lowest``), and peak_gain (highest of any plant and frequency).
+        sweep), the lowest value of all plants (``_lowest``), and peak_gain (highest of all plants and frequencies).
     """
     rows = []
     for key, frame in table.groupby(["controller", "preview", "leakage_flow_lpm"], sort=False):

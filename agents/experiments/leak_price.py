@@ -1,6 +1,6 @@
-"""What a leak costs even where the position holds: power from the supply, reserve of speed and force.
+"""The cost of a leak even if the axis holds its position: power from the supply, reserve of speed and force.
 
-The figures are those of the plant at steady state; no controller changes them.
+The figures describe the plant at steady state; no controller changes them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)
 
 
 def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: float | None = None) -> pd.DataFrame:
-    """Price of a leak on the nominal rig of a task, under the law of leakage of the task.
+    """Cost of a leak on the nominal rig of a task, with the leakage law of the task.
 
     Args:
         config: the task.
@@ -35,8 +35,8 @@ def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: 
     Returns:
         Per leak: leakage_flow_lpm, place_mm, holding_power_w (flow through the valve times supply pressure),
         holding_command (1 = 10 V); speed_out_mm_s and speed_back_mm_s (steady speed at full command against the spring
-        at this place), force_out_n and force_back_n (largest load that the axis can still hold at full command). NaN
-        where the leak is so large that the place cannot be held.
+        at this place), force_out_n and force_back_n (largest load that the axis can still hold at full command). NaN if
+        the leak is too large to hold the place.
     """
     position = working_place(config.plant) if place is None else place
     load = config.plant.load.spring_stiffness * position + config.plant.load.external_force
@@ -83,7 +83,7 @@ def full_command_speed(plant: PlantParameters, direction: float, force: float) -
     """Steady speed in m/s with the valve fully open, at the set supply pressure, leaks included.
 
     The force and both flows balance: p_a A_a − p_b A_b = F, A_a v = Q_a − leak, A_b v = Q_b − leak + external leak.
-    Dry friction is left out.
+    Dry friction is neglected.
 
     Args:
         plant: the plant.

@@ -1,4 +1,4 @@
-"""What all experiments share: runs at several leaks and plants, their tables, fits of sines."""
+"""Tools that all experiments share: runs at several leaks and plants, their tables, fits of sines."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ LEAKS = (0.01, 1.0, 4.0)
 """l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak."""
 
 PLACE = 0.3
-"""Where the axis works: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
+"""Working position: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
 
-A spring then pushes against the piston, so that a leak has a pressure difference to flow along.
+There a spring pushes against the piston; its pressure difference drives the leak.
 """
 
 
@@ -72,12 +72,12 @@ def working_place(plant: PlantParameters, share: float = PLACE) -> float:
 
 
 def full_force(plant: PlantParameters) -> float:
-    """Smaller one of the two largest steady forces of the nominal rig, N."""
+    """The smaller of the two largest steady forces of the nominal rig, N."""
     return min(force_limits(plant))
 
 
 def full_speed(plant: PlantParameters, position: float) -> float:
-    """Smaller one of the two steady speeds of the nominal rig at full command at a position (m), m/s."""
+    """The smaller of the two steady speeds of the nominal rig at full command at a position (m), m/s."""
     return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
@@ -90,7 +90,7 @@ def sine_fit(values: Floats, time: Array, frequency: float) -> tuple[NDArray[np.
         frequency: Hz.
 
     Returns:
-        Complex amplitudes (N,), and the root mean square of what remains (N,).
+        Complex amplitudes (N,), and the root mean square of the residual (N,).
     """
     angle = 2.0 * np.pi * frequency * time
     basis = np.stack([np.cos(angle), np.sin(angle), np.ones_like(time), time - time.mean()], axis=1)
@@ -101,7 +101,7 @@ def sine_fit(values: Floats, time: Array, frequency: float) -> tuple[NDArray[np.
 
 
 class HiddenPreview:
-    """A controller that is shown no preview: each previewed value equals the present reference."""
+    """A controller without preview: each previewed value equals the present reference."""
 
     def __init__(self, controller: Controller, config: TaskConfig) -> None:
         self.controller = controller

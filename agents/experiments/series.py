@@ -48,7 +48,7 @@ def run_experiments(
 
     Returns:
         Tables by name (those of :data:`EXPERIMENTS`, and ``leak_price``), and the message of each controller that
-        raised an exception or returned no finite commands; its rows are missing, those of the others stay.
+        raised an exception or returned commands that are not finite; only its rows are missing.
     """
     size: dict[str, Any] = {"first_seed": first_seed} | ({} if plants is None else {"plants": plants})
     pairs = [(experiment, name) for experiment in EXPERIMENTS for name in controllers]

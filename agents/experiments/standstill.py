@@ -1,8 +1,8 @@
-"""Limit cycles and unrest while the reference stands still.
+"""Limit cycles and residual motion at a constant reference.
 
-Under sensor noise every stiff loop moves a little; from such a run nobody can tell the answer to noise from a limit
-cycle. Each case therefore runs twice. Without noise, after a small step of the reference, an axis comes to rest unless
-it oscillates by itself: what remains is the limit cycle. With noise the run shows unrest, valve travel and offset.
+With sensor noise every stiff loop moves a little, and its response to noise looks like a limit cycle. Each case
+therefore runs twice. Without noise, an axis comes to rest after a small step of the reference unless it oscillates by
+itself: the remaining motion is the limit cycle. The run with noise gives residual motion, valve travel and offset.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
 """l/min at 100 bar."""
 
 PLACES = (0.0, 0.3, -0.3)
-"""Where the axis is held: shares of the range that the supply can hold."""
+"""Held positions: shares of the range that the supply can hold."""
 
 KICK, KICK_SHARE = 0.5, 0.01
 """s until the reference returns from a first step, and the step's share of the range of references."""
 
 SETTLING, JUDGED = 1.5, 6.0
-"""s from then on until the axis is judged, and for how long."""
+"""s from then until the evaluation, and length of the evaluation."""
 
 
 def standstill(
@@ -42,7 +42,7 @@ def standstill(
     """Hold a position under every controller, once without and once with the noise of the sensors.
 
     Args:
-        config: the task; its plants, sensors and timing count.
+        config: the task, for its plants, sensors and timing.
         controllers: by name.
         leaks: l/min at 100 bar.
         plants: number of plants, drawn.

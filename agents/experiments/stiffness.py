@@ -1,4 +1,4 @@
-"""Stiffness: how far an external force moves an axis that a controller holds, after a step and over frequency."""
+"""Stiffness: deviation of a controlled axis under an external force, after a step and over frequency."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ FORCE_SHARE = 0.2
 """Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
 
 BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
-"""s: of a force step, until the force; from then on; the last part of each, over which the position is averaged."""
+"""s: time before the force step, time after it, and last part of each, over which the position is averaged."""
 
 RECOVERED = 0.1
-"""Share of the peak deviation within which the axis has recovered; at least one step of the position sensor."""
+"""Recovery band as a share of the peak deviation; at least one step of the position sensor."""
 
 SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)
 """Hz; force sines."""
@@ -46,14 +46,14 @@ def force_step(
     place: float | None = None,
     first_seed: int = FIRST_SEED,
 ) -> pd.DataFrame:
-    """Deviation after a sudden external force on a resting axis, without sensor noise, which would hide the recovery.
+    """Deviation after a sudden external force on an axis at rest, without sensor noise, which would hide the recovery.
 
     Args:
-        config: the task; its plants, sensors and timing count.
+        config: the task, for its plants, sensors and timing.
         controllers: by name.
         leaks: l/min at 100 bar.
         plants: number of plants, drawn.
-        force: N; default a fifth of what the supply gives. Its sign is drawn.
+        force: N; default: a fifth of the force of the supply. Its sign is drawn.
         place: m, where the axis is held; default :func:`~agents.experiments.runs.working_place`.
         first_seed: seed of the first plant.
 
@@ -127,13 +127,13 @@ def force_sine(
 
 
 def _held(config: TaskConfig, place: float | None, duration: float) -> TaskConfig:
-    """The task in which one position (m) is held for a duration (s)."""
+    """The task of holding one position (m) for a duration (s)."""
     position = working_place(config.plant) if place is None else place
     return own_reference(config, np.full(round(duration / config.control_period) + 1, position))
 
 
 def _with_force(config: TaskConfig, kind: str, newtons: float, start: float, frequency: float = 1.0) -> TaskConfig:
-    """The task with an external force of one amplitude (N) from a share of the episode on."""
+    """The task with an external force of one amplitude (N) that begins after a share of the episode."""
     disturbance = {
         "kind": kind,
         "force_range": (newtons, newtons),

@@ -1,1 +1,1 @@
-"""Moving pictures of axes under controllers."""
+"""Films of axes under controllers."""

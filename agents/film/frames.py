@@ -31,7 +31,7 @@ class Panel:
 
 
 def panels(controllers: Mapping[str, Controller], leaks: Sequence[float]) -> list[Panel]:
-    """Every controller with every leak; without leaks, with the one that the episode draws."""
+    """Every controller with every leak; without ``leaks``, with the leak that the episode draws."""
     if not leaks:
         return [Panel(name, controller, None) for name, controller in controllers.items()]
     return [
@@ -44,13 +44,13 @@ def panels(controllers: Mapping[str, Controller], leaks: Sequence[float]) -> lis
 def panel_frames(
     config: TaskConfig, panel: Panel, seed: int, options: Mapping[str, Any], periods_per_frame: int
 ) -> Iterator[Pixels]:
-    """Pictures (540, 960, 3) of an episode, the first at its start; a failed axis stays as it ended.
+    """Pictures (540, 960, 3) of an episode, the first at its start; a failed axis keeps its last picture.
 
     Args:
         config: the task.
         panel: controller and leak.
         seed: of plant, reference and noise.
-        options: of ``reset``, besides the leak.
+        options: of ``reset``, except the leak.
         periods_per_frame: control periods from one picture to the next.
     """
     leak = {} if panel.leakage_flow_lpm is None else {"leakage_flow_lpm": panel.leakage_flow_lpm}
@@ -83,7 +83,7 @@ def film(
         config: the task.
         shown: the panels.
         seed: of plant, reference and noise, the same for all panels.
-        options: of ``reset``, besides the leak.
+        options: of ``reset``, except the leak.
         periods_per_frame: control periods from one frame to the next.
         width: of the film in pixels.
         columns: number of panels side by side.
@@ -104,7 +104,7 @@ def film(
 
 
 def film_size(panel_count: int, width: int, columns: int) -> tuple[int, int]:
-    """Width and height in pixels, both even, as codecs want them."""
+    """Width and height in pixels, both even, as codecs require."""
     rows = math.ceil(panel_count / columns)
     height = width * rows * (HEIGHT + TITLE) / (columns * WIDTH)
     return width // 2 * 2, round(height / 2) * 2

@@ -23,20 +23,20 @@ class Rate(NamedTuple):
     """Frames of a film."""
 
     periods_per_frame: int
-    milliseconds: float  # that a frame is shown
+    milliseconds: float  # duration of a frame
 
 
 def frame_rate(path: Path, control_period: float, frames_per_second: float, speed: float) -> Rate:
-    """The rate nearest to the wanted one at which a frame falls on a sample and its format keeps time exactly.
+    """The rate nearest to the desired one with exact durations in the file's format and frames at samples.
 
     Args:
-        path: of the film; its ending tells the format.
+        path: of the film; its ending sets the format.
         control_period: s
-        frames_per_second: wanted.
+        frames_per_second: desired rate.
         speed: simulated seconds per second of film.
 
     Raises:
-        ConfigurationError: the format holds no such rate.
+        ConfigurationError: the format has no such rate.
     """
     ideal = speed / (frames_per_second * control_period)
     tick = {".gif": GIF_TICK, ".webp": 1}.get(path.suffix.lower(), 0)
@@ -45,8 +45,8 @@ def frame_rate(path: Path, control_period: float, frames_per_second: float, spee
         if not tick or (shown >= tick and abs(shown / tick - round(shown / tick)) < 1e-6):
             return Rate(periods, shown)
     raise ConfigurationError(
-        f"{path.name}: a frame in this format lasts whole multiples of {tick} ms, and no multiple of the control "
-        f"period ({1e3 * control_period:g} ms at {speed:g} times the speed) is one; write MP4"
+        f"{path.name}: a frame in this format lasts a whole multiple of {tick} ms, but no multiple of the control "
+        f"period ({1e3 * control_period:g} ms at {speed:g} times the speed) does; write MP4"
     )
 
 
@@ -54,12 +54,12 @@ def write_film(path: Path, frames: Iterator[Image.Image], milliseconds: float) -
     """Write a film; the file appears when it is complete.
 
     Args:
-        path: the file; its ending tells the format.
+        path: the file; its ending sets the format.
         frames: all of the same size.
-        milliseconds: that each frame is shown.
+        milliseconds: duration of each frame.
 
     Raises:
-        ConfigurationError: MP4 without ``imageio-ffmpeg``, or a file that cannot be written.
+        ConfigurationError: MP4 needs ``imageio-ffmpeg``, or the file cannot be written.
     """
     unfinished = path.with_name(f".unfinished-{path.name}")
     try:
