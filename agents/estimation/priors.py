@@ -1,7 +1,6 @@
 """The priors of the unknowns from a task: its ranges become normal distributions.
 
-The normal distribution has the mean and variance of the task's distribution; for positive quantities those of the
-logarithm.
+The distribution has the task's mean and variance; that of a positive quantity is log-normal.
 """
 
 from __future__ import annotations

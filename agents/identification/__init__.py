@@ -1,1 +1,1 @@
-"""Fits what a rig file leaves open to a recording, and tells what the recording cannot determine."""
+"""Fits the unknowns of a rig file to a recording, and reports which of them the recording cannot determine."""

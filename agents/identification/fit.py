@@ -1,4 +1,4 @@
-"""Fits what a rig file leaves open: most probable values, their intervals, and what the recording cannot determine."""
+"""Fits the unknowns of a rig file: most probable values, intervals, and whether the recording determines them."""
 
 from __future__ import annotations
 
@@ -23,31 +23,32 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 WIDENING = 1.25
-"""Factor on all standard deviations, chosen on validation seeds: the fit is linearised, the replay has errors."""
+"""Factor on all standard deviations, chosen on validation seeds; it covers the linearisation and errors of the
+replay."""
 
 COVERAGE = 1.96
-"""Standard deviations on either side of the value that hold 95 % of a normal distribution."""
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 DETERMINED = 0.5
-"""A parameter is determined where its standard deviation is at most this share of that of its range."""
+"""A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
 
 WELL_FITTED = 4.0
-"""Misfit up to which a window counts as explained, as in :class:`~agents.estimation.estimate.EstimationSettings`."""
+"""Largest misfit of an explained window, as in :class:`~agents.estimation.estimate.EstimationSettings`."""
 
 OUTLIER = 3.0
-"""Windows that misfit by more than this times the median, and are not explained, are left out: a search that ended in
-a local minimum, or a disturbance."""
+"""Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
+local minimum, or there was a disturbance."""
 
 
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
-"""Search of the single windows: the common fit goes on from there."""
+"""Search settings of the single windows; the common fit continues from their results."""
 
 MOST_ATTEMPTS = 2
-"""Common fits; a further one begins where windows that were not explained have been fitted again."""
+"""Number of common fits; before a further one, unexplained windows are fitted again."""
 
 
 class Fit(NamedTuple):
-    """What was learnt from the windows of a recording. p unknowns: parameters, leaks and biases of sensors."""
+    """Result for the windows of a recording. p unknowns: parameters, leaks and biases of sensors."""
 
     names: tuple[str, ...]  # (p,)
     priors: dict[str, Prior]  # of these
@@ -61,12 +62,12 @@ class Fit(NamedTuple):
 
     @property
     def determined(self) -> NDArray[np.bool_]:
-        """Which unknowns the recording determines, (p,)."""
+        """Whether the recording determines each unknown, (p,)."""
         return np.asarray(self.remaining <= DETERMINED)
 
     @property
     def explained(self) -> NDArray[np.bool_]:
-        """Windows whose readings the model explains to within the sensors' noise, (B,)."""
+        """Whether the model explains the readings of each window within the sensors' noise, (B,)."""
         return np.asarray(self.misfit < WELL_FITTED)
 
     def value(self, name: str) -> float:
@@ -79,12 +80,12 @@ class Fit(NamedTuple):
 
 
 def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: NDArray[np.bool_]) -> list[str]:
-    """Names of what is unknown: the rig's parameters with a range, the leak, biases of its sensors, and the start.
+    """Names of the unknowns: the rig's parameters with a range, the leak, biases of its sensors, and the start.
 
     Args:
         config: the task.
         ranges: ranges that the rig file gives.
-        measured: which channels were recorded, (channels,).
+        measured: whether each channel was recorded, (channels,).
     """
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
@@ -106,7 +107,7 @@ def fit_windows(
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
-    Each window is fitted by itself first. The values of the window that suits all others best begin the common fit.
+    Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
 
     Args:
         signals: (B, 5, T), SI, in the order of SIGNALS.
@@ -130,7 +131,7 @@ def fit_windows(
         fits.append((model, joint, misfit))
         if (misfit < WELL_FITTED).all() or attempt + 1 == MOST_ATTEMPTS:
             break
-        # Some window ended elsewhere: the common values lead it back.
+        # A window may have ended in another minimum; the common values are a better start.
         values = model.values(joint.scaled)[0]
         first = {model.names[place]: float(values[place]) for place in joint.shared}
         again = estimate(
@@ -150,9 +151,9 @@ def _common_fit(
     alone: Estimate,
     progress: Callable[[int, int], None],
 ) -> tuple[Model, Joint, Array]:
-    """Model and common fit of the windows that belong together, and the misfit of all, (B,); infinite if left out."""
+    """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
-    for _ in range(2):  # a second time without the windows that misfit in the first
+    for _ in range(2):  # the second time without the outliers of the first
         model = Model(config, priors, signals[kept, -1])
         readings = usable_readings(signals[kept], config, model)
         joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
@@ -166,13 +167,13 @@ def _common_fit(
 
 
 def _without_outliers(misfit: Array) -> NDArray[np.int64]:
-    """Places of the windows that are explained, or misfit no more than most others."""
+    """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
     finite = np.where(np.isfinite(misfit), misfit, 1e9)
     return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
 
 
 def _first_values(model: Model, readings: Array, alone: Estimate, kept: NDArray[np.int64]) -> Array:
-    """Where the common fit begins, (B, P) scaled: shared values of one window, or their median; starts of each."""
+    """Start of the common fit, (B, P) scaled: shared values of one window, or their median; each window's own start."""
     shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS])
     scaled = alone.scaled[kept]
     candidates = np.concatenate([scaled[:, shared], np.median(scaled[:, shared], axis=0, keepdims=True)])
@@ -212,10 +213,10 @@ def _summary(model: Model, joint: Joint, priors: Mapping[str, Prior], misfit: Ar
 
 
 def _scatter(joint: Joint) -> float:
-    """Squared scatter of the windows around the common values, in parts of what the noise explains (Birge's ratio).
+    """Squared scatter of the windows around the common values, relative to its expectation from noise (Birge's ratio).
 
-    Each window would change the shared values by its information's inverse times its score. A model that is wrong lets
-    the windows disagree by more than their own uncertainty.
+    Each window would change the shared values by its information's inverse times its score. With a wrong model the
+    windows disagree by more than their own uncertainty.
     """
     own = np.eye(len(joint.shared))
     square = freedom = 0.0
@@ -226,14 +227,14 @@ def _scatter(joint: Joint) -> float:
 
 
 class Combination(NamedTuple):
-    """A combination of unknowns, and how much of it the recording tells."""
+    """A combination of unknowns, and the information of the recording about it."""
 
-    singular_value: float  # of the readings' derivatives, scaled by ranges and noise; below 1 the range tells more
+    singular_value: float  # of the readings' derivatives, scaled by ranges and noise; below 1 the range dominates
     parts: tuple[tuple[str, float], ...]  # names and weights of the largest parts
 
 
 def combinations(fit: Fit) -> list[Combination]:
-    """The singular values of the scaled derivatives with their combinations, the least known first."""
+    """The singular values of the scaled derivatives with their combinations, the least determined first."""
     values, vectors = np.linalg.eigh(fit.information)
     found = []
     for value, vector in zip(values, vectors.T, strict=True):

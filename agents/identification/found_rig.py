@@ -1,4 +1,4 @@
-"""The rig that was found: its plant, its ranges narrowed to what was learnt, and its YAML file."""
+"""The identified rig: its plant, its narrowed ranges, and its YAML file."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ DIGITS = 6
 
 
 def path_of(name: str) -> str:
-    """Path of the rig's number that belongs to an unknown."""
+    """Path of the rig's parameter for an unknown."""
     return EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
 
 
 def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
-    """Values of the rig's numbers by path, within the bounds of each field; a leak below 0 is none."""
+    """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
     values: dict[str, float] = {}
     for name, value in fit.own().items():
         if name == LEAKAGE and config.leakage.law == "laminar":
@@ -37,7 +37,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
             values[name] = value
     values = {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
-    if breakaway in values:  # two values that are found one by one may contradict each other by their uncertainty
+    if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
         values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
     return values
 
@@ -71,11 +71,11 @@ def _within_bounds(plant: PlantParameters, path: str, value: float) -> float:
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
-    """Lowest and highest value that a range allows, SI, the value that it takes otherwise included.
+    """Lowest and highest value that a range allows, SI, including the value without the range.
 
     Args:
-        plant: the rig as given; factors multiply its own value.
-        found: the rig as found; a parameter that multiplies the range (``times``) has its value there.
+        plant: the given rig; factors multiply its own value.
+        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
         path: of the parameter.
         given: its range.
     """
@@ -86,9 +86,9 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
 
 
 def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
-    """The range of each parameter in the new rig file: its 95 % interval, within the range that was given before.
+    """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
-    A parameter that the recording does not determine keeps its range. So does the leak, which a task draws.
+    An undetermined parameter keeps its range. So does the leak, which a task draws.
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
@@ -106,7 +106,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             ends = (_within_bounds(plant, path, ends[0]), _within_bounds(plant, path, ends[1]))
             if given.times is None:
                 result[path] = {"uniform": _rounded(ends)}
-            else:  # a ratio never falls below the old one, so that breakaway stays above Coulomb friction
+            else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
                 result[path] = {"uniform": _rounded(ratios), "times": given.times}
@@ -114,13 +114,13 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
 
 
 def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
-    """The part of an interval within the old range; the interval itself if it lies beyond."""
+    """The part of an interval within the old range; the whole interval if it lies outside."""
     low, high = max(interval[0], before[0]), min(interval[1], before[1])
     return (low, high) if low <= high else interval
 
 
 def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
-    """Names of the determined parameters whose whole interval lies beyond the range that the rig file gives."""
+    """Names of the determined parameters whose whole interval lies outside the range of the rig file."""
     plant, names = found_plant(fit, config), []
     for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
         if determined and name in ranges:
@@ -131,7 +131,7 @@ def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution
 
 
 def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
-    """The old range; factors become numbers in SI, because the rig's own value changes."""
+    """The old range; factors become values in SI, because the rig's own value changes."""
     if not given.relative:
         return given.model_dump(exclude_defaults=True)
     form = "log_uniform" if given.logarithmic else "uniform"
@@ -158,7 +158,7 @@ def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
 
 def _rounded(ends: tuple[float, float]) -> list[float]:
     """Both ends with DIGITS significant digits, rounded outwards."""
-    nearly = 1e-6  # of a digit: a number that has no more digits stays as it is
+    nearly = 1e-6  # of a digit: a number without further digits stays unchanged
     return [
         _outwards(ends[0], lambda digits: math.floor(digits + nearly)),
         _outwards(ends[1], lambda digits: math.ceil(digits - nearly)),
@@ -175,20 +175,20 @@ def _outwards(value: float, rounding: Callable[[float], int]) -> float:
 def rig_yaml(
     rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
 ) -> str:
-    """The rig file with the values that were found and the narrowed ranges.
+    """The rig file with the identified values and the narrowed ranges.
 
     Args:
-        rig: content of the rig file that was given.
-        fit: what was found.
-        config: the task, on the rig as given.
+        rig: content of the given rig file.
+        fit: the result of the fit.
+        config: the task on the given rig.
         ranges: ranges of the rig file.
-        notes: lines of the comment at its head.
+        notes: lines of the comment at the top.
     """
     values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
     for path, value in found_values(fit, config).items():
         group, field = path.split(".")
         values.setdefault(group, {})[field] = value if math.isinf(value) else float(f"{value:.{DIGITS}g}")
-    # Numbers of the new file must lie where those of the old one did; the ranges come last.
+    # The new file keeps the groups of the old one; the ranges come last.
     values["randomisation"] = narrowed(fit, config, ranges)
     head = "".join(f"# {' '.join(note.split())}\n" for note in notes)
     return head + str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None))

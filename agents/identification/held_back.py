@@ -20,10 +20,10 @@ from hydro_env.task.sensors import CHANNELS
 Array = NDArray[np.float64]
 
 START_FROM = 0.2
-"""s, from which the state at the start is read; after it the simulation sees the commands alone."""
+"""s; the initial state comes from this first part; afterwards the simulation uses only the commands."""
 
 LEAST_MOTION = 20.0
-"""Standard deviation of a channel, in parts of its noise, from which its share of variance means something."""
+"""Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
 
 
 class HeldBack(NamedTuple):
@@ -39,13 +39,13 @@ class HeldBack(NamedTuple):
 def simulate_held_back(
     signals: Array, begin: float, config: TaskConfig, plant: PlantParameters, biases: Sequence[float]
 ) -> HeldBack:
-    """Simulate a plant; the state at the start alone is read from the part itself, from its first 0.2 s.
+    """Simulate a plant on the held-back part; only the initial state comes from its readings, in the first 0.2 s.
 
     Args:
         signals: (5, T), SI, in the order of SIGNALS.
         begin: of the part in the recording, s.
         config: the task.
-        plant: the plant that was found.
+        plant: the identified plant.
         biases: of each channel, SI.
     """
     bias = np.asarray(biases)[:, None]
@@ -66,7 +66,7 @@ def simulate_held_back(
 
 
 def _share(measured: Array, simulated: Array) -> float:
-    """Share of the variance that the simulation explains: 1 − mean square error over variance; −∞ where it failed."""
+    """Share of the variance that the simulation explains: 1 − mean square error over variance; −∞ after a failure."""
     known = np.isfinite(measured)
     if not known.any():
         return float("nan")

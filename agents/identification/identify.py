@@ -1,4 +1,4 @@
-"""``hydro identify``: the whole way from a recording and a rig file to the rig that was found, page and pictures."""
+"""``hydro identify``: from a recording and a rig file to the identified rig, page and pictures."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
 LEAST_SHARE = 0.9
-"""Share of the position's variance on the held-back part below which the model does not describe the axis."""
+"""Smallest share of the position's variance on the held-back part of a model that describes the axis."""
 
 Progress = Callable[[str, int, int], None]
 
 
 class Identification(NamedTuple):
-    """All that was found."""
+    """All results of an identification."""
 
     recording: Recording
     checked: Checked
@@ -67,20 +67,20 @@ class Identification(NamedTuple):
 
     @property
     def beyond(self) -> list[str]:
-        """Parameters that were found beyond their ranges, in words."""
+        """Parameters with values outside their ranges, as text."""
         names = beyond_range(self.fit, self.config, self.rig.randomisation)
         return [shown(name, self.config.plant).words for name in names]
 
     @property
     def noted(self) -> list[str]:
-        """What the user must know of the fit, in sentences."""
+        """Notes about the fit for the user, as sentences."""
         count, explained = len(self.fit.misfit), int(self.fit.explained.sum())
         left_out = int(np.isinf(self.fit.misfit).sum())
         notes = []
         if not self.rig.randomisation:
             notes.append(
-                "The rig file gives no ranges: leak and offsets of the sensors alone were fitted. Write a range for "
-                "each number that you do not know under `randomisation`."
+                "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
+                "each unknown value under `randomisation`."
             )
         if left_out:
             notes.append(
@@ -89,10 +89,10 @@ class Identification(NamedTuple):
         if not {"pressure_a_bias", "pressure_b_bias"} & set(self.fit.names) and self.config.sensors.enabled:
             notes.append("No pressure was recorded: the intervals are too narrow (docs/identify.md). Record pressures.")
         if self.beyond:
-            notes.append(f"Found beyond the range of the rig file: {', '.join(self.beyond)}. Check that number there.")
+            notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
         if explained < 0.5 * count:
             notes.append(
-                "The readings differ from the model by more than the sensors' noise. The intervals are wider for it "
+                "The readings differ from the model by more than the sensors' noise. The intervals are therefore wider "
                 f"(factor {self.fit.widening:.2g}), but may still be too narrow."
             )
         return notes
@@ -105,7 +105,7 @@ class Identification(NamedTuple):
             if math.isnan(self.share):
                 what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
             elif self.share >= LEAST_SHARE:
-                what = f"comes near it only with values beyond the rig file's ranges ({', '.join(self.beyond)})"
+                what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)})"
             return (
                 f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
             )
@@ -122,17 +122,17 @@ def identify(
     columns: ColumnMap | None = None,
     progress: Progress | None = None,
 ) -> Identification:
-    """Read a recording, check it, fit what the rig file leaves open, and judge the fit on the held-back part.
+    """Read a recording, check it, fit the unknowns of the rig file, and test the fit on the held-back part.
 
     Args:
         path: the recording.
         config: the task on this rig.
-        rig: the rig; its ranges say which parameters are unknown.
-        columns: which column is which; default: the names that ``hydro record`` writes.
+        rig: the rig; its ranges define the unknown parameters.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
         progress: called with phase, done, total.
 
     Raises:
-        ConfigurationError: the recording cannot be read, contradicts the rig, or tells nothing.
+        ConfigurationError: the recording cannot be read, contradicts the rig, or carries no information.
     """
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
@@ -155,8 +155,8 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
     """Write page, numbers and, if the model describes the axis, the rig; returns the lines for the user.
 
     Raises:
-        ConfigurationError: the folder cannot be written, or the model does not describe the axis; page and numbers
-            are written then, and no rig.
+        ConfigurationError: the folder cannot be written, or the model does not describe the axis; in this case page and
+            numbers are written, but no rig.
     """
     with output_folder(folder, JOB, FILES, overwrite=overwrite):
         write_text(folder / RESULT_FILE, json.dumps(as_json(found, command), indent=1, allow_nan=False) + "\n")
@@ -165,7 +165,7 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
             notes = [
                 f"Found by: {command}",
                 f"hydro_env {__version__}; {found.verdict()}.",
-                "Ranges: 95 % intervals; a parameter that the recording does not determine keeps its range.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
             ]
             text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
             write_text(folder / RIG_FILE, text)
@@ -180,7 +180,7 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
 
 
 def as_json(found: Identification, command: str) -> dict[str, Any]:
-    """The result for programs; SI units, leaks in l/min at 100 bar; ``null`` where there is no number."""
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``null`` if there is no number."""
     fit = found.fit
 
     def plain(value: float) -> float | None:

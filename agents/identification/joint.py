@@ -1,8 +1,8 @@
-"""Fits several windows of one axis together: the windows share the parameters, each has a start state of its own.
+"""Fits several windows of one axis together: the windows share the parameters, each has its own initial state.
 
-Each window is short, so that a small error of the model cannot grow, and gaps between windows do not matter. The
-method is Levenberg and Marquardt's, as for a single window (:mod:`agents.estimation.solver`). The start states are
-eliminated window by window (Schur complement); what remains is a small problem of the shared parameters.
+The windows are short: a small error of the model cannot grow, and gaps between windows do not matter. The method is
+Levenberg–Marquardt, as for a single window (:mod:`agents.estimation.solver`). The initial states are eliminated window
+by window (Schur complement), which leaves a small problem of the shared parameters.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ ITERATIONS = 40
 """Largest number of iterations."""
 
 TOLERANCE = 0.1
-"""An iteration with little damping that lowers the cost by less is the last."""
+"""The fit ends after an iteration with little damping that lowers the cost by less."""
 
 LEAST_DAMPING, MOST_DAMPING = 1e-6, 1e6
 
 
 class Joint(NamedTuple):
-    """A common fit of B windows with P unknowns, p of which they share; all unknowns scaled by their priors."""
+    """A common fit of B windows with P unknowns, of which p are shared; all unknowns are scaled by their priors."""
 
     scaled: Array  # (B, P), most probable values; the shared ones are the same in each row
-    shared: NDArray[np.int64]  # (p,), places of the shared unknowns
-    information: Array  # (B, p, p), what each window tells of the shared unknowns, its start unknown
+    shared: NDArray[np.int64]  # (p,), indices of the shared unknowns
+    information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
     score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
     misfit: Array  # (B,), as in agents.estimation.estimate.Estimate
 
     @property
     def precision(self) -> Array:
-        """Inverse covariance of the shared unknowns, (p, p), that of the priors included."""
+        """Inverse covariance of the shared unknowns, (p, p), including the priors."""
         total: Array = self.information.sum(axis=0) + np.eye(len(self.shared))
         return total
 
@@ -62,8 +62,8 @@ def fit_together(
     Args:
         model: of the B windows.
         measured: readings over their noise, (B, channels, T); NaN is left out.
-        first: scaled unknowns to begin with, (B, P); the shared ones the same in each row.
-        progress: called with the iterations done, and their largest number.
+        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
+        progress: called with the number of iterations and its limit.
     """
     shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS])
     own = np.array([place for place, name in enumerate(model.names) if name in STARTS])
@@ -133,7 +133,7 @@ def reduce(
 
 
 def _joint_precision(reduced: Reduced, own: NDArray[np.int64], shared: NDArray[np.int64]) -> Array:
-    """Precision of all unknowns of each window, (B, P, P), with what the other windows tell of the shared ones."""
+    """Precision of all unknowns of each window, (B, P, P), given the other windows' information."""
     precision = reduced.curvature.copy()
     others = reduced.information.sum(axis=0) - reduced.information
     precision[:, shared[:, None], shared] += others + np.eye(len(shared))

@@ -1,7 +1,7 @@
-"""Which motion would determine what the recording does not: candidates are simulated on the rig that was found.
+"""Finds motions that would determine the undetermined unknowns: it simulates candidates on the identified rig.
 
-Each candidate is a voltage that the axis follows for some seconds from rest, in open loop. Its readings' derivatives
-tell how much of every unknown they would show, together with the recording.
+Each candidate is a voltage over some seconds from rest, in open loop. The derivatives of its readings give the
+information about every unknown, together with the recording.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ DURATION = 8.0
 """s, of each candidate."""
 
 LEAST_GAIN = 0.8
-"""A motion is named if it lowers the standard deviation to less than this share of the present one."""
+"""A motion is recommended if it lowers the standard deviation to less than this share of the present one."""
 
 
 class Advice(NamedTuple):
-    """The motion that tells most of an unknown."""
+    """The most informative motion for an unknown."""
 
     motion: str
-    remaining: float  # standard deviation after it, as a share of that of the range
-    enough: bool  # whether the unknown is determined then
+    remaining: float  # standard deviation after it, as a share of the range's
+    enough: bool  # whether the unknown is then determined
 
 
 class _Travel(NamedTuple):
-    """What the axis can do."""
+    """Limits of the axis."""
 
     reach: float  # m, from end to end
     out: float  # m/s at full opening
     back: float  # m/s
-    hold: float  # command that holds it in the middle
+    hold: float  # command that holds the middle position
 
 
 def _commands(time: Array, can: _Travel) -> dict[str, Array]:
-    """Commands (T,) of each candidate by its name; the way out and the way back are equally long."""
+    """Commands (T,) of each candidate by name; each returns to its start."""
 
     def moves(share: float, travel: float, rest: float) -> Array:
         """Out and back at a share of the speed, with a rest at either end."""
@@ -71,12 +71,12 @@ def _commands(time: Array, can: _Travel) -> dict[str, Array]:
 
 
 def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
-    """For each unknown that is not determined, the motion that would tell most; ``None`` if none helps.
+    """For each undetermined unknown, the most informative motion; ``None`` if none helps.
 
     Args:
-        fit: what the recording tells.
+        fit: result of the recording.
         config: the task.
-        plant: the plant that was found.
+        plant: the identified plant.
     """
     wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
     if not wanted:
@@ -94,7 +94,7 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
     time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
     commands = _commands(time, can)
     information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
-    # The readings of the recording count as much as its widened intervals say.
+    # The recording is weighted by its widened intervals.
     present = fit.information / fit.widening**2 + np.eye(len(fit.names))
     after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + information / fit.widening**2)))
     advice: dict[str, Advice | None] = {}
@@ -108,7 +108,7 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
 
 
 def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Array:
-    """What each candidate tells of the unknowns, (motions, p, p), its start unknown."""
+    """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
     starts = starts_of(config)
     priors = fit.priors | priors_of(config, starts)
     model = Model(config, priors, commands)
@@ -119,7 +119,7 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     precision[:, shared[:, None], shared] += fit.information / fit.widening**2
     linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
     measured = linear.readings * model.noise[:, None]
-    for row, channel in enumerate(CHANNELS):  # sensors that the rig lacks would tell nothing
+    for row, channel in enumerate(CHANNELS):  # absent sensors give no information
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
             measured[:, row] = np.nan
     signals = np.concatenate([measured, commands[:, None]], axis=1)

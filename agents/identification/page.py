@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 
 MOST_COMBINATIONS = 6
-"""Rows of the table of singular values, the least known first."""
+"""Rows of the table of singular values, the least determined first."""
 
 
 def write_page(path: Path, found: Identification, command: str) -> None:
@@ -45,8 +45,8 @@ def render_page(found: Identification, origin: Origin) -> Page:
     intervals = make_plot(
         "intervals",
         "Intervals beside their ranges",
-        "Dots with 95 % intervals, each in the unit of its range before; the shade is that range.",
-        "Ranges of the rig file and intervals that were found; the table holds the numbers.",
+        "Dots with 95 % intervals, each relative to its earlier range; the shade is that range.",
+        "Ranges of the rig file and identified intervals; the table holds the numbers.",
         lambda figure: paint_intervals(figure, found),
         1.0 + 0.27 * len(found.fit.names),
         WIDE,
@@ -117,22 +117,22 @@ def range_before(found: Identification, name: str) -> tuple[float, float] | None
 
 
 def open_table(found: Identification) -> Table | None:
-    """The unknowns that are not determined, and the motion that would tell them; ``None`` if all are determined."""
+    """The undetermined unknowns, each with a motion that would determine it; ``None`` if all are determined."""
     rows = []
     for name, advice in found.advice.items():
         before = f"{100 * found.fit.remaining[found.fit.names.index(name)]:.0f} %"
         words = shown(name, found.config.plant).words
         if advice is None:
-            rows.append((words, before, "none of those tried", "–"))
+            rows.append((words, before, "none of the candidates", "–"))
         else:
             left = f"{100 * advice.remaining:.0f} %"
             rows.append((words, before, advice.motion, left if advice.enough else f"{left}, not enough alone"))
-    header = ("Unknown", "Uncertainty left", "Motion that tells most", "Left after 8 s of it")
+    header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
     return Table("", header, rows) if rows else None
 
 
 def combinations_table(found: Identification) -> Table:
-    """The least known combinations of unknowns."""
+    """The least determined combinations of unknowns."""
     rows = []
     for one in found.combinations[:MOST_COMBINATIONS]:
         parts = [

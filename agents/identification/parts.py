@@ -1,4 +1,4 @@
-"""The parts of a recording: windows to which the model is fitted, and the held-back part, on which it is judged."""
+"""The parts of a recording: windows for the fit, and the held-back part, which tests it."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from hydro_env.task.sensors import CHANNELS
 Floats = NDArray[np.float64]
 
 WINDOW, FEWEST_WINDOWS = 2.0, 5
-"""s, length of a window; a recording that is too short for five has shorter ones."""
+"""s, length of a window; a recording that is too short for five windows has shorter ones."""
 
 SHORTEST_WINDOW = 0.4
-"""s; shorter windows tell too little beside their unknown start."""
+"""s; shorter windows give too little information, because their start is unknown."""
 
 FITTED_SHARE = 0.7
-"""Share of the recording, from its start, to which the model is fitted."""
+"""Share of the recording, from its start, for the fit."""
 
 MOST_WINDOWS = 12
-"""More windows would take longer and tell little more; they are spread over the recording, the liveliest first."""
+"""More windows would take longer and add little; from each section of the recording, the one with most motion is
+used."""
 
 LONGEST_HELD_BACK = 10.0
 """s"""
 
 LONGEST_FILL = 3
-"""Missing commands in a row that are interpolated; the readings of these samples stay missing."""
+"""Largest number of successive missing commands that are interpolated; their readings stay missing."""
 
 FULL_COMMAND, MOST_SATURATED = 0.99, 0.9
-"""A recording whose command stands at full for more than this share of the time tells nothing of the valve."""
+"""Largest share of the time at full command; a recording with more gives no information about the valve."""
 
 POSITION = CHANNELS.index("position")
 
@@ -43,10 +44,10 @@ POSITION = CHANNELS.index("position")
 class Parts(NamedTuple):
     """A recording cut in parts."""
 
-    fitted: Windows  # to which the model is fitted
+    fitted: Windows  # for the fit
     begin: float  # s, of the held-back part
     held_back: Floats  # (5, T), in the order of SIGNALS
-    findings: list[Finding]  # what was done to the samples
+    findings: list[Finding]  # changes to the samples
 
 
 def parts_of(samples: Sampled, source: str) -> Parts:
@@ -57,7 +58,7 @@ def parts_of(samples: Sampled, source: str) -> Parts:
         source: of the recording, for messages.
 
     Raises:
-        ConfigurationError: no position, a saturated command, or too few samples without a gap.
+        ConfigurationError: the position is missing, the command is saturated, or too few samples are without a gap.
     """
     if not np.isfinite(samples.signals[POSITION]).any():
         raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
@@ -65,7 +66,7 @@ def parts_of(samples: Sampled, source: str) -> Parts:
     if full > MOST_SATURATED:
         raise ConfigurationError(
             f"{source}: command stands at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
-            "and its flow, edges and dynamics cannot be told: record the axis while it follows a reference"
+            "which hides its flow, edges and dynamics: record the axis while it follows a reference"
         )
     duration = len(samples.time) * samples.period
     length = round(min(WINDOW, duration / FEWEST_WINDOWS) / samples.period)
@@ -94,7 +95,7 @@ def parts_of(samples: Sampled, source: str) -> Parts:
 
 
 def _with_commands(signals: Floats) -> tuple[Floats, int]:
-    """Windows whose short gaps of the command are filled, and the number of samples that were filled."""
+    """Windows with short gaps of the command filled, and the number of filled samples."""
     signals, filled = signals.copy(), 0
     for command in signals[:, COMMAND]:
         missing = np.isnan(command)
@@ -116,7 +117,7 @@ def _travel(windows: Windows) -> Floats:
 
 
 def _liveliest(windows: Windows) -> Windows:
-    """At most MOST_WINDOWS windows: of each section of the recording, the one in which the axis travels furthest."""
+    """At most MOST_WINDOWS windows: from each section of the recording, the one with the longest travel."""
     if len(windows.begin) <= MOST_WINDOWS:
         return windows
     sections, travel = np.array_split(np.arange(len(windows.begin)), MOST_WINDOWS), _travel(windows)

@@ -1,4 +1,4 @@
-"""Pictures of an identification: measured against simulated signals, and intervals beside the ranges before."""
+"""Pictures of an identification: measured and simulated signals, and intervals beside the earlier ranges."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PANELS = (
 
 
 def paint_held_back(figure: Figure, part: HeldBack) -> None:
-    """The held-back part: each recorded channel, measured and simulated, with the difference below the position."""
+    """Draw the held-back part: each recorded channel, measured and simulated, and the difference in position."""
     shown_rows = [row for row in range(len(PANELS)) if np.isfinite(part.measured[row]).any()]
     axes = figure.subplots(len(shown_rows) + 1, 1, sharex=True, squeeze=False)[:, 0]
     time = part.begin + part.time
@@ -44,7 +44,7 @@ def paint_held_back(figure: Figure, part: HeldBack) -> None:
 
 
 def paint_intervals(figure: Figure, found: Identification) -> None:
-    """Each unknown's 95 % interval, in standard deviations of its range, whose middle is 0."""
+    """Draw each unknown's 95 % interval, in standard deviations of its range; 0 is the middle of the range."""
     fit = found.fit
     axis = figure.subplots()
     names = [shown(name, found.config.plant).words for name in fit.names]
@@ -59,7 +59,7 @@ def paint_intervals(figure: Figure, found: Identification) -> None:
     row_axis(axis, names)
     limit = max(2.6, float(np.nanmax(np.abs([low, high]))) * 1.05)
     axis.set_xlim(-min(limit, 6.0), min(limit, 6.0))
-    axis.set_xlabel("in standard deviations of the range before; shaded: that range, about")
+    axis.set_xlabel("in standard deviations of the earlier range; shaded: about that range")
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
 

@@ -1,4 +1,4 @@
-"""Names, units and numbers of the unknowns as a person reads them."""
+"""Names, units and numbers of the unknowns for readers."""
 
 from __future__ import annotations
 
@@ -11,35 +11,35 @@ from agents.report.text import decimals_for, number
 from hydro_env import PlantParameters
 
 UNITS = {"Pa": (1e-5, "bar"), "m³/s": (6e4, "l/min"), "m": (1e3, "mm"), "m³": (1e6, "cm³"), "m²": (1e6, "mm²")}
-"""Factor from SI and unit in which a person reads a quantity, by its SI unit."""
+"""Factor from SI and displayed unit of a quantity, by its SI unit."""
 
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
 
 class Shown(NamedTuple):
-    """How an unknown is shown."""
+    """Display of an unknown: name, factor, unit."""
 
     words: str
     factor: float
     unit: str
 
     def span(self, low: float, high: float) -> str:
-        """Two values with as many digits as tell them apart."""
+        """Two values with enough digits to distinguish them."""
         low, high = self.factor * low, self.factor * high
-        # Two digits of their difference; a range of nothing gets four digits of its size.
+        # Two digits of their difference; a range of zero width gets four digits of its value.
         difference = abs(high - low)
         decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
         return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
 
     def value(self, value: float, uncertainty: float) -> str:
-        """A value, with digits as its uncertainty allows; both in the unknown's unit."""
+        """A value with the digits that its uncertainty allows; both in the unknown's unit."""
         size = self.factor * uncertainty
         decimals = decimals_for(size, 2) if size > 0.0 and np.isfinite(size) else None
         return number(self.factor * value, decimals, 4)
 
 
 def shown(name: str, plant: PlantParameters) -> Shown:
-    """How an unknown of :mod:`agents.estimation.names` is shown."""
+    """Display of an unknown of :mod:`agents.estimation.names`."""
     if name == LEAKAGE:
         return Shown("leak past the piston", 1.0, "l/min at 100 bar")
     if name == EXTERNAL_LEAKAGE:
@@ -56,5 +56,5 @@ def shown(name: str, plant: PlantParameters) -> Shown:
 
 
 def share_in_words(share: float) -> str:
-    """A share of variance; a simulation that errs by more than the signal varies explains nothing."""
+    """A share of variance as text; a simulation with errors larger than the signal's variation explains nothing."""
     return f"{100 * share:.2f} %" if share > 0.0 else "nothing"

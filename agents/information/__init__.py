@@ -1,1 +1,1 @@
-"""How much the measured signals tell about a leak: the Cramér–Rao bound as tables, and the move that lowers it."""
+"""Information of the measured signals about a leak: the Cramér–Rao bound as tables, and the move that lowers it."""

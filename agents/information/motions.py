@@ -1,4 +1,4 @@
-"""Motions under which the bound is told: the task's own, slow ones, and rest."""
+"""Motions for the tables of the bound: the task's own, slow motion, and rest."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SLOWER = 16.0
 """Factor by which slow motion is slower."""
 
 SMALLEST_STEP = 1e-6
-"""m; steps of this size are rest."""
+"""m; steps of this size count as rest."""
 
 
 def slow(config: TaskConfig) -> TaskConfig:
@@ -32,7 +32,7 @@ def slow(config: TaskConfig) -> TaskConfig:
 
 
 def at_rest(config: TaskConfig) -> TaskConfig:
-    """The task with references that stand still wherever the episode begins."""
+    """The task with constant references at the start of each episode."""
     return task_config(config, references={"weights": {"step": 1.0}, "step_range": (SMALLEST_STEP, SMALLEST_STEP)})
 
 

@@ -1,4 +1,4 @@
-"""A test move: the short move, within limits of travel and speed, that makes a leak most visible by the bound."""
+"""A test move: the short move within limits of travel and speed with the lowest bound for a leak."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT
 Array = NDArray[np.float64]
 
 STROKES = 4
-"""The last one leads back to the start."""
+"""Number of strokes; the last one returns to the start."""
 
 LEAST_SPEED = 0.1
 """Smallest speed of a stroke, as a share of the largest."""
 
 LEAST_HOLD = 0.02
-"""Smallest share of the time at rest that each hold gets, before the shares are made to add up to 1."""
+"""Smallest share of the time at rest for each hold, before normalisation to a sum of 1."""
 
 _IMPOSSIBLE = 1e3
-"""Cost of a move that does not fit into its time or fails; far above the logarithm of any standard deviation."""
+"""Cost of a move that is too long or fails; far above the logarithm of any standard deviation."""
 
 
 class MoveSettings(Group):
@@ -48,12 +48,12 @@ class MoveSettings(Group):
     speed: float | None = Field(None, gt=0.0, le=100.0, description="m/s; default: that of the task's references")
     leak: float = Field(0.3, ge=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar, for which the move is designed")
     plants: int = Field(6, ge=2, le=1000, description="of the training seeds")
-    evaluations: int = Field(240, ge=1, le=1_000_000, description="moves tried")
+    evaluations: int = Field(240, ge=1, le=1_000_000, description="number of moves that the search tries")
     seed: int = Field(0, ge=0, le=2**32 - 1, description="of the search")
 
 
 class Limits(NamedTuple):
-    """What a move must keep to, SI."""
+    """Limits of a move, SI."""
 
     low: float  # m, lowest position that every plant reaches
     high: float  # m
@@ -97,10 +97,9 @@ class Move(NamedTuple):
 
 
 def limits_of(config: TaskConfig, settings: MoveSettings) -> Limits:
-    """Limits of the move on the plants of the task; refuses what the rig cannot do.
+    """Limits of the move on the plants of the task.
 
-    The positions are those that the nominal plant and every plant of the design reach with the share of the task's
-    references.
+    The nominal plant and every plant of the design reach the positions with the share of the task's references.
 
     Raises:
         ConfigurationError: travel or speed is beyond the rig.
@@ -121,15 +120,16 @@ def limits_of(config: TaskConfig, settings: MoveSettings) -> Limits:
     if speed > fastest:
         raise ConfigurationError(
             f"--speed {1e3 * speed:g} mm/s: must be at most {1e3 * fastest:.3g} mm/s, "
-            f"{config.references.speed_share:.0%} of what the rig reaches"
+            f"{config.references.speed_share:.0%} of the rig's speed"
         )
     return Limits(low, high, travel, speed, config.references.acceleration_limit, settings.duration)
 
 
 def move_from(numbers: Array, limits: Limits) -> Move | None:
-    """The move that some numbers within 0 to 1 stand for; ``None`` if its strokes take longer than the duration.
+    """The move of a vector of numbers from 0 to 1; ``None`` if its strokes take longer than the duration.
 
-    The numbers: place of the travel, start and ends of the strokes within it, speed of each stroke, share of each hold.
+    The numbers are: place of the travel, start and ends of the strokes within it, speed of each stroke, share of each
+    hold.
     """
     place, targets, speeds, holds = np.split(numbers, [1, 1 + STROKES, 1 + 2 * STROKES])
     lowest = limits.low + place[0] * (limits.high - limits.low - limits.travel)
@@ -147,7 +147,7 @@ def move_from(numbers: Array, limits: Limits) -> Move | None:
 
 
 NUMBERS = 2 + 3 * STROKES
-"""Numbers of a move: a place, as many starts and speeds as strokes, and one more hold."""
+"""Length of the vector of a move: one place, one start and one speed per stroke, and one more hold."""
 
 
 class Design(NamedTuple):
@@ -155,7 +155,7 @@ class Design(NamedTuple):
 
     move: Move
     bound: float  # l/min; geometric mean of the bound over the plants of the design
-    first_bound: float  # of the move that the search began with: once there and back at mid-range; NaN if impossible
+    first_bound: float  # of the search's first move: once there and back at mid-range; NaN if impossible
 
 
 def design(
@@ -164,19 +164,19 @@ def design(
     settings: MoveSettings,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Design:
-    """Find the move whose bound of the leak is lowest, by CMA-ES (Hansen & Ostermeier 2001; package ``cmaes``).
+    """Find the move with the lowest bound of the leak by CMA-ES (Hansen & Ostermeier 2001; package ``cmaes``).
 
-    The mean of the logarithm of the bound over plants of the training seeds is minimised; a worn valve counts among
-    the unknowns.
+    The cost is the mean of the logarithm of the bound over plants of the training seeds; the unknowns include a worn
+    valve.
 
     Args:
         config: the task.
         controller: follows the move.
         settings: limits and size of the search.
-        progress: called with the phase, and the numbers of moves tried and in all.
+        progress: called with the phase, the number of moves tried, and their total.
 
     Raises:
-        ConfigurationError: impossible limits, or no move fits them.
+        ConfigurationError: the limits are impossible, or no move fits them.
     """
     limits = limits_of(config, settings)
     unknowns = unknown_sets(config)
@@ -213,8 +213,8 @@ def design(
     move = move_from(best, limits)
     if move is None or lowest >= _IMPOSSIBLE:
         raise ConfigurationError(
-            f"--duration {settings.duration:g} s: no move with this travel and speed fits into it that every plant can "
-            "follow; lower --travel, or raise --speed or --duration"
+            f"--duration {settings.duration:g} s: no move with this travel and speed is short enough for every plant; "
+            "lower --travel, or raise --speed or --duration"
         )
     return Design(move, math.exp(lowest), math.exp(begun) if begun < _IMPOSSIBLE else math.nan)
 

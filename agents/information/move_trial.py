@@ -1,4 +1,4 @@
-"""A test move on axes that the design has not seen: how exactly the leak can be read from it, and is read."""
+"""A test move on axes outside the design: the bound for the leak, and the errors of its estimates."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 TEST_MOVE = "test move"
 
 BEGIN = 1.0
-"""s; windows of other motions begin this long after their episode."""
+"""s; windows of other motions begin this long after the start of their episode."""
 
 
 def trial(
@@ -40,9 +40,9 @@ def trial(
     plants: int,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[pd.DataFrame, KnownWindows]:
-    """Read leaks from the move and from other motions of the same duration, on plants of the test seeds.
+    """Estimate leaks from the move and from other motions of the same duration, on plants of the test seeds.
 
-    Unknown are plant, start, biases and the wear of the valve. Columns: ``motion``, ``leakage_flow_lpm``, ``seed``,
+    The unknowns are plant, start, biases and wear of the valve. Columns: ``motion``, ``leakage_flow_lpm``, ``seed``,
     ``sigma_lpm`` (bound), ``estimate_lpm``, ``deviation_lpm`` (the estimate's own), ``holds`` (whether the model
     explains the readings).
 
@@ -52,7 +52,7 @@ def trial(
         move: the test move.
         leaks: l/min at 100 bar.
         plants: number of plants.
-        progress: called with the phase, and the numbers of motions and leaks done and in all.
+        progress: called with the phase, the number of combinations of motion and leak done, and their total.
 
     Returns:
         The table, and the windows of the move with the last leak.
@@ -128,10 +128,10 @@ def move_table(move: Move) -> str:
 
 
 def gain(best: Design) -> str:
-    """What the search gained on the plants of the design, as a sentence."""
+    """Gain of the search on the plants of the design, as a sentence."""
     first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
     return (
-        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of a move once there and back, at "
+        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of one stroke there and back at "
         f"mid-range: {first}."
     )
 

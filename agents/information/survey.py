@@ -36,8 +36,8 @@ class SurveySettings(Group):
     )
     windows: tuple[float, ...] = Field((0.5, 1.0, 2.0, 4.0, 8.0), min_length=1, description="s")
     plants: int = Field(24, ge=3, le=10_000, description="of the test seeds, per motion and leak")
-    begin: float = Field(1.0, ge=0.0, le=1e4, description="s, start of the window after that of the episode")
-    more_unknowns: tuple[str, ...] = Field((), description="beside those of the task, as a set of their own")
+    begin: float = Field(1.0, ge=0.0, le=1e4, description="start of the window, s after the start of the episode")
+    more_unknowns: tuple[str, ...] = Field((), description="in addition to those of the task, as a separate set")
 
 
 def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
@@ -54,7 +54,7 @@ def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
 
 
 def checked(settings: SurveySettings, config: TaskConfig) -> UnknownSets:
-    """The sets of unknowns; refuses leaks, windows and unknowns that cannot be.
+    """Check leaks, windows and unknowns; returns the sets of unknowns.
 
     Raises:
         ConfigurationError: a value is impossible or occurs twice.
@@ -82,11 +82,11 @@ def survey(
     Args:
         config: the task.
         controller: moves the axes.
-        settings: what is computed.
-        progress: called with the phase, and the numbers of motions and leaks done and in all.
+        settings: leaks, windows, plants and unknowns.
+        progress: called with the phase, the number of combinations of motion and leak done, and their total.
 
     Raises:
-        ConfigurationError: impossible settings.
+        ConfigurationError: the settings are impossible.
     """
     unknowns, frames = checked(settings, config), []
     jobs = [(motion, leak) for motion in MOTIONS for leak in settings.leak_levels]

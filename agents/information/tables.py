@@ -21,12 +21,12 @@ ORDINARY = next(iter(MOTIONS))
 
 
 def middle(values: Iterable[float], wanted: float) -> float:
-    """The value nearest to a wanted one, in ratio."""
+    """The value with the ratio to ``wanted`` closest to 1."""
     return min(values, key=lambda value: abs(np.log(max(value, 1e-9) / wanted)))
 
 
 def shown(table: pd.DataFrame) -> tuple[float, float]:
-    """Window (s) and leak (l/min) of the tables that fix them: those nearest to 2 s and 0.3 l/min."""
+    """Fixed window (s) and leak (l/min) of the tables: the values nearest to 2 s and 0.3 l/min."""
     return middle(table["window_s"].unique(), 2.0), middle(table["leakage_flow_lpm"].unique(), 0.3)
 
 
@@ -81,7 +81,7 @@ def picture(table: pd.DataFrame) -> bytes:
     def paint(figure: Figure) -> None:
         left, centre, right = figure.subplots(1, 3, width_ratios=(1.0, 0.9, 1.0))
         _lines(left, table[ordinary & whole & level], "window_s", "unknowns")
-        left.set(xscale="log", xlabel="window, s", title=f"What is unknown (leak of {leak:g} l/min)")
+        left.set(xscale="log", xlabel="window, s", title=f"Sets of unknowns (leak of {leak:g} l/min)")
         ticks(left.xaxis, sorted(table["window_s"].unique()))
         _rows_of_sensors(centre, table[ordinary & drawn & window & level])
         centre.set_title(f"Sensors, {length:g} s")

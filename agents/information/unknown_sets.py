@@ -1,4 +1,4 @@
-"""What is unknown beside the leak: from nothing to worn valve, sensor gains and forces."""
+"""Sets of unknowns in addition to the leak: from none to a worn valve, sensor gains and forces."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (
     "a worn valve too",
     "gains and forces too",
 )
-"""Names of the sets; each holds the one before it."""
+"""Names of the sets; each contains the previous one."""
 
 _WEAR = {"valve.null_shift": (0.01, False), "valve.underlap": (0.03, False), "valve.rated_flow": (0.2, True)}
-"""Standard deviation of a worn valve's parameters: of full stroke, or, if true, of the logarithm."""
+"""Standard deviation of a worn valve's parameters, of full stroke or (if true) of the logarithm."""
 
 _FURTHER = (*GAINS, "supply.tank_pressure", "load.external_force")
 
@@ -33,17 +33,17 @@ class UnknownSet(NamedTuple):
 
 
 class UnknownSets(NamedTuple):
-    """Sets of unknowns by name, and the prior of every unknown in any of them."""
+    """Sets of unknowns by name, and the priors of all their unknowns."""
 
     sets: Mapping[str, UnknownSet]
     priors: Mapping[str, Prior]
 
 
 def unknown_sets(config: TaskConfig, more: Sequence[str] = ()) -> UnknownSets:
-    """The sets for a task; ``more`` adds one that has these unknowns beside those of the task.
+    """The sets for a task; ``more`` adds a set with these unknowns in addition to the task's.
 
     Raises:
-        ConfigurationError: an unknown of ``more`` does not exist, occurs twice, or is drawn by the task anyway.
+        ConfigurationError: an unknown of ``more`` does not exist, occurs twice, or is already an unknown of the task.
     """
     task = default_unknowns(config)
     for name in more:
@@ -70,13 +70,13 @@ def unknown_sets(config: TaskConfig, more: Sequence[str] = ()) -> UnknownSets:
 
 
 def _widened(prior: Prior, deviation: float, logarithmic: bool) -> Prior:
-    """The prior of a worn valve; wider ranges of the task stay."""
+    """The prior of a worn valve; a wider range of the task is kept."""
     wide = Prior(prior.mean, deviation, logarithmic and prior.mean > 0.0)
     return Prior(wide.mean, max(deviation, _linear(prior, wide)), wide.logarithmic)
 
 
 def _linear(prior: Prior, like: Prior) -> float:
-    """Standard deviation of a prior in the scale of another one of the same unknown, to first order."""
+    """Standard deviation of a prior in the scale of another prior of the same unknown, to first order."""
     if prior.logarithmic == like.logarithmic:
         return prior.deviation
     return prior.deviation * prior.mean if prior.logarithmic else prior.deviation / prior.mean
