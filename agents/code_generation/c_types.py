@@ -30,22 +30,22 @@ def element_of(kind: str) -> str:
 
 
 def row_of(kind: str, indices: int = 1) -> str:
-    """Type of what is left of an array after its first indices."""
+    """Type of an array after its first indices."""
     left = shape_of(kind)[indices:]
     return array(*left, element=kind.split("[")[0]) if left else element_of(kind)
 
 
 def strides_of(kind: str) -> list[int]:
-    """Elements by which each index of an array moves."""
+    """Stride of each index of an array, in elements."""
     shape = shape_of(kind)
     return [math.prod(shape[place + 1 :]) for place in range(len(shape))]
 
 
 def declared(kind: str, name: str) -> str:
-    """Declaration of a variable; an array is a pointer to its first element, row after row."""
+    """Declaration of a variable; an array is a pointer to its first element, in row-major order."""
     return f"{kind.split('[')[0]} *{name}" if shape_of(kind) else f"{kind} {name}"
 
 
 def literals(values: Sequence[float]) -> str:
-    """Numbers of an array's definition, exact."""
+    """Exact numbers for the definition of an array."""
     return ", ".join("INFINITY" if value == math.inf else repr(float(value)) for value in values)

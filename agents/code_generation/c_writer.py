@@ -39,7 +39,7 @@ _FUNCTIONS = {
     "copysign": "copysign",
 }
 _HELPERS = {
-    # As in NumPy: the first value stays unless the other one is larger (smaller); NaN stays NaN.
+    # As in NumPy: the first value unless the other one is larger (smaller); NaN stays NaN.
     "maximum": "static {type} {name}({type} a, {type} b) {{ return a >= b || a != a ? a : b; }}",
     "minimum": "static {type} {name}({type} a, {type} b) {{ return a <= b || a != a ? a : b; }}",
     "sign": "static {type} {name}({type} a) {{ return a > 0 ? 1 : a < 0 ? -1 : a; }}",
@@ -53,8 +53,8 @@ class CWriter:
     """Collects constant tables and helper functions of one C file, and writes statements that use them.
 
     Args:
-        inputs: text in C of each input of the graph, by its name; that of an array without index.
-        prefix: begins the names of helper functions, for a file that has others.
+        inputs: C text of each input of the graph, by name; for an array without index.
+        prefix: of the names of helper functions, for a file that contains others.
     """
 
     inputs: Mapping[str, str]
@@ -65,7 +65,7 @@ class CWriter:
     _used: set[str] = field(default_factory=set)
 
     def reserve(self, *names: str) -> None:
-        """Names that no variable may have."""
+        """Reserve names that no variable may have."""
         self._used.update(names)
 
     def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
@@ -81,7 +81,7 @@ class CWriter:
         return [f"{indent}{line}" for line in lines]
 
     def kept(self, name: str, node: Node) -> tuple[str, list[str]]:
-        """A variable of its own that holds a result, and the statements that make it."""
+        """A separate variable for a result, and the statements that define it."""
         if id(node) in self._names and node.operation not in ("input", "constant"):
             return self._names[id(node)], []
         variable = self._new_name(name)
@@ -165,7 +165,7 @@ class CWriter:
         return lines
 
     def _multiplied(self, node: Node, kind: str, name: str) -> list[str]:
-        """Sums in the order of the inner index; the columns inside, where a compiler can compute several at once."""
+        """Sums in the order of the inner index; the innermost loop runs over the columns for vectorisation."""
         (left, right), (rows, inner, columns) = node.operands, node.sizes
         if node.size == 1:
             term = f"{self.element(left, 'i' if inner > 1 else 0)} * {self.element(right, 'i' if inner > 1 else 0)}"
@@ -176,7 +176,7 @@ class CWriter:
         lines = [f"{kind} {name}[{node.size}];", f"{_loop('i', node.size)} {name}[i] = 0;"]
         if rows > 1:
             lines.append(_loop("k", rows))
-        # A zero adds nothing to finite weights, and half of the outputs of a rectified layer are zero.
+        # A zero adds nothing if the weights are finite, and half of the outputs of a ReLU layer are zero.
         finite = right.operation == "constant" and right.table is not None and np.isfinite(right.table).all()
         skip = "if (factor != 0) " if finite and columns >= 16 else ""
         return [
@@ -227,7 +227,7 @@ class CWriter:
 
 
 def number(value: Any) -> str:
-    """A number in C, exact: its shortest text that reads back as the same number."""
+    """An exact number in C: the shortest text that reads back as the same number."""
     if isinstance(value, np.bool_ | bool | np.integer):
         return str(int(value))
     suffix = "f" if isinstance(value, np.float32) else ""
@@ -252,7 +252,7 @@ def _place(start: int, step: int, index: int | str) -> int | str:
 
 
 def _runs(node: Node) -> list[tuple[int, int, Node, int, int]]:
-    """A ``collect`` as stretches with equal steps: first element, length, operand, first place in it, step."""
+    """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
     runs: list[tuple[int, int, Node, int, int]] = []
     for element in range(node.size):
         source, place = node.piece(element)
@@ -267,6 +267,6 @@ def _runs(node: Node) -> list[tuple[int, int, Node, int, int]]:
 
 
 def _regular(node: Node) -> tuple[Node, int, int] | None:
-    """Operand, start and step of a ``collect`` that is one stretch, which needs no array of its own."""
+    """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
     runs = _runs(node) if node.size < 4096 else []
     return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None

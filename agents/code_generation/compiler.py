@@ -19,7 +19,7 @@ def compile_c(folder: Path, arguments: Sequence[str]) -> None:
     """Run the C compiler in a folder.
 
     Raises:
-        HydroError: there is none, or it failed; with its first message.
+        HydroError: there is no compiler, or it failed; the message is its first line.
     """
     compiler = c_compiler()
     if compiler is None:

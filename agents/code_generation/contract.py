@@ -1,4 +1,4 @@
-"""The contract of an exported controller: what goes in and out, in which unit and when, and where it comes from."""
+"""The contract of an exported controller: its inputs and outputs with units and timing, and its origin."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ RULES = {
     "start": "start is true in the first call and after every pause, while the axis is at rest; else false",
     "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
     "delay": "the voltage of sample k acts from 'latency' after that sample until 'latency' after the next one; "
-    "previous_voltage of sample k is the voltage of sample k-1 as the valve got it, also if something else limited or "
-    "replaced it",
-    "lost_sample": "a signal that is NaN or infinite is lost: the controller goes on with its last sample. "
-    "lost_signals counts them; how long the machine may go on so is for its safety to decide. "
-    "The scores hold without lost samples",
+    "previous_voltage of sample k is the voltage of sample k-1 that the valve received, also if something else limited "
+    "or replaced it",
+    "lost_sample": "a signal that is NaN or infinite is lost: the controller continues with its last sample. "
+    "lost_signals counts them; the safety of the machine decides how long it may continue. "
+    "The scores are valid without lost samples",
     "first_sample": "until a sample is complete the voltage is previous_voltage; then the controller starts",
-    "out_of_range": "beyond its range the controller was never tested; beyond its limit the limit counts. "
-    "The limit of a reference ahead holds for its distance from the present reference",
-    "not_a_number": "if the command is no number, the voltage is previous_voltage, and the controller starts again at "
-    "the next sample",
+    "out_of_range": "beyond its range the controller was never tested; beyond its limit the limit replaces the value. "
+    "The limit of a future reference applies to its distance from the present reference",
+    "not_a_number": "if the command is not a number, the voltage is previous_voltage, and the controller starts again "
+    "at the next sample",
 }
-"""What to do when, in words; the same for every controller."""
+"""Rules of operation as text; the same for every controller."""
 
 _MOST_BYTES = 1_000_000
 
@@ -41,7 +41,7 @@ class ContractSignal(Group):
     name: str
     unit: str
     range: tuple[Number, Number] = Field(description="of the sensor, or of the stroke")
-    limit: Number = Field(description="values beyond ± this count as this")
+    limit: Number = Field(description="values beyond ± this limit are clipped")
     meaning: str
 
 
@@ -54,7 +54,7 @@ class StatePart(Group):
 
 
 class Contract(Group):
-    """What stands in ``contract.json``."""
+    """Content of ``contract.json``."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -94,14 +94,14 @@ def read_contract(folder: Path) -> Contract:
     """The contract of a folder, checked against its files.
 
     Raises:
-        ConfigurationError: the folder holds none, or the contract or a file was changed.
+        ConfigurationError: the folder has no contract, or the contract or a file was changed.
     """
     path = folder / FILE
     if not path.is_file():
-        raise ConfigurationError(f"{folder}: holds no {FILE}: is no exported controller")
+        raise ConfigurationError(f"{folder}: holds no {FILE}: is not an exported controller")
     values = read_json(path, _MOST_BYTES)
     if values.get("format") != "hydro_env exported controller" or values.get("format_version") != 1:
-        raise ConfigurationError(f"{path}: is no contract of an exported controller of format 1")
+        raise ConfigurationError(f"{path}: is not a contract of an exported controller of format 1")
     if values.get("digest") != _digest(values):
         raise ConfigurationError(f"{path}: was changed after the export: export the controller again")
     contract = validate(Contract, values, str(path))

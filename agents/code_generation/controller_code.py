@@ -37,11 +37,11 @@ class ControllerCode:
 
 
 def controller_code(controller: Controller, config: TaskConfig, name: str = "controller") -> ControllerCode:
-    """C sources of a controller for a task; ``name`` begins every symbol, so that a program can hold several.
+    """C sources of a controller for a task; ``name`` begins every symbol, so that one program can hold several.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
-        ConfigurationError: the name is no name in C.
+        ConfigurationError: the name is not a valid name in C.
     """
     return code_of(controller_graph(controller, config), name)
 
@@ -49,7 +49,7 @@ def controller_code(controller: Controller, config: TaskConfig, name: str = "con
 def code_of(controller: ControllerGraph, name: str = "controller") -> ControllerCode:
     """C sources of the graph of a controller; see :func:`controller_code`."""
     if not _C_NAME.fullmatch(name):
-        raise ConfigurationError(f"name '{name}': must be a name in C, such as controller_1")
+        raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
     graph, outputs = controller.graph, controller.graph.outputs
     short = Counter(_field(part.name) for part in controller.memory)
     fields = {
@@ -117,7 +117,7 @@ def _field(name: str) -> str:
 
 
 def _stored(writer: CWriter, name: str, node: Node, indent: str) -> list[str]:
-    """Statements that put a result into the memory."""
+    """Statements that store a result in the memory."""
     variable, made = writer.kept(f"new_{name}", node)
     return [*(f"{indent}{line}" for line in made), *_copied(name, variable, node.size, indent)]
 

@@ -1,4 +1,4 @@
-"""The folder of an exported controller: everything that a machine needs to run it, checked before it is written."""
+"""The folder of an exported controller: all files that a machine needs to run it, checked before they are written."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hydro_env import HydroError, TaskConfig, __version__
 from hydro_env.units import FULL_VOLTAGE
 
 LARGEST_DIFFERENCE = 1e-5
-"""Of the command, between the exported controller and the one in Python; an export with more is refused."""
+"""Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
 CODE = "controller"
 FILES = (
@@ -46,12 +46,12 @@ FILES = (
 
 
 def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
-    """The files of an exported controller by name, and what their checks found, one line each.
+    """The files of an exported controller by name, and the results of their checks, one line each.
 
     Args:
         controller: the controller.
         config: the task for which it was made.
-        command: the command that exports it, for the record.
+        command: the command of the export, for the contract.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -101,7 +101,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
 
 
 def check_onnx(model: bytes, vectors: Vectors) -> dict[str, Any]:
-    """How far the ONNX model in onnxruntime is from the test vectors."""
+    """Differences between the ONNX model in onnxruntime and the test vectors."""
     session = onnx_session(model)
     state = np.zeros(session.get_inputs()[1].shape)
     found = np.empty(len(vectors.voltage))
@@ -117,7 +117,7 @@ def check_onnx(model: bytes, vectors: Vectors) -> dict[str, Any]:
 
 
 def check_c(code: ControllerCode, test_program: str, vectors: Vectors) -> dict[str, Any]:
-    """What the test program says, compiled on this machine.
+    """Result of the test program, compiled on this machine.
 
     Raises:
         HydroError: the code cannot be compiled, or gives other voltages.
@@ -161,8 +161,8 @@ def _contract(
         ),
         state=tuple(StatePart(name=part.name, size=part.size, type=C_TYPES[part.kind]) for part in graph.memory),
         scores={
-            "episodes": f"{len(validation_cases(config))} simulated ones of the task on validation plants: "
-            "each kind of reference with a healthy seal, a small leak and the largest one",
+            "episodes": f"{len(validation_cases(config))} simulated episodes of the task on validation plants: "
+            "each kind of reference with a healthy seal, a small leak and the largest leak",
             "mean_error_mm": mean,
             "worst_mean_error_mm": worst,
             "failed": failed,
@@ -175,7 +175,7 @@ def _contract(
 
 
 def describe(controller: Any) -> dict[str, Any]:
-    """Kind, settings and training of a controller, as JSON; the task stands elsewhere."""
+    """Kind, settings and training of a controller, as JSON, without the task."""
     kinds = {registered: kind for kind, (registered, _) in CONTROLLERS.items()}
     facts: dict[str, Any] = {"kind": kinds.get(type(controller), type(controller).__name__)}
     if hasattr(controller, "gains"):

@@ -1,4 +1,4 @@
-"""The graph of a controller: traced from measured signals to volts, for the writers of C and ONNX."""
+"""The graph of a controller, traced from measured signals to volts, for the writers of C and ONNX."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STARTED, CONTINUED = "started.", "continued."
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the memory: an array under a name."""
+    """A part of the memory: a named array."""
 
     name: str
     size: int
@@ -30,9 +30,9 @@ class Part:
 class ControllerGraph:
     """A controller as a graph.
 
-    Inputs: ``signals``, ``start`` and the parts of the memory. Outputs: ``begins`` (does it start here), ``lost``
-    (number of lost signals), the parts that are the same both ways, and ``voltage`` and the other parts twice: with the
-    prefix ``started.`` if it starts here, ``continued.`` if not.
+    Inputs: ``signals``, ``start`` and the parts of the memory. Outputs: ``begins`` (whether the controller starts
+        here), ``lost`` (number of lost signals), and the parts that are the same in both cases. ``voltage`` and the
+        other parts occur twice: with the prefix ``started.`` for a start, ``continued.`` for a continuation.
     """
 
     graph: Graph
@@ -41,7 +41,7 @@ class ControllerGraph:
 
     @property
     def signals(self) -> MeasuredSignals:
-        """What it reads."""
+        """The signals that it reads."""
         return self.measured.signals
 
     @property
@@ -50,7 +50,7 @@ class ControllerGraph:
         return tuple(name.removeprefix(STARTED) for name in self.graph.outputs if name.startswith(STARTED))
 
     def chosen(self) -> dict[str, Node]:
-        """Every output once: the right one of the two ways."""
+        """Every output once, selected by ``begins``."""
         builder, outputs = Builder(), self.graph.outputs
         begins = outputs["begins"]
         found = {name: node for name, node in outputs.items() if not name.startswith((STARTED, CONTINUED))}
@@ -65,8 +65,8 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     """Trace a controller.
 
     Raises:
-        TraceError: the controller decides by the data in a way that no fixed graph can hold.
-        ConfigurationError: an observation that cannot be computed from measured signals.
+        TraceError: the controller contains data-dependent decisions that no fixed graph can represent.
+        ConfigurationError: the observation cannot be computed from measured signals.
     """
     who = type(controller).__name__
     measured = MeasuredController(controller, MeasuredSignals(config, entries_read(controller, config)))
@@ -83,20 +83,22 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
                 if hasattr(leaf, "dtype"):
                     outputs[prefix + name] = leaf
                 elif name in leaves or leaf != everything.get(name):
-                    raise TraceError(f"{who}: its memory '{name}' is a number that changes: cannot be exported")
+                    raise TraceError(
+                        f"{who}: its memory '{name}' is a number that changes, no array: cannot be exported"
+                    )
         return outputs
 
     graph = trace(step, {"signals": signals, "start": np.array(False), **leaves})
     after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
-        raise TraceError(f"{who}: keeps its memory to itself rather than in its state: cannot be exported")
+        raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
     parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in leaves)
     found = ControllerGraph(graph, parts, measured)
     for name in leaves:
         for way in [name] if name in graph.outputs else [STARTED + name, CONTINUED + name]:
             node = graph.outputs.get(way)
             if node is None or (node.size, node.kind) != (graph.inputs[name].size, graph.inputs[name].kind):
-                raise TraceError(f"{who}: its memory '{name}' changes its form: cannot be exported")
+                raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
     return found
 
 
@@ -133,7 +135,7 @@ def leaves_of(memory: Any, name: str = "") -> dict[str, Any]:
     """The arrays and whole numbers of a memory by name; it consists of named tuples, tuples, lists and dictionaries.
 
     Raises:
-        TraceError: the memory holds something else.
+        TraceError: the memory contains other objects.
     """
     if memory is None:
         return {}

@@ -16,8 +16,8 @@ DOUBLE = np.dtype(np.float64)
 def controller_model(controller: ControllerGraph) -> Any:
     """The model; inputs ``signals``, ``state``, ``start``, outputs ``voltage``, ``next_state``, ``lost_signals``.
 
-    The state is one vector: the parts of the memory, one after the other, as ``double``, which holds every ``float``
-    and truth value exactly.
+    The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
+    ``float`` and truth value exactly.
 
     Raises:
         ConfigurationError: the package onnx is not installed.

@@ -1,4 +1,4 @@
-"""An exported controller as a controller again: ``controller.onnx`` runs in onnxruntime."""
+"""An exported controller with the interface of a controller: ``controller.onnx`` runs in onnxruntime."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def onnx_session(model: bytes) -> Any:
     """A session of onnxruntime on one thread.
 
     Raises:
-        ConfigurationError: onnxruntime is not installed, or refuses the model.
+        ConfigurationError: onnxruntime is not installed, or rejects the model.
     """
     try:
         import onnxruntime
@@ -38,7 +38,7 @@ def onnx_session(model: bytes) -> Any:
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime has no common class of errors
-        raise ConfigurationError(f"onnxruntime refuses the model: {' '.join(str(error).split())[:300]}") from error
+        raise ConfigurationError(f"onnxruntime rejects the model: {' '.join(str(error).split())[:300]}") from error
 
 
 class ExportedController:
@@ -59,7 +59,7 @@ class ExportedController:
         """Read a folder that ``hydro export`` wrote.
 
         Raises:
-            ConfigurationError: it is no such folder, a file was changed, or onnxruntime is not installed.
+            ConfigurationError: the folder is of another kind, a file was changed, or onnxruntime is not installed.
         """
         folder = Path(folder)
         contract = read_contract(folder)
@@ -71,7 +71,7 @@ class ExportedController:
         known = [signal.name for signal in signals.signals]
         for wanted in contract.signals:
             if wanted.name not in known:
-                raise ConfigurationError(f"{folder}: needs the signal '{wanted.name}', which its task does not give")
+                raise ConfigurationError(f"{folder}: needs the signal '{wanted.name}', which its task does not have")
         columns = [known.index(wanted.name) for wanted in contract.signals]
         return cls((folder / MODEL_FILE).read_bytes(), signals, columns, contract.state_size)
 

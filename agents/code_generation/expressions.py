@@ -1,4 +1,4 @@
-"""From an expression of Python to one of C99: its text and its type."""
+"""Translates Python expressions to C99: text and type."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Expressions:
 
     Attributes:
         names: types of arguments and local variables.
-        constants: variables whose value is known now, such as the length of an array.
-        known: what other names mean in the function's module.
+        constants: variables with a value known at translation, such as the length of an array.
+        known: the other names of the function's module.
     """
 
     def __init__(self, translator: Any, name: str, known: dict[str, Any]) -> None:
@@ -48,7 +48,7 @@ class Expressions:
         self.constants: dict[str, int] = {}
 
     def failure(self, node: ast.AST) -> TranslationError:
-        """Says what has no translation."""
+        """The error for an expression without translation."""
         return TranslationError(f"{self.name}: no translation for: {ast.unparse(node)}")
 
     def value(self, node: ast.expr) -> Typed:
@@ -89,7 +89,7 @@ class Expressions:
         return found
 
     def integer(self, node: ast.expr) -> int:
-        """Value of an expression that is known now, such as the length of a new array."""
+        """Value of an expression that is known at translation, such as the length of a new array."""
         if isinstance(node, ast.Subscript):  # the length of another array
             return int(self.value(node)[0])
         known = {name: value for name, value in self.known.items() if isinstance(value, int)} | self.constants
@@ -151,7 +151,7 @@ class Expressions:
         if isinstance(node.op, ast.Pow):
             return f"pow({left}, {right})", DOUBLE
         if isinstance(node.op, ast.FloorDiv) and both == {INT}:
-            return f"({left} / {right})", INT  # equal for numbers that are not negative
+            return f"({left} / {right})", INT  # the same for non-negative numbers
         if isinstance(node.op, ast.Mod) and both <= {INT, DOUBLE}:
             return (f"({left} % {right})", INT) if both == {INT} else (f"fmod({left}, {right})", DOUBLE)
         if both == {UINT64} and type(node.op) in {**_OPERATORS, **_BITS} and not isinstance(node.op, ast.Div):
@@ -195,7 +195,7 @@ class Expressions:
         if callee is abs:
             return f"fabs({texts[0]})", DOUBLE
         if callee in (min, max) and len(texts) >= 2:
-            # As in Python: the first value stays unless another is smaller (greater).
+            # As in Python: the first value unless another one is smaller (greater).
             text, mark = texts[0], "<" if callee is min else ">"
             for other in texts[1:]:
                 whole = f"({other} {mark} {text} ? {other} : {text})"

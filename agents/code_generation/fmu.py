@@ -1,7 +1,8 @@
 """The plant as an FMU: FMI 2.0 co-simulation, with its C sources and the binary of this platform.
 
 Inputs: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and forces, and
-what ideal sensors measure. Standard: *Functional Mock-up Interface for Model Exchange and Co-Simulation*, version 2.0.
+    the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and Co-Simulation*,
+    version 2.0.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·":
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of the FMU; its value reference is its place in the list."""
+    """A variable of the FMU; its value reference is its index in the list."""
 
     name: str
     description: str
@@ -53,12 +54,12 @@ class Variable:
 
     @property
     def variability(self) -> str:
-        """FMI's word for when it may change."""
+        """FMI's attribute ``variability``."""
         return "fixed" if self.causality == "parameter" else "continuous"
 
     @property
     def initial(self) -> str:
-        """FMI's word for how its first value is found."""
+        """FMI's attribute ``initial``."""
         return {"output": "calculated", "parameter": "exact"}.get(self.causality, "")
 
 
@@ -78,7 +79,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
     lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
     parameters = [
-        Variable("initial_position", "where the axis is at rest at the start", "m", "parameter", 0.0),
+        Variable("initial_position", "position of the axis at rest at the start", "m", "parameter", 0.0),
         Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag),
     ]
     for path, value in zip(PARAMETER_PATHS, to_vector(plant).tolist(), strict=True):
@@ -113,7 +114,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
 
 
 def tight_throttle(plant: PlantParameters) -> PlantParameters:
-    """The rig without the throttle parallel to the cylinder, so that only the seal leaks."""
+    """The rig without the throttle parallel to the cylinder; only the seal leaks."""
     return plant.replace(leakage={"orifice_gain": 0.0})
 
 
@@ -134,7 +135,7 @@ def make_fmu(config: TaskConfig) -> bytes:
     """The FMU as the bytes of a zip file; the same task gives the same sources.
 
     Raises:
-        HydroError: this machine has no C compiler, or it failed.
+        HydroError: this machine has no C compiler, or the compiler failed.
     """
     variables = fmu_variables(config)
     code = plant_code(config.plant)
@@ -168,7 +169,7 @@ def compile_library(sources: dict[str, str]) -> bytes:
     """A shared library of C sources, by the C compiler of this machine.
 
     Raises:
-        HydroError: there is none, or it failed; with its first message.
+        HydroError: there is no compiler, or it failed; the message is its first line.
     """
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():

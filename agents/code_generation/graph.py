@@ -1,12 +1,12 @@
-"""A graph of plain array operations: what a traced NumPy function computes, for the writers of C and ONNX.
+"""A graph of plain array operations of a traced NumPy function, for the writers of C and ONNX.
 
 Every array is flat. Operations:
 
 * ``input``, ``constant``;
-* the functions of :data:`ELEMENTWISE`, element by element; an operand with one element serves all;
+* the functions of :data:`ELEMENTWISE`, element by element; an operand with one element is repeated;
 * ``cast`` to another type; ``where``: condition, value if true, value otherwise;
-* ``collect``: elements of its operands, one operand after the other, at constant places. It takes the place of every
-  slice, join, transposition and assignment to a part of an array;
+* ``collect``: elements of the concatenated operands at constant indices. It represents every slice, join, transposition
+  and assignment to a part of an array;
 * ``matmul`` and ``sum``, with the three sizes in ``sizes``: rows, inner, columns; or outer, summed, inner.
 """
 
@@ -52,7 +52,7 @@ ELEMENTWISE = {
 """Name of the operation of each NumPy function that works element by element."""
 
 KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
-"""Types of numbers that a graph knows."""
+"""Number types of a graph."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,13 @@ class Node:
     operands: tuple[Node, ...]
     size: int
     kind: np.dtype[Any]
-    table: NDArray[Any] | None = None  # values of a constant, places of a collect
+    table: NDArray[Any] | None = None  # values of a constant, indices of a collect
     sizes: tuple[int, int, int] = (1, 1, 1)  # of matmul and sum
     name: str = ""
-    origin: str = ""  # the line of Python that made it
+    origin: str = ""  # its line of Python
 
     def piece(self, place: int) -> tuple[Node, int]:
-        """The operand of a ``collect`` from which an element comes, and its place there."""
+        """The operand of a ``collect`` that provides an element, and its index there."""
         assert self.table is not None
         offset = int(self.table[place])
         for source in self.operands:
@@ -101,7 +101,7 @@ class Graph:
         return [node for node in found.values() if node.operation not in ("input", "constant")]
 
     def used(self, outputs: Sequence[Node]) -> dict[str, NDArray[np.bool_]]:
-        """Which elements of each input some outputs depend on, (size,) each."""
+        """Whether some outputs depend on each element of each input, (size,) each."""
         wanted = {id(node): np.ones(node.size, dtype=np.bool_) for node in outputs}
 
         def want(node: Node, elements: NDArray[np.bool_]) -> None:
@@ -127,7 +127,7 @@ class Graph:
 
 @dataclass
 class Builder:
-    """Makes nodes: computes what is constant, joins ``collect`` with ``collect``, and keeps equal nodes only once."""
+    """Makes nodes: it evaluates constants, merges nested ``collect`` nodes, and keeps equal nodes only once."""
 
     inputs: dict[str, Node] = field(default_factory=dict)
     _known: dict[Any, Node] = field(default_factory=dict)
@@ -138,18 +138,18 @@ class Builder:
         return self.inputs[name]
 
     def constant(self, values: Any, name: str = "constant") -> Node:
-        """A constant; its shape is forgotten."""
+        """A constant, flattened."""
         table = np.ascontiguousarray(values).reshape(-1)
         return self._once(Node("constant", (), table.size, table.dtype, table, name=name))
 
     def node(self, operation: str, operands: Sequence[Node], value: NDArray[Any], **details: Any) -> Node:
-        """An operation whose result, for the values of the trace, is ``value``."""
+        """An operation; ``value`` is its result for the values of the trace."""
         if all(one.operation == "constant" for one in operands):
             return self.constant(value, details.get("name", "constant"))
         return self._once(Node(operation, tuple(operands), value.size, value.dtype, **details))
 
     def collect(self, operands: Sequence[Node], places: NDArray[np.int64], **details: Any) -> Node:
-        """Elements of the operands, joined one after the other, at ``places``, (size,)."""
+        """Elements of the concatenated operands at ``places``, (size,)."""
         starts = np.cumsum([0, *(one.size for one in operands)])
         which = np.searchsorted(starts, places, side="right") - 1
         offsets = places - starts[which]

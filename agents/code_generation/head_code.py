@@ -1,7 +1,7 @@
-"""C99 code of the leakage head: from one sample of measured signals after the other to the estimate.
+"""C99 code of the leakage head: it reads measured signals sample by sample and returns the estimate.
 
 Repair of gaps, flow balance and features are translated from the compiled functions of :mod:`agents.leakage`; the
-network is traced from the NumPy code that judges the features.
+network is traced from its NumPy code.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MEANINGS = {
     "pressure_a": ("Pa", "gauge pressure of the chamber on the bore side"),
     "pressure_b": ("Pa", "gauge pressure of the chamber on the rod side"),
     "spool_position": ("1", "of full stroke; positive: extends"),
-    "previous_command": ("1", "that the valve got in the last control period, in parts of full voltage"),
+    "previous_command": ("1", "received by the valve in the last control period, as a fraction of full voltage"),
 }
 FIELDS = {
     "probability": "of a leak past the piston, 0 to 1",
@@ -41,10 +41,10 @@ FIELDS = {
     "valve_fault": "probability of a fault of the valve",
     "sensor_fault": "probability of a fault of a sensor",
     "return_line": "probability of raised tank pressure",
-    "outside": "1: the answer does not count, for the window is unlike all of the training; else 0",
+    "outside": "1: the answer is not valid, because the window is unlike the training; else 0",
 }
 FORGET = 4
-"""Multiples of window times interval after which the C code counts its samples anew."""
+"""Multiples of window times interval after which the C code restarts its sample counter."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def head_code(head: LeakageHead) -> HeadCode:
     """C sources of a head, for windows of its shortest length.
 
     Raises:
-        TranslationError, TraceError: a function uses something that has no translation.
+        TranslationError, TraceError: a function uses a construct without translation.
     """
     window, sheet = head.settings.window, head.sheet._asdict()
     translator = Translator()

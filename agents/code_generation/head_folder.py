@@ -42,40 +42,40 @@ FILES = (
 """Names of the files of an exported leakage head."""
 
 LARGEST_DIFFERENCE = 2e-5
-"""Of a value, in parts of 1 + its size: what the order of float32 sums in the network changes. More is refused."""
+"""Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
 
 SEED = VALIDATION_SEEDS.start + 710_000
 LEAKS = (0.01, 0.5, 2.0)
-"""l/min at 100 bar, of the episodes that the test vectors hold."""
+"""l/min at 100 bar, in the episodes of the test vectors."""
 
 ESTIMATES = 4
-"""That each episode of the test vectors holds."""
+"""Control periods per episode of the test vectors."""
 
 RULES = {
     "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
-    "previous_command": "of sample k is the command of sample k-1 as the valve got it, in parts of full voltage",
+    "previous_command": "of sample k is the command of sample k-1 that the valve received (1: full voltage)",
     "start": "leakage_head_start before the first sample and after every pause",
     "first_estimate": "NaN until 'window' samples are known; then a new one every 'interval' samples",
-    "lost_sample": "a signal that is NaN takes its last reading; a sensor that does not exist is NaN for ever",
-    "outside": "1: the window is unlike all of the training, or a sensor stands still; the answer does not count",
+    "lost_sample": "a signal that is NaN takes its last reading; an absent sensor is always NaN",
+    "outside": "1: the window is unlike the training, or a sensor is stuck; the answer is not valid",
     "flag": "a leak is flagged at a probability of 'threshold' or more: 1 % false alarms on validation plants",
 }
 
 
 class HeadContract(Group):
-    """What stands in the ``contract.json`` of a leakage head."""
+    """Content of the ``contract.json`` of a leakage head."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
     format: Literal["hydro_env exported leakage head"] = "hydro_env exported leakage head"
     format_version: Literal[1] = 1
     sample_time: float = Field(description="s")
-    window: int = Field(description="samples that an estimate reads")
+    window: int = Field(description="samples per estimate")
     interval: int = Field(description="samples from one estimate to the next")
-    threshold: float = Field(description="probability from which a leak is flagged")
+    threshold: float = Field(description="probability at which a leak is flagged")
     signals: tuple[ContractSignal, ...]
     outputs: dict[str, str] = FIELDS
-    network: dict[str, Any] = Field(description="what the ONNX file holds, and what it does not")
+    network: dict[str, Any] = Field(description="content of the ONNX file, and missing parts")
     rules: dict[str, str] = RULES
     training: dict[str, Any]
     checked: dict[str, Any]
@@ -89,16 +89,16 @@ class HeadContract(Group):
 
 
 def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], list[str]]:
-    """The files of an exported leakage head by name, and what their checks found, one line each.
+    """The files of an exported leakage head by name, and the results of their checks, one line each.
 
     Args:
         head: the leakage head.
-        command: the command that exports it, for the record.
+        command: the command of the export, for the contract.
 
     Raises:
-        TranslationError, TraceError: the head uses something that has no translation.
+        TranslationError, TraceError: the head uses a construct without translation.
         ConfigurationError: the package onnx or onnxruntime is not installed.
-        HydroError: C code or ONNX model give other values.
+        HydroError: the C code or the ONNX model gives other values.
     """
     samples, answers = test_vectors(head)
     code, model = head_code(head), network_model(head_graph(head)).SerializeToString()
@@ -137,10 +137,10 @@ def network_model(graph: Graph) -> Any:
 
 
 def test_vectors(head: LeakageHead) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Signals (episodes, T, 5) of axes with the :data:`LEAKS`, and what the head answers to each sample (…, T, 9).
+    """Signals (episodes, T, 5) of axes with the :data:`LEAKS`, and the head's answer at each sample (…, T, 9).
 
-    The task's own controllers need not exist: the command is a smooth random one around the one that holds the axis.
-    In the last episode some samples are lost, and near its end a sensor stands still.
+    No controller is needed: the command varies randomly and smoothly around the one that holds the axis. In the last
+    episode some samples are lost, and a sensor sticks near the end.
     """
     config, count = head.settings.task, len(LEAKS)
     length = head.settings.window + (ESTIMATES - 1) * head.interval
@@ -182,10 +182,10 @@ def _csv(samples: NDArray[np.float64], answers: NDArray[np.float64]) -> str:
 
 
 def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64]) -> dict[str, Any]:
-    """How far the ONNX model is from the head's network on windows of the test vectors.
+    """Differences between the ONNX model and the head's network on windows of the test vectors.
 
     Raises:
-        HydroError: further than :data:`LARGEST_DIFFERENCE`.
+        HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
     """
     session = onnx_session(model)
     windows = np.concatenate(
@@ -204,7 +204,7 @@ def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64])
 
 
 def check_c(code: HeadCode, texts: Mapping[str, str]) -> str:
-    """What the test program says, compiled on this machine.
+    """Result of the test program, compiled on this machine.
 
     Raises:
         HydroError: the code cannot be compiled, or gives other values.
@@ -244,8 +244,8 @@ def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files
             "file": NETWORK_FILE,
             "input": list(FEATURES),
             "output": list(LeakageEstimate._fields),
-            "missing": "repair of gaps, flow balance, features and the check of sensors that stand still: the flow "
-            "balance is an iteration that ends by its own result, which plain operators cannot hold; the C code has it",
+            "missing": "repair of gaps, flow balance, features and the check for stuck sensors: the flow "
+            "balance is an iteration whose end depends on its result, which no plain operator expresses; see the C code",
         },
         training=head.settings.training,
         checked=dict(checked),

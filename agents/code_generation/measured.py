@@ -1,7 +1,7 @@
-"""A controller from measured signals in SI units to volts: what an exported controller computes, written in NumPy.
+"""A controller from measured signals in SI units to volts: the computation of an exported controller, in NumPy.
 
-Around ``predict`` it adds what the environment does in training: velocity estimate, tracking error and its integral,
-scaling, limits; and what only a machine needs: lost samples.
+Around ``predict`` it adds the work of the environment in training (velocity estimate, tracking error and its integral,
+scaling, limits) and the treatment of lost samples, which only a machine needs.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ Array = NDArray[np.float64]
 
 
 class MeasuredMemory(NamedTuple):
-    """What a controller remembers from one sample to the next."""
+    """Memory of a controller from one sample to the next."""
 
-    last: Array  # (signals,), the last samples that were not lost
-    waiting: NDArray[np.bool_]  # (), it begins at the next sample: none was complete, or the command was no number
+    last: Array  # (signals,), the last valid samples
+    waiting: NDArray[np.bool_]  # (), it starts at the next sample: none was complete, or the command was not a number
     computed: dict[str, Array]  # velocity_estimate (), m/s, and error_integral (), m s, if the controller reads them
     controller: Any
 
 
 class Step(NamedTuple):
-    """Both ways on from a sample, and which one holds: a start from rest, and a continuation."""
+    """Both continuations of a sample, a start from rest and a continuation, and which of them is valid."""
 
     begins: Any  # (), whether the controller starts here
     lost: Array  # (), number of lost signals
-    common: dict[str, Any]  # memory that is the same both ways, by name
+    common: dict[str, Any]  # memory that is the same in both cases, by name
     started: dict[str, Any]  # voltage, and the other parts of the memory
     continued: dict[str, Any]
 
@@ -57,12 +57,12 @@ class MeasuredController:
     # One sample ---------------------------------------------------------------------------------------------------
 
     def step(self, signals: Array, start: Any, memory: MeasuredMemory) -> Step:
-        """Both ways on from one sample.
+        """Both continuations of one sample.
 
         Args:
-            signals: (signals,), SI units in their order; a lost one is NaN or infinite.
+            signals: (signals,), SI units; a lost signal is NaN or infinite.
             start: (), whether the controller begins here.
-            memory: of the last call; at the start its values do not count.
+            memory: of the last call; at a start its values are ignored.
         """
         s = self.signals
         present = np.less(np.absolute(signals), np.inf)
@@ -94,7 +94,7 @@ class MeasuredController:
         def way(memory: Any, incomplete: Any) -> dict[str, Any]:
             command, new = aligned(self.controller.predict(observation, memory))
             voltage = FULL_VOLTAGE * np.clip(command.astype(np.float64), -1.0, 1.0)[0, 0]
-            # The valve keeps its voltage before the first complete sample, and if the command is no number.
+            # The valve keeps its voltage before the first complete sample, and if the command is not a number.
             waiting = np.logical_or(incomplete, np.logical_not(np.absolute(voltage) < np.inf))
             return {"voltage": np.where(waiting, kept, voltage), "waiting": waiting, "controller": new}
 
@@ -123,6 +123,6 @@ class MeasuredController:
 
 
 def aligned(way: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Command and memory, the latter in the form that a trace can hold."""
+    """Command and memory; the memory in a form that a trace can record."""
     command, memory = way
     return command, memory.aligned() if hasattr(memory, "aligned") else memory

@@ -1,4 +1,4 @@
-"""The measured signals of a controller in SI units: which ones it needs, and how they follow from the environment."""
+"""The measured signals that a controller needs, in SI units, and their computation from the environment."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ class Signal(NamedTuple):
     unit: str
     low: float  # ends of the range in training
     high: float
-    limit: float  # the controller limits values to ± this; those of a reference ahead: their distance from the present
+    limit: float  # the controller clips values to ± this; of a future reference: its distance from the present one
     meaning: str
 
 
 class MeasuredSignals:
-    """The signals that a controller needs, in SI units, and the observation as the environment shows it.
+    """The signals that a controller needs, in SI units, and their relation to the observation.
 
     Args:
         config: the task: sensors, sampling, limits.
         used: names of the entries of the observation that the controller reads; default: all.
 
     Raises:
-        ConfigurationError: the task's observation holds something that is no measured signal.
+        ConfigurationError: an entry of the task's observation is not a measured signal.
     """
 
     def __init__(self, config: TaskConfig, used: Collection[str] | None = None) -> None:
@@ -74,20 +74,20 @@ class MeasuredSignals:
             ahead = dict(zip(shown, self.config.preview_samples, strict=True))[name]
             return Signal(ahead_name(name), "m", -reach, reach, limit, f"reference {ahead} control periods ahead")
         if name == "reference":
-            return Signal(name, "m", -reach, reach, limit, "wanted position now, from the middle of the stroke")
+            return Signal(name, "m", -reach, reach, limit, "desired position now, from the middle of the stroke")
         if name == "previous_command":
-            text = "voltage that the valve got in the last control period"
+            text = "voltage that the valve received in the last control period"
             return Signal("previous_voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, text)
         if name not in _MEANINGS:
-            raise ConfigurationError(f"export: '{name}' of the observation is no measured signal")
+            raise ConfigurationError(f"export: '{name}' of the observation is not a measured signal")
         sensor = getattr(self.config.sensors, name)
         return Signal(name, _MEANINGS[name][0], sensor.low, sensor.high, limit, _MEANINGS[name][1])
 
     def of_observation(self, observation: NDArray[Any]) -> Array:
-        """Signals (N, signals) for observations (N, n): the readings that the environment has rounded.
+        """Signals (N, signals) for observations (N, n), with the readings as rounded by the environment.
 
-        Readings of the position are whole steps of the sensor. The tracking error tells the reference more finely than
-        the observed reference does.
+        Readings of the position are whole steps of the sensor. The tracking error gives the reference with a finer
+        resolution than the observed reference.
         """
         si = {name: self.layout.si(observation, name) for name in self.layout.names}
         sensor = self.config.sensors.position

@@ -47,7 +47,7 @@ def onnx_package() -> Any:
     """The package onnx.
 
     Raises:
-        ConfigurationError: it is not installed.
+        ConfigurationError: the package is not installed.
     """
     try:
         import onnx
@@ -61,7 +61,7 @@ class OnnxWriter:
 
     Args:
         inputs: size and type of each input of the model, by name.
-        outputs: names of its outputs, which no other tensor gets.
+        outputs: names of its outputs, which no other tensor may have.
     """
 
     def __init__(self, inputs: Mapping[str, tuple[int, np.dtype[Any]]], outputs: Sequence[str]) -> None:
@@ -73,10 +73,10 @@ class OnnxWriter:
         self._used: Counter[str] = Counter([*inputs, *outputs])
         self._inputs = [self._described(name, size, kind) for name, (size, kind) in inputs.items()]
         self.given = {name: name for name in inputs}
-        """Tensor of each input of a graph: those of the model, and what the caller computes from them."""
+        """Tensor of each input of a graph: inputs of the model, and tensors that the caller computes from them."""
 
     def tensor(self, node: Node) -> str:
-        """Name of the tensor of a result; writes all that it needs, operands first."""
+        """Name of the tensor of a result; writes all required operators, operands first."""
         waiting = [node]
         while waiting:
             one = waiting[-1]
@@ -94,7 +94,7 @@ class OnnxWriter:
         return self._names[id(node)]
 
     def slice_of(self, tensor: str, start: int, size: int, name: str) -> str:
-        """Elements of a tensor as a tensor of their own."""
+        """Elements of a tensor as a separate tensor."""
         return self._gathered(tensor, np.arange(start, start + size), name)
 
     def cast(self, tensor: str, kind: np.dtype[Any], name: str) -> str:
@@ -102,7 +102,7 @@ class OnnxWriter:
         return self.add("Cast", [tensor], name, to=self._type(kind))
 
     def add(self, operator: str, tensors: Sequence[str], name: str, origin: str = "", **attributes: Any) -> str:
-        """Add one operator; returns the name of its result, which is also that of the operator."""
+        """Add one operator; returns the name of its result, which is also the operator's name."""
         plain = re.sub(r"\W", "_", name)
         self._used[plain] += 1
         unique = plain if self._used[plain] == 1 else f"{plain}.{self._used[plain]}"
@@ -181,7 +181,7 @@ class OnnxWriter:
         return self.add(_OPERATORS[node.operation], tensors, name, origin)
 
     def _copysign(self, node: Node, tensors: list[str]) -> str:
-        """|a| with the sign of b; also that of −0, whose reciprocal is negative."""
+        """|a| with the sign of b, including −0, whose reciprocal is negative."""
         size, sign = self.add("Abs", [tensors[0]], node.name, node.origin), tensors[1]
         zero, one = (self._constant(np.array([value], node.kind), "constant") for value in (0.0, 1.0))
         inverse = self.add("Div", [one, sign], f"{node.name}_inverse_sign")

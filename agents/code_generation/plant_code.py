@@ -47,7 +47,7 @@ def plant_code(parameters: PlantParameters | None = None) -> PlantCode:
     """Generate the plant with the parameters of a rig as its defaults; ``None`` is the paper's.
 
     Raises:
-        TranslationError: the plant uses something that has no translation.
+        TranslationError: the plant uses a construct without translation.
     """
     translator = Translator()
     state, constants, physical = (translator.struct(kind) for kind in (State, Coefficients, Physical))
@@ -83,7 +83,7 @@ def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -
     """Text of a template of a folder; its filter ``c`` writes a number exactly, in C."""
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False)
     environment.filters["c"] = _number
-    environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools read an infinite number
+    environment.filters["xml"] = lambda value: repr(min(float(value), 1e300))  # few tools can read an infinite number
     return environment.from_string((folder / template).read_text(encoding="utf-8")).render(values)
 
 

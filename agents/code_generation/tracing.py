@@ -1,7 +1,7 @@
-"""Records what a NumPy function computes as a graph of plain array operations.
+"""Records the computation of a NumPy function as a graph of plain array operations.
 
-:func:`trace` calls the function once with arrays that write down every operation. What depends on the data in another
-way than by arrays (an ``if``, an index, a loop's length) would be recorded for these data only; it raises an error.
+:func:`trace` calls the function once with arrays that record every operation. Any other dependence on the data (an
+``if``, an index, a loop's length) would be recorded for these data only; it raises an error.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _JOINS = (np.concatenate, np.stack, np.column_stack, np.hstack, np.vstack)
 
 
 class TraceError(HydroError):
-    """A function does something that depends on the data in a way that no fixed graph can hold."""
+    """A function depends on its data in a way that no fixed graph can represent."""
 
 
 def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArray[Any]]) -> Graph:
@@ -41,7 +41,7 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
             not depend on their values, only on their shapes.
 
     Raises:
-        TraceError: the function does something that a graph cannot hold; the message names the line.
+        TraceError: a graph cannot represent the function; the message names the line.
     """
     builder = Builder()
     traced = {
@@ -57,11 +57,11 @@ def trace(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, NDArr
 
 
 class Traced(NDArrayOperatorsMixin):
-    """An array that records what is done with it; it also holds the values of the example, for shapes and types."""
+    """An array that records its operations; it also holds the example's values, for shapes and types."""
 
     def __init__(self, builder: Builder, node: Node, value: Any, parent: Traced | None = None, key: Any = None) -> None:
         self._builder, self._node, self._value = builder, node, np.asarray(value)
-        self._parent, self._key = parent, key  # of a view: what it looks at
+        self._parent, self._key = parent, key  # of a view: its base
         self._views: list[weakref.ref[Traced]] = []
         if parent is not None:
             parent._views.append(weakref.ref(self))
@@ -97,7 +97,7 @@ class Traced(NDArrayOperatorsMixin):
         if _holds_traced(key):
             raise _refusal("an index that depends on the data")
         if isinstance(value, Traced) and value._parent is self and value._key == key:
-            return  # the last part of a[key] += b, which has changed the view a[key] already
+            return  # the last part of a[key] += b, which has already changed the view a[key]
         self._assign(key, value, None)
 
     def _assign(self, key: Any, value: Any, writer: Traced | None) -> None:
@@ -138,7 +138,7 @@ class Traced(NDArrayOperatorsMixin):
         return Traced(self._builder, self._builder.node("sum", [self._node], value, sizes=sizes, **_where()), value)
 
     def clip(self, low: Any, high: Any) -> Any:
-        """Limited to low and high."""
+        """The values clipped to low and high."""
         return np.minimum(np.maximum(self, low), high)
 
     def _refused(self, *_: Any, **__: Any) -> Any:
@@ -220,14 +220,14 @@ class Traced(NDArrayOperatorsMixin):
         return Traced(self._builder, self._builder.constant(array), array)
 
     def _moved(self, move: Callable[[NDArray[Any]], NDArray[Any]], view: bool = False, key: Any = None) -> Traced:
-        """The elements that a function picks or rearranges."""
+        """The elements that a function selects or rearranges."""
         places = np.asarray(move(np.arange(self.size).reshape(self.shape)))
         node = self._builder.collect([self._node], places.reshape(-1), **_where())
         value = self._value.reshape(-1)[places.reshape(-1)].reshape(places.shape)
         return Traced(self._builder, node, value, self if view else None, key)
 
     def _spread(self, shape: tuple[int, ...]) -> Traced:
-        """For an operation with a result of this shape: one element or all."""
+        """The operand of an operation with a result of this shape: one element or all."""
         size = int(np.prod(shape, dtype=int))
         return self if self.size in (1, size) else self._moved(lambda places: np.broadcast_to(places, shape))
 
@@ -262,7 +262,7 @@ def _where_function(self: Traced, condition: Any, yes: Any, no: Any) -> Traced:
 
 
 def _einsum(self: Traced, subscripts: str, *operands: Any) -> Traced:
-    """A product of all operands with one axis per letter, summed over the letters that the result has not."""
+    """A product of all operands with one axis per letter, summed over the letters that are not in the result."""
     given, _, kept = subscripts.replace(" ", "").partition("->")
     letters = kept + "".join(sorted(set(given) - {",", *kept}))
     product: Any = None
@@ -316,7 +316,7 @@ _FUNCTIONS: dict[Any, Callable[..., Any]] = {
     np.searchsorted: _searchsorted,
     np.zeros_like: _filled(0.0),
     np.ones_like: _filled(1.0),
-    np.empty_like: _filled(np.nan),  # an element that nobody sets is noticed
+    np.empty_like: _filled(np.nan),  # NaN reveals an element that is never set
     np.shape: lambda self, array: self._of(array).shape,
     np.ndim: lambda self, array: self._of(array).ndim,
 }

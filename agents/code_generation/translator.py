@@ -2,8 +2,8 @@
 
 The functions know numbers, truth values, arrays of fixed shapes, and named tuples of these; they call each other,
 functions of ``math``, ``min``, ``max`` and ``abs``. Types follow from the arguments: each function is translated once
-for the types with which it is called. A construct outside this language raises an error, so that nothing is translated
-wrongly in silence.
+for the types with which it is called. A construct outside this language raises an error; no translation is silently
+wrong.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Translator:
         if key not in self._known:
             wanted = name or function.__name__.lstrip("_")
             unique = next(n for n in (wanted, *(f"{wanted}_{i}" for i in range(2, 99))) if n not in self._names)
-            self._names.add(unique)  # before those that it calls get theirs
+            self._names.add(unique)  # before the functions that it calls
             body = _Body(self, function, types, unique)
             self._known[key] = unique, body.result
             self.functions.append(body.text)
@@ -182,7 +182,7 @@ class _Body:
             raise self._of.failure(target)
 
     def _new_array(self, name: str, value: ast.expr) -> bool:
-        """Declare the array that ``np.empty`` makes; false if the value is another."""
+        """Declare the array of an ``np.empty``; returns false for another value."""
         if not isinstance(value, ast.Call) or ast.unparse(value.func) != "np.empty" or self._of.known.get("np") != np:
             return False
         shape = value.args[0].elts if isinstance(value.args[0], ast.Tuple) else [value.args[0]]
@@ -192,7 +192,7 @@ class _Body:
         return True
 
     def _length(self, name: str, value: ast.expr) -> bool:
-        """Remember the length of an array, which is known now; false if the value is another."""
+        """Remember the length of an array, which is known at translation; returns false for another value."""
         if not isinstance(value, ast.Subscript) or not ast.unparse(value.value).endswith(".shape"):
             return False
         self._of.constants[name] = int(self._of.value(value)[0])
@@ -215,7 +215,7 @@ class _Body:
 
 
 def _bare(text: str) -> str:
-    """A text without parentheses around all of it, which make compilers warn."""
+    """A text without outer parentheses, which cause compiler warnings."""
     depth = 0
     for place, letter in enumerate(text):
         depth += (letter == "(") - (letter == ")")

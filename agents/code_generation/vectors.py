@@ -1,4 +1,4 @@
-"""Test vectors of an exported controller: measured signals of several episodes, and the voltages that are right."""
+"""Test vectors of an exported controller: measured signals of several episodes, and the correct voltages."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from hydro_env.units import FULL_VOLTAGE
 
 SEED = VALIDATION_SEEDS.start + 700_000
 FAMILIES = ("step", "multi_sine", "start_stop")
-"""References of the closed-loop episodes, as far as the task has them."""
+"""References of the closed-loop episodes, if the task has them."""
 
 LONGEST = 250
-"""Control periods of an episode that the vectors hold."""
+"""Control periods per episode of the vectors."""
 
 
 @dataclass(frozen=True)
 class Vectors:
-    """Samples one after the other; a 1 in ``start`` begins an episode."""
+    """Consecutive samples; a 1 in ``start`` begins an episode."""
 
     names: tuple[str, ...]
     start: NDArray[np.bool_]  # (samples,)
@@ -43,10 +43,10 @@ class Vectors:
 
 
 def make_vectors(measured: MeasuredController) -> Vectors:
-    """Closed-loop episodes as the controller itself commands them, and one with lost samples and values out of range.
+    """Closed-loop episodes under the controller, and one with lost samples and values out of range.
 
     The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
-    test that the signals in SI units give the same observations.
+    check that the signals in SI units give the same observations.
     """
     config, signals = measured.signals.config, measured.signals
     families: list[str | None] = [name for name in FAMILIES if config.references.weights.get(name, 0.0) > 0.0]

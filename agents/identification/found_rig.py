@@ -188,7 +188,7 @@ def rig_yaml(
     for path, value in found_values(fit, config).items():
         group, field = path.split(".")
         values.setdefault(group, {})[field] = value if math.isinf(value) else float(f"{value:.{DIGITS}g}")
-    # The new file keeps the groups of the old one; the ranges come last.
+    # The parameters stay in their groups; the narrowed ranges replace the old ones.
     values["randomisation"] = narrowed(fit, config, ranges)
     head = "".join(f"# {' '.join(note.split())}\n" for note in notes)
     return head + str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None))

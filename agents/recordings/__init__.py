@@ -1,1 +1,1 @@
-"""Files from a rig: columns of numbers; an ambiguous file is refused."""
+"""Recordings of a rig: files, columns, units, time stamps, and checks."""

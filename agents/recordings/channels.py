@@ -1,4 +1,4 @@
-"""Checks of each channel by itself: missing, constant, stuck, saturated, and values that the rig cannot have."""
+"""Checks of each single channel: missing, constant, stuck, saturated, and impossible values."""
 
 from __future__ import annotations
 
@@ -18,49 +18,49 @@ Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
 MOST_MISSING, MOST_SATURATED = 0.2, 0.6
-"""Share of a channel that may be missing, and that may stand at an end: a pressure rests at zero while it cavitates."""
+"""Largest shares of a channel that may be missing, and that may be at an end: a cavitating pressure stays at zero."""
 
 SHORTEST_STUCK = 0.1
-"""s, and at least STUCK_SAMPLES samples: the noise of a working sensor does not stay within a step so long."""
+"""s, and at least STUCK_SAMPLES samples: a working sensor's noise does not stay within one step for so long."""
 
 STUCK_SAMPLES = 20
 
 ACTIVE_COMMAND = 0.01
-"""Range of the command, in parts of full command, during which a sensor without noise must change."""
+"""Range of the command, as a fraction of full command, over which a sensor without noise must change."""
 
 MOST_SPIKES = 0.05
-"""Share of values beyond the range up to which they are single spikes, which are left out."""
+"""Largest share of out-of-range values that count as single spikes, which are left out."""
 
 DROP = 0.1
-"""Part of the sensor's range by which a reading falls at least when its loop breaks."""
+"""Smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks."""
 
 FEWEST_DROPS = 3
-"""A chamber may cavitate once or twice; a broken loop drops more often."""
+"""Smallest number of falls of a broken loop; a chamber may cavitate once or twice."""
 
 LOWEST_PRESSURE = -1.2e5
-"""Pa; below vacuum by the errors of a transducer."""
+"""Pa; lowest gauge pressure: vacuum minus the error of a transducer."""
 
 LEAST_SHARE = 0.05
-"""Part of its range that a signal uses at least."""
+"""Smallest used fraction of a signal's range."""
 
 LEAST_PRESSURE = 0.2
-"""Part of the supply pressure that one of the two chambers reaches at least."""
+"""Fraction of the supply pressure that at least one of the two chambers reaches."""
 
 PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
 
 OVERRANGE = 1.05
-"""Readings may exceed what the rig can have by 5 %."""
+"""Readings may exceed the rig's limits by 5 %."""
 
 
 class Channels(NamedTuple):
-    """What the channels show, each by itself."""
+    """Results of the checks of single channels."""
 
     findings: list[Finding]
-    bad: NDArray[np.bool_]  # (5, T), readings that do not show the rig: stuck, lost, saturated, impossible
+    bad: NDArray[np.bool_]  # (5, T), invalid readings: stuck, lost, saturated, impossible
 
 
 def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
-    """Check each channel by itself, in the order of MEASURED."""
+    """Check each channel separately, in the order of MEASURED."""
     findings: list[Finding] = []
     bad = np.zeros(samples.signals.shape, dtype=np.bool_)
 
@@ -73,7 +73,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
         values = samples.signals[row]
         known = np.isfinite(values)
         if not known.any():
-            continue  # not recorded, or no numbers: told already
+            continue  # not recorded, or no numbers: already reported
         found(row, ~known, "lacks readings", severe_if(1.0 - known.mean() > MOST_MISSING))
         if signal != "command" and np.nanmin(values) == np.nanmax(values):
             findings.append(Finding(signal, f"is constant at {_shown(signal, values[known][0])}", Weight.SEVERE))
@@ -90,7 +90,7 @@ def check_channels(samples: Sampled, config: TaskConfig) -> Channels:
 
 
 def _largest(signal: str, config: TaskConfig) -> float:
-    """Largest size that the rig allows, SI."""
+    """Largest possible size on the rig, SI."""
     if signal == "position":
         return 0.5 * config.plant.cylinder.stroke
     if "pressure" not in signal:
@@ -99,12 +99,12 @@ def _largest(signal: str, config: TaskConfig) -> float:
 
 
 def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float) -> Found:
-    """Values that the rig cannot have; if they are many, with the unit that would fit."""
+    """Impossible values; if there are many, with a unit that would fit."""
     lowest = -largest if "pressure" not in signal else LOWEST_PRESSURE
     beyond = np.isfinite(values) & ((values > OVERRANGE * largest) | (values < OVERRANGE * lowest))
     if beyond.mean() <= MOST_SPIKES:
         what = f"has single values from {_shown(signal, np.nanmin(values))} to {_shown(signal, np.nanmax(values))}, "
-        return beyond, what + "which the rig cannot have", Weight.NOTE
+        return beyond, what + "which are impossible on this rig", Weight.NOTE
     low, high = np.nanquantile(values, [0.005, 0.995])
     what = f"reads {_shown(signal, low)} to {_shown(signal, high)}, but the rig has "
     what += f"{_shown(signal, lowest)} to {_shown(signal, largest)}"
@@ -117,7 +117,7 @@ def _out_of_range(values: Floats, samples: Sampled, signal: str, largest: float)
 
 
 def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
-    """Both pressures far below the supply: their unit is another one."""
+    """Both pressures are far below the supply: the unit is wrong."""
     highest = [
         np.nanquantile(samples.signals[row], 0.995) for row in PRESSURES if np.isfinite(samples.signals[row]).any()
     ]
@@ -131,7 +131,7 @@ def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
 
 
 def _fitting_units(signal: str, size: float, least: float, largest: float, samples: Sampled) -> str:
-    """Words about the units in which values of this size (SI) would fit the rig; empty if there are none."""
+    """Phrase with the units in which values of this size (SI) would fit the rig; empty if there are none."""
     units = UNITS[signal]
     unit = samples.units.get(signal, next(iter(units)))
     wanted = (least, 1.2 * largest)
@@ -140,7 +140,7 @@ def _fitting_units(signal: str, size: float, least: float, largest: float, sampl
 
 
 def _lost(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
-    """Readings that jump to the lower end of the range and back, as those of a broken 4–20 mA loop do."""
+    """Readings that jump to the lower end of the range and back, like those of a broken 4–20 mA loop."""
     sensor = getattr(config.sensors, signal)
     at_low = (values <= sensor.low + _half_step(sensor)) & ~_under_full_command(samples, signal)
     lost, times = np.zeros(len(values), dtype=np.bool_), 0
@@ -162,7 +162,7 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
 
 
 def _under_full_command(samples: Sampled, signal: str) -> NDArray[np.bool_]:
-    """Where the spool may rest at the end of its stroke."""
+    """Samples in which the spool may be at the end of its stroke."""
     full: NDArray[np.bool_] = (np.abs(samples.signals[COMMAND]) > 0.8) & (signal == "spool_position")
     return full
 
@@ -179,7 +179,7 @@ def _at_end(values: Floats, sensor: Sensor) -> NDArray[np.bool_]:
 
 
 def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
-    """Runs of the same reading that the sensor's noise, or the axis' motion, rules out."""
+    """Runs of equal readings that the sensor's noise or the axis's motion rules out."""
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(STUCK_SAMPLES, round(SHORTEST_STUCK / samples.period))
@@ -190,7 +190,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
             continue
         acting = command[begin:end]
         moving = np.isfinite(acting).any() and np.nanmax(acting) - np.nanmin(acting) > ACTIVE_COMMAND
-        # Sensors of a rig may be better than those of the task: without motion, only a long run counts.
+        # Real sensors may be better than those of the task: without motion, only a long run counts.
         if moving or (noisy and end - begin >= 10 * shortest):
             stuck[begin - 1 : end] = True
             runs += 1
@@ -200,6 +200,6 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
 
 
 def _shown(signal: str, value: float) -> str:
-    """A value in the unit in which a person reads it."""
+    """A value in its displayed unit."""
     unit = {"position": "mm", "pressure_a": "bar", "pressure_b": "bar"}.get(signal, "%")
     return f"{value / UNITS[signal][unit]:.4g} {unit}"

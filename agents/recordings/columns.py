@@ -1,4 +1,4 @@
-"""Which column of a file holds which signal: the names that ``hydro record`` writes, or a map file."""
+"""The signal of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MEASURED: tuple[str, ...] = ("position", "pressure_a", "pressure_b", "spool_posi
 """Names of the signals in a file, in the order of :data:`agents.leakage.head.SIGNALS`."""
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
-"""Other headings that are understood; ``voltage`` is that of ``hydro simulate``."""
+"""Other accepted headings; ``hydro simulate`` writes ``voltage``."""
 
 _HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 
@@ -29,8 +29,8 @@ class Column(Group):
     """One signal of a recording: value = gain · cell + offset, in ``unit``."""
 
     column: str | Annotated[int, Field(ge=1)] = Field(description="heading, or number of the column from 1")
-    unit: str | None = Field(None, description="unit of the value; default: that in the heading, [mm] or (mm)")
-    gain: Number = Field(1.0, ge=-1e12, le=1e12, description="−1 turns the sign; or the scale of a raw signal")
+    unit: str | None = Field(None, description="unit of the value; default: the one in the heading, [mm] or (mm)")
+    gain: Number = Field(1.0, ge=-1e12, le=1e12, description="scale of a raw signal; −1 reverses the sign")
     offset: Number = Field(0.0, ge=-1e12, le=1e12, description="in the unit of the value")
 
     @model_validator(mode="before")
@@ -40,15 +40,15 @@ class Column(Group):
 
 
 class CommandColumn(Column):
-    """The command; the rig's program may write it earlier than it acts."""
+    """The command; the rig's program may write it before it acts."""
 
     rows_early: int = Field(
-        0, ge=-100, le=100, description="rows by which a command stands above the row in which it begins to act"
+        0, ge=-100, le=100, description="number of rows by which a command precedes the row in which it begins to act"
     )
 
 
 class ColumnMap(Group):
-    """The columns of a recording; a signal that is absent was not measured."""
+    """The columns of a recording; an absent signal was not measured."""
 
     time: Column
     command: CommandColumn
@@ -72,16 +72,16 @@ def read_map(path: Path) -> ColumnMap:
     """A map from a YAML file.
 
     Raises:
-        ConfigurationError: the file is unreadable, or no map.
+        ConfigurationError: the file is unreadable, or not a map.
     """
     return validate(ColumnMap, read_yaml(path), str(path))
 
 
 def own_map(headings: Sequence[str], source: str) -> ColumnMap:
-    """The map of a file whose headings are the names that this project writes, such as ``pressure_a [bar]``.
+    """The map of a file with the headings of this project, such as ``pressure_a [bar]``.
 
     Raises:
-        ConfigurationError: time or command are missing, or a name stands twice.
+        ConfigurationError: time or command is missing, or a name occurs twice.
     """
     found: dict[str, Any] = {}
     for place, heading in enumerate(headings, 1):
@@ -90,13 +90,13 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
         if name not in ("time", *MEASURED):
             continue
         if name in found:
-            raise ConfigurationError(f"{source}: two columns are headed '{name}'; --map says which one counts")
+            raise ConfigurationError(f"{source}: two columns have the heading '{name}'; --map FILE selects one")
         found[name] = {"column": place}
     missing = [name for name in ("time", "command") if name not in found]
     if missing:
         shown = ", ".join(heading[:30] for heading in headings[:12])
         raise ConfigurationError(
-            f"{source}: no column is headed '{missing[0]}'; --map FILE says which column is which (headings: {shown})"
+            f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns (headings: {shown})"
         )
     return validate(ColumnMap, found, source)
 
@@ -105,7 +105,7 @@ def place_of(column: Column, signal: str, headings: Sequence[str], source: str) 
     """Index of a column in the file.
 
     Raises:
-        ConfigurationError: there is no such column, or several have that heading.
+        ConfigurationError: the column does not exist, or several columns have that heading.
     """
     if isinstance(column.column, int):
         if column.column > len(headings):
@@ -118,16 +118,16 @@ def place_of(column: Column, signal: str, headings: Sequence[str], source: str) 
     places = places or [place for place, heading in enumerate(headings) if split_heading(heading)[0] == wanted]
     if len(places) != 1:
         shown = ", ".join(heading[:30] for heading in headings[:12])
-        count = "several columns are" if places else "no column is"
-        raise ConfigurationError(f"{source}: {signal}: {count} headed '{wanted[:40]}'; headings: {shown}")
+        count = "several columns have" if places else "no column has"
+        raise ConfigurationError(f"{source}: {signal}: {count} the heading '{wanted[:40]}'; headings: {shown}")
     return places[0]
 
 
 def unit_of(column: Column, signal: str, heading: str, source: str) -> tuple[str, float]:
-    """Unit of a column, that of the map or that in its heading, and SI units per unit.
+    """Unit of a column, from the map or its heading, and SI units per unit.
 
     Raises:
-        ConfigurationError: no unit is given, or the signal is not measured in it.
+        ConfigurationError: the unit is missing, or does not fit the signal.
     """
     unit = column.unit if column.unit is not None else split_heading(heading)[1]
     if unit is None:

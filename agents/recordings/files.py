@@ -1,7 +1,7 @@
 """Files of measuring programs as columns: CSV, Parquet, MDF4, TDMS and MAT.
 
-Channels of MDF4 and TDMS have time stamps of their own, which are kept. Where the chosen channels differ in them, they
-are brought to those of the command, in one place (:func:`together`), and a finding says so.
+Channels of MDF4 and TDMS have their own time stamps, which are kept. If the stamps of the chosen channels differ,
+:func:`together` interpolates them at the stamps of the command and reports it as a finding.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ LARGEST_RECORDING = 200_000_000
 """Largest size in bytes; about three hours at 200 rows per second as CSV."""
 
 LONGEST_STEP = 2.0
-"""Longest distance of a channel's own stamps over which it is interpolated, in parts of the usual one."""
+"""Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
 TIME_HEADING = "time [s]"
-"""Heading of the common time of channels that have stamps of their own."""
+"""Heading of the common time of channels with their own stamps."""
 
 Floats = NDArray[np.float64]
 
@@ -38,15 +38,15 @@ class Columns(NamedTuple):
 
     headings: list[str]  # (C,)
     cells: list[pd.Series]  # (C,)
-    stamps: list[Floats | None]  # (C,), s, time stamps of a column's own; None: those of the column that holds the time
-    first_line: int  # line of the file in which the first row stands; 0 for a file without lines
+    stamps: list[Floats | None]  # (C,), s, a column's own time stamps; None: those of the time column
+    first_line: int  # line of the first row in the file; 0 for a file without lines
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a file; its kind follows from the end of its name (.parquet, .mf4, .mdf, .tdms, .mat), otherwise CSV.
+    """Read a file; the end of its name gives its kind (.parquet, .mf4, .mdf, .tdms, .mat, otherwise CSV).
 
     Raises:
-        ConfigurationError: the file is unreadable, too large or no table, or the library that reads it is absent.
+        ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
     """
     kind = path.suffix.lower()
     if kind not in _READERS:
@@ -70,7 +70,7 @@ def read_columns(path: Path) -> Columns:
         raise
     except Exception as error:  # a damaged file makes these libraries raise errors of any kind
         reason = " ".join(str(error).split())[:150] or type(error).__name__
-        raise ConfigurationError(f"{path}: is no readable {kind} file: {reason}") from None
+        raise ConfigurationError(f"{path}: is not a readable {kind} file: {reason}") from None
     if not columns.cells or not max(map(len, columns.cells)):
         raise ConfigurationError(f"{path}: holds no numbers")
     return columns
@@ -79,8 +79,8 @@ def read_columns(path: Path) -> Columns:
 def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
     """The chosen columns by signal, all with the same rows.
 
-    Columns with time stamps of their own get those of the command: their values are interpolated linearly between
-    their own samples, never beyond them, and are missing (NaN) in their gaps. A finding names each such signal.
+    Columns with their own time stamps are interpolated linearly at the stamps of the command, never extrapolated, and
+    are missing (NaN) in their gaps. A finding names each such signal.
 
     Args:
         columns: of the file.
@@ -100,13 +100,13 @@ def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.
         values = pd.to_numeric(columns.cells[place], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
         cells[signal] = pd.Series(_interpolated(base, own, values))
         usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
-        what = f"has time stamps of its own, one every {usual:.4g} ms; it is interpolated at those of the command"
+        what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
         findings.append(Finding(signal, what, Weight.NOTE))
     return cells, findings
 
 
 def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
-    """Values at ``time`` between the samples (own, values); NaN before, behind, and in gaps."""
+    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps."""
     order = np.argsort(own, kind="stable")
     own, values = own[order], values[order]
     if len(own) < 2:
@@ -145,11 +145,11 @@ def _read_csv(path: Path) -> Columns:
                 low_memory=False,
             )
     except pd.errors.ParserWarning:
-        raise ConfigurationError(f"{path}: rows have more columns than there are headings") from None
+        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
     except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
         raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
     if not len(table):
-        raise ConfigurationError(f"{path}: holds headings and no rows")
+        raise ConfigurationError(f"{path}: holds headings but no rows")
     return _of_table(table, skipped + 2)
 
 
@@ -164,7 +164,7 @@ def _read_parquet(path: Path, _: Any) -> Columns:
 
 
 class _Channel(NamedTuple):
-    """A channel with time stamps of its own, or without (None)."""
+    """A channel with or without (None) its own time stamps."""
 
     group: str
     name: str
@@ -195,7 +195,7 @@ def _read_tdms(path: Path, nptdms: Any) -> Columns:
             if not len(values):
                 continue
             unit = str(channel.properties.get("unit_string", ""))
-            # Only a waveform has stamps; without them a column of the file holds the time.
+            # Only a waveform has stamps; otherwise a column of the file is the time.
             stamps = channel.time_track() if "wf_increment" in channel.properties else None
             channels.append(_Channel(group.name, channel.name, unit, values, stamps))
     return _of_channels(channels)
@@ -218,7 +218,7 @@ def _read_mat(path: Path, scipy_io: Any) -> Columns:
 
 
 def _of_channels(channels: Sequence[_Channel]) -> Columns:
-    """Headings ``name [unit]``, with the group before names that occur twice; before all, the common time."""
+    """Headings ``name [unit]``, with the group before names that occur twice; the common time comes first."""
     names = [channel.name for channel in channels]
     headings = [
         (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
@@ -239,4 +239,4 @@ _READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
     ".tdms": ("nptdms", _read_tdms),
     ".mat": ("scipy.io", _read_mat),
 }
-"""Library and reader by the end of the file's name."""
+"""Library and reader by suffix of the file."""

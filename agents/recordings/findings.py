@@ -1,4 +1,4 @@
-"""What is wrong with a recording: one line per finding, with the place in seconds and the share that it concerns."""
+"""Findings about a recording: one line each, with its first time in seconds and its share of the recording."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from agents.report.text import number
 
 
 class Weight(StrEnum):
-    """What a finding means for the verdict."""
+    """Effect of a finding on the verdict."""
 
-    NOTE = "note"  # nothing
+    NOTE = "note"  # no effect
     FAULT = "fault"  # a sensor of the rig is faulty
     SEVERE = "severe"  # no verdict is possible
 
 
 class Finding(NamedTuple):
-    """One thing that is wrong with a recording."""
+    """One defect of a recording."""
 
     signal: str  # or "time"
-    what: str  # the rest of the sentence, which begins with a verb
+    what: str  # rest of the sentence, beginning with a verb
     weight: Weight
     begin: float = np.nan  # s, first place; NaN for the whole recording
     end: float = np.nan  # s, end of the first place
@@ -41,17 +41,17 @@ class Finding(NamedTuple):
 
 
 def runs_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First index of each run of true values, and the index behind its last."""
+    """First index of each run of true values, and the index after its last."""
     edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
 
 
 def severe_if(condition: object) -> Weight:
-    """SEVERE if the condition holds, otherwise a NOTE."""
+    """SEVERE if the condition is true, otherwise NOTE."""
     return Weight.SEVERE if condition else Weight.NOTE
 
 
 def finding_of(mask: NDArray[np.bool_], time: NDArray[np.float64], signal: str, what: str, weight: Weight) -> Finding:
-    """A finding about the rows where ``mask`` (n,) is true; ``time`` (n,), s. At least one must be."""
+    """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
     begins, ends = runs_of(mask)
     return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

@@ -16,7 +16,7 @@ MOST_EPISODES = 100_000
 
 
 class DatasetSummary(NamedTuple):
-    """What was recorded."""
+    """Summary of a recorded data set."""
 
     episodes: int
     steps: int
@@ -27,7 +27,7 @@ def check_dataset(name: str) -> None:
     """Check that a data set of this name can be made, before any work.
 
     Raises:
-        ConfigurationError: Minari is missing, the name is none, or such a data set exists.
+        ConfigurationError: Minari is missing, the name is invalid, or the data set exists.
     """
     try:
         import minari
@@ -55,8 +55,8 @@ def record_dataset(
 ) -> DatasetSummary:
     """Run episodes of the environment and store them in Minari's folder (``MINARI_DATASETS_PATH``).
 
-    The data set holds the whole task, so that ``recover_environment`` works on another machine. The infos are those of
-    ``info="flat"``: leak, class, faults and true motion, which the observations hide.
+    The data set contains the whole task; ``recover_environment`` therefore works on another machine. The infos are
+    those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations.
 
     Args:
         name: of the data set, ``FOLDER/NAME-v0``.
@@ -64,13 +64,13 @@ def record_dataset(
         controller: moves the axis.
         algorithm: name of the controller.
         episodes: number of episodes.
-        first_seed: of the first episode; the others follow.
+        first_seed: seed of the first episode; the others follow.
         options: of ``reset``.
-        note: how the data set was made.
+        note: description of the data set.
         progress: called with the number of finished episodes.
 
     Raises:
-        ConfigurationError: Minari is missing, an impossible option or name.
+        ConfigurationError: Minari is missing, or an option or the name is impossible.
     """
     check_dataset(name)
     import minari
@@ -109,7 +109,7 @@ def record_dataset(
             )
             if progress is not None:
                 progress(number + 1)
-        with warnings.catch_warnings():  # author and code link are the user's to add
+        with warnings.catch_warnings():  # the user adds author and code link
             warnings.simplefilter("ignore")
             dataset = minari.create_dataset_from_buffers(
                 name,

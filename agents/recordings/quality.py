@@ -1,4 +1,4 @@
-"""Everything that is wrong with a recording, before any verdict."""
+"""All checks of a recording, before any verdict."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hydro_env import TaskConfig
 class Checked(NamedTuple):
     """A recording at the control period, and all findings about it."""
 
-    samples: Sampled  # readings that do not show the rig are NaN
+    samples: Sampled  # invalid readings are NaN
     findings: list[Finding]
 
     @property
@@ -34,7 +34,7 @@ class Checked(NamedTuple):
 def check_recording(recording: Recording, config: TaskConfig) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
 
-    Each check relies on the ones before it, and is left out if those found something severe.
+    Each check relies on the previous ones, and is left out after a severe finding.
     """
     samples = sampled(recording, config)
     findings = [*recording.findings, *samples.findings]

@@ -20,12 +20,12 @@ Floats = NDArray[np.float64]
 
 
 class Recording(NamedTuple):
-    """Rows of a file as they stand there; a cell that is empty or no number is NaN."""
+    """Rows of a file in their order; a cell that is empty or not a number is NaN."""
 
     source: str
     time: Floats  # (n,), s, from the first row
-    signals: Floats  # (5, n), SI, in the order of MEASURED; the command is the one that acts at the time of the row
-    units: dict[str, str]  # by signal, as the file or the map says
+    signals: Floats  # (5, n), SI, in the order of MEASURED; the command acts at the time of the row
+    units: dict[str, str]  # by signal, from the file or the map
     findings: list[Finding]
 
 
@@ -33,15 +33,15 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
     CSV: the first line holds the headings; lines before it that are empty or begin with ``#`` are skipped. Columns are
-    separated by semicolons or tabs, which allow decimal commas, or by commas. Parquet, MDF4, TDMS and MAT files are
-    told by the end of their name (:mod:`agents.recordings.files`).
+        separated by semicolons or tabs, which allow decimal commas, or by commas. The end of the name identifies
+        Parquet, MDF4, TDMS and MAT files (:mod:`agents.recordings.files`).
 
     Args:
         path: the file; text in UTF-8.
-        columns: which column is which; default: the names that ``hydro record`` writes.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
 
     Raises:
-        ConfigurationError: the file is unreadable, too large or no table, or a column or its unit is missing.
+        ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
     """
     file = read_columns(path)
     headings, source = file.headings, str(path)
@@ -86,13 +86,13 @@ def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Find
     if len(text):
         example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)
         place = f"line {first_line + text[0]}" if first_line else f"row {text[0] + 1}"
-        what = f"has {len(text)} cells that are no numbers, the first one {example!r} in {place}"
+        what = f"has {len(text)} cells that are not numbers, the first one {example!r} in {place}"
         findings.append(Finding(signal, what, severe_if(share > 0.2), share=share))
     return values
 
 
 def _time_stamps(cells: pd.Series) -> Floats | None:
-    """Seconds since the first of the dates and times of day (ISO 8601); ``None`` if the cells are numbers."""
+    """Seconds since the first date and time (ISO 8601); ``None`` if the cells are numbers."""
     if pd.api.types.is_numeric_dtype(cells):
         return None
     stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")

@@ -1,4 +1,4 @@
-"""Brings a recording to the control period of the rig: time stamps are checked, rows are chosen, gaps stay gaps."""
+"""Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from hydro_env import TaskConfig
 Floats = NDArray[np.float64]
 
 LARGEST_DEVIATION = 0.02
-"""Of the row distance from a whole fraction of the control period; clocks differ less."""
+"""Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
 
 JITTER = (0.05, 0.4)
-"""Distance of time stamps from their places, in parts of the row distance: that is told; that leaves places unsure."""
+"""Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which rows are
+ambiguous."""
 
 ROWS_TOGETHER = 20
 
 MOST_MISSING = 0.2
-"""Share of rows that may be missing or stand twice."""
+"""Largest share of rows that may be missing or duplicate."""
 
 FOLLOWING = 0.1
-"""Part of a stamp's distance from its place by which the clock follows: one that is slightly off loses no row."""
+"""Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
 
 HOLD_SHARE = 0.8
-"""Share of the changes of a held command that come at the same place within the control period."""
+"""Smallest share of command changes at the same row within the control period."""
 
 
 class Sampled(NamedTuple):
     """A recording at the control period; T samples."""
 
-    place: NDArray[np.int64]  # (T,), control periods since the first sample, rising; a gap skips numbers
+    place: NDArray[np.int64]  # (T,), number of the control period since the first sample, rising; a gap skips numbers
     time: Floats  # (T,), s
     signals: Floats  # (5, T), SI, in the order of SIGNALS: column k holds u_{k-1}
     period: float  # s
@@ -47,8 +48,8 @@ class Sampled(NamedTuple):
 def sampled(recording: Recording, config: TaskConfig) -> Sampled:
     """The samples of a recording, one per control period of the task.
 
-    A recording with n rows per control period keeps the last row before the command changes, in which the command
-    of the period before still acts. Findings that are severe leave the samples empty.
+    From n rows per control period, the last row before the command changes is the sample; the command of the previous
+    period still acts there. After a severe finding the samples are empty.
     """
     findings: list[Finding] = []
     period = config.control_period
@@ -66,9 +67,7 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
     twice = np.append(False, steps == 0.0)
     if twice.any():
         many = bool(twice.mean() > MOST_MISSING)
-        findings.append(
-            finding_of(twice, time, "time", "has stamps that stand twice; the first row counts", severe_if(many))
-        )
+        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", severe_if(many)))
         if many:
             return nothing
         time, signals = time[~twice], signals[:, ~twice]
@@ -94,7 +93,7 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
 
 
 def _row_distance(time: Floats, period: float) -> float:
-    """Usual distance of two rows in s: the median, or under great jitter that of many rows together."""
+    """Usual distance of two rows in s: the median, or the mean over many rows if the jitter is large."""
     distance = float(np.median(np.diff(time)))
     many = min(ROWS_TOGETHER, len(time) - 1)
     together = float(np.median(time[many:] - time[:-many])) / many
@@ -102,13 +101,13 @@ def _row_distance(time: Floats, period: float) -> float:
 
 
 def _whole_fraction(distance: float, period: float) -> int:
-    """Rows per control period; 0 if the row distance is no whole fraction of it."""
+    """Rows per control period; 0 if the row distance is not a whole fraction of it."""
     rows = round(period / distance)
     return rows if rows >= 1 and abs(distance * rows / period - 1.0) <= LARGEST_DEVIATION else 0
 
 
 def _other_sampling(distance: float, period: float, unit: str) -> Finding:
-    """The finding that the rows do not suit the control period; it names the unit of time that would."""
+    """The finding that the row distance does not fit the control period, with a unit of time that would fit."""
     units = UNITS["time"]
     fitting = [name for name in units if 1 <= _whole_fraction(distance * units[name] / units[unit], period) <= 100]
     what = f"has one row every {1e3 * distance:.4g} ms, but the rig's control period is {1e3 * period:g} ms"
@@ -121,7 +120,7 @@ def _other_sampling(distance: float, period: float, unit: str) -> Finding:
 
 
 def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Finding]]:
-    """Number of row distances since the first row, (n,), and what is wrong with the time stamps."""
+    """Number of row distances since the first row, (n,), and findings about the time stamps."""
     findings = []
     place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
     clock, count = float(time[0]), 0
@@ -150,10 +149,10 @@ def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Find
 def _phase(
     place: NDArray[np.int64], time: Floats, command: Floats, rows: int, distance: float, config: TaskConfig
 ) -> tuple[int, list[Finding]]:
-    """Which of the ``rows`` of a control period is the sample, from the rows in which the command changes."""
+    """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes."""
     changed = np.append(False, np.diff(command) != 0.0) & np.append(False, np.diff(place) == 1)
     changed &= np.isfinite(command) & np.append(False, np.isfinite(command[:-1]))
-    if not changed.any():  # a constant command: any row will do
+    if not changed.any():  # a constant command: any row is suitable
         return 0, []
     counts = np.bincount(place[changed] % rows, minlength=rows)
     if counts.max() < HOLD_SHARE * changed.sum():

@@ -1,4 +1,4 @@
-"""``hydro record``: a recording of a simulated axis, as a rig would measure it."""
+"""``hydro record``: a recording of a simulated axis with the signals of a rig."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b
 """Unit of each column."""
 
 _FORMAT = "%.7g"
-"""Digits enough for the 16-bit steps of every sensor."""
+"""Enough digits for the 16-bit steps of every sensor."""
 
 LONGEST_RECORDING = 3600.0
 """s"""
 
 
 class Recorded(NamedTuple):
-    """What was recorded."""
+    """Summary of a recording."""
 
     rows: int
     duration: float  # s
     leakage_flow_lpm: float  # at the end
-    failed_at: float | None  # s, after which the axis failed and the recording ends
+    failed_at: float | None  # s, time of the failure, where the recording ends; None: no failure
 
 
 def record_axis(
@@ -54,7 +54,7 @@ def record_axis(
 ) -> Recorded:
     """Run one episode and write its measured signals as CSV, one row per control period.
 
-    The command of a row is the one that acts when the row is measured.
+    The command of a row acts when the row is measured.
 
     Args:
         path: the file; replaced if it exists.
@@ -67,7 +67,7 @@ def record_axis(
         note: for a comment in the first line.
 
     Raises:
-        ConfigurationError: an impossible option, or a file that cannot be written.
+        ConfigurationError: an option is impossible, or the file cannot be written.
     """
     if config.episode_duration > LONGEST_RECORDING:
         raise ConfigurationError(f"--duration = {config.episode_duration:g} s: must be at most {LONGEST_RECORDING:g} s")
@@ -108,7 +108,7 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
     """The values of ``--fault NAME=VALUE``, by name.
 
     Raises:
-        ConfigurationError: a value has another form, or a name is unknown or given twice.
+        ConfigurationError: a value has the wrong form, or a name is unknown or given twice.
     """
     faults: dict[str, float] = {}
     for text in texts:

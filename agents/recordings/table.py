@@ -1,4 +1,4 @@
-"""Tables of numbers from measuring programs: separated by commas, semicolons or tabs, with points or decimal commas."""
+"""Tables of numbers from measuring programs: comma, semicolon or tab as separator, decimal point or decimal comma."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def read_table(path: Path) -> NumberTable:
     """Read a table; the first line may hold headings; empty lines and lines that begin with ``#`` are skipped.
 
     If the file has semicolons or tabs, these separate columns, and decimals may have commas; otherwise commas separate
-    columns. A file in which a comma could be either (``0,5`` without headings) is refused.
+    columns. A file with an ambiguous comma (``0,5`` without headings) is an error.
 
     Raises:
-        ConfigurationError: an unreadable or empty file, a cell that is no number, rows of different lengths, or an
-            ambiguous comma; the message names the line.
+        ConfigurationError: the file is unreadable or empty, a cell is not a number, rows have different lengths, or a
+            comma is ambiguous; the message names the line.
     """
     text = read_text(path, LARGEST_TABLE)
     separator = next((mark for mark in ";\t" if mark in text), ",")
@@ -63,7 +63,7 @@ def read_table(path: Path) -> NumberTable:
             other = first_line if names else lines[0]
             raise ConfigurationError(
                 f"{path}: line {line} has {len(row)} columns, line {other} has {width}"
-                + ("; decimals need a point where commas separate columns" if separator == "," else "")
+                + ("; if commas separate columns, decimals need a point" if separator == "," else "")
             )
     cells = [cell for row in rows for cell in row]
     if separator == "," and not names and width > 1 and not any("." in cell for cell in cells):

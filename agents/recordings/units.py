@@ -1,4 +1,4 @@
-"""Units of recordings: how many SI units one of them is."""
+"""Units of recordings and their size in SI units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ UNITS: dict[str, dict[str, float]] = {
     "spool_position": _PARTS,
     "command": _PARTS,
 }
-"""SI units per unit, by signal; the command and the spool are in parts of full scale. Pressures are gauge pressures.
+"""SI units per unit, by signal; command and spool are fractions of full scale. Pressures are gauge pressures.
 
 The usual units come first.
 """

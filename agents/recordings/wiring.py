@@ -1,11 +1,11 @@
-"""Checks between channels: do spool, command, pressures and motion fit together, and if not, which change would help?
+"""Checks between channels: are spool, command, pressures and motion consistent, and if not, which change would help?
 
-Two balances that hold on every rig of this kind tell a wrong sign, exchanged chambers and a wrong unit:
+Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged chambers and a wrong unit:
 
-* flow (12), (13): oil through the valve = piston area x speed + compression. Its slope is near 1 if the units are right
-  and positive if spool and position have the same direction.
+* flow (12), (13): oil through the valve = piston area x speed + compression. Its slope is near 1 if the units are
+  correct, and positive if spool and position have the same direction.
 * force (14): A_a p_a − A_b p_b = M a + d v + F_c sign(v) + k x + F_0 with M, d, F_c, k not negative. Exchanged chambers
-  or a turned position fit no such sum.
+  or a reversed position do not satisfy it.
 """
 
 from __future__ import annotations
@@ -33,43 +33,44 @@ Floats = NDArray[np.float64]
 POSITION, PRESSURE_A, PRESSURE_B, SPOOL = range(4)
 
 INTERVAL = 0.02
-"""s, about; over it, the noise of the position sensor is small beside the motion."""
+"""s, approximate averaging time; it makes the noise of the position sensor small compared with the motion."""
 
 MOST_SAMPLES = 4000
-"""More samples tell no more; of a longer recording, those with the most travel count."""
+"""Largest number of samples; more add no information. From a longer recording, the part with the most travel is
+used."""
 
 FEWEST_SAMPLES = 100
 
 LEAST_TRAVEL = 20.0
-"""Travel in standard deviations of the position's noise, below which motion tells nothing."""
+"""Smallest useful travel, in standard deviations of the position's noise."""
 
 LEAST_SHARE = 0.05
-"""Least travel, as a share of that which the flow through the valve makes."""
+"""Smallest travel, as a share of the travel from the valve's flow."""
 
 FITS, FAILS = 0.6, 0.75
-"""Share of the force that the balance leaves unexplained: at most this where it fits, at least that where it does not.
+"""Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
 
 On the three shipped rigs it leaves 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a turned position.
 """
 
 SLOPES = (0.15, 6.0)
-"""Slope of the flow balance and of spool against command; wear, and noise beside little motion, stay within."""
+"""Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
 
 LEAST_RESPONSE = 0.2
-"""Share of a new command that the spool must have followed at the next sample, for its row to be recognised."""
+"""Smallest share of a new command that the spool follows by the next sample, to identify the row of the command."""
 
 
 class Balance(NamedTuple):
-    """How well a recording fits the two balances."""
+    """Fit of a recording to the two balances."""
 
-    force_rest: float  # share of the force that stays unexplained, 0 to 1
+    force_rest: float  # unexplained share of the force, 0 to 1
     slope: float  # of the flow balance of chamber a
     travel: float  # m
     expected_travel: float  # m, by the flow through the valve
 
 
 def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
-    """Wrong signs, exchanged chambers, wrong units and a command in the wrong row; none without motion."""
+    """Find wrong signs, exchanged chambers, wrong units and a command in the wrong row; needs motion."""
     whole = np.all(np.isfinite(samples.signals), axis=0)
     if whole.sum() < FEWEST_SAMPLES:
         return []
@@ -94,12 +95,12 @@ def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
         return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
     if given.slope < 0.0:
         return [*findings, Finding("position", "moves against the valve's flow; check the signs", Weight.SEVERE)]
-    what = f"do not fit the motion: {100 * given.force_rest:.0f} % of the force stays unexplained"
+    what = f"do not fit the motion: {100 * given.force_rest:.0f} % of the force is unexplained"
     return [*findings, Finding("pressures", what, Weight.NOTE)]
 
 
 def balance(signals: Floats, config: TaskConfig) -> Balance:
-    """How well signals (5, T) without gaps fit the two balances of the nominal rig."""
+    """Fit of signals (5, T) without gaps to the two balances of the nominal rig."""
     c = plant_coefficients(config.plant)
     step = max(round(INTERVAL / config.control_period), 1)
     time = step * config.control_period
@@ -136,7 +137,7 @@ def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
 
 
 def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
-    """The smallest change of columns after which both balances fit, in words; empty if none does."""
+    """The smallest change of columns after which both balances fit, as text; empty if there is none."""
     changes = sorted(product((False, True), repeat=3), key=sum)[1:]
     for exchanged, position_turned, spool_turned in changes:
         changed = signals.copy()
@@ -156,7 +157,7 @@ def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
 
 
 def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
-    """Sign, scale and row of the command against the spool that follows it."""
+    """Check sign, scale and row of the command against the spool."""
     spool, command = signals[SPOOL], signals[COMMAND]
     if np.ptp(command) < 0.02 or command.std() < 2.0 * config.sensors.spool_position.noise:
         return []
@@ -169,23 +170,23 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
     if rest.std() > 0.5 * wanted.std():
         return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
     if slope < 0.0:
-        return [Finding("spool_position", "moves against the command: turn the sign of one of them", Weight.SEVERE)]
+        return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
     if not SLOPES[0] <= slope <= SLOPES[1]:
         what = f"moves {slope:.3g} times as far as the command; check the units of both"
         return [Finding("spool_position", what, Weight.SEVERE)]
     expected = _response_at_next_sample(config)
     later, now = weights[0] / slope, weights[1] / slope
     if later > 0.5 * expected:
-        what = "stands a row too late for the spool; 'rows_early: -1' in the map would fit"
+        what = "is one row too late for the spool; 'rows_early: -1' in the map would fit"
         return [Finding("command", what, Weight.SEVERE)]
     if expected > LEAST_RESPONSE and now < 0.25 * expected:
-        what = "stands a row too early for the spool; 'rows_early: 1' in the map would fit"
+        what = "is one row too early for the spool; 'rows_early: 1' in the map would fit"
         return [Finding("command", what, Weight.SEVERE)]
     return []
 
 
 def _response_at_next_sample(config: TaskConfig) -> float:
-    """Share of a new command that the nominal spool has followed when the next sample is taken."""
+    """Share of a new command that the nominal spool follows by the next sample."""
     period = min(config.control_period - config.command_latency, LONGEST_PERIOD)
     if period <= 0.0:
         return 0.0
@@ -213,7 +214,7 @@ def _longest_stretch(index: NDArray[np.int64], whole: NDArray[np.bool_]) -> slic
 
 
 def _liveliest(signals: Floats) -> Floats:
-    """The part of MOST_SAMPLES samples in which the position spreads most."""
+    """The part of MOST_SAMPLES samples with the largest spread of the position."""
     starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
     best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
     return signals[:, best : best + MOST_SAMPLES]

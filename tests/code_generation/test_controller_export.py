@@ -163,7 +163,7 @@ def test_several_controllers_fit_into_one_program(tmp_path):
 
 
 def test_a_name_that_is_none_in_c_is_refused():
-    with pytest.raises(ConfigurationError, match="must be a name in C"):
+    with pytest.raises(ConfigurationError, match="must be a valid name in C"):
         controller_code(opponent("pid", TASK, "pid"), TASK, "my pid")
 
 
@@ -329,7 +329,7 @@ def test_what_cannot_be_exact_is_refused(controller, what):
 
 
 def test_a_memory_that_the_trace_cannot_see_is_refused():
-    with pytest.raises(HydroError, match="Remembering: keeps its memory to itself"):
+    with pytest.raises(HydroError, match="Remembering: keeps its memory outside its state"):
         exported_files(Remembering(), TASK, "hydro export")
 
 
@@ -359,9 +359,9 @@ def test_a_changed_folder_is_refused_with_one_line(folders, tmp_path):
     refused("task", lambda f: edit(f, "task.yaml", "control_period: 0.005", "control_period: 0.004"), "was changed")
     refused("period", lambda f: edit(f, "contract.json", '"sample_time": 0.005', '"sample_time": 0.004'), "was changed")
     refused("lost", lambda f: (f / "controller.c").unlink(), "holds no 'controller.c'")
-    refused("none", lambda f: (f / "contract.json").unlink(), "is no exported controller")
+    refused("none", lambda f: (f / "contract.json").unlink(), "is not an exported controller")
     refused("text", lambda f: (f / "contract.json").write_text("{"), "not valid JSON")
-    refused("other", lambda f: (f / "contract.json").write_text("{}"), "is no contract")
+    refused("other", lambda f: (f / "contract.json").write_text("{}"), "is not a contract")
 
 
 def test_a_folder_for_another_task_is_refused(folders):

@@ -75,7 +75,7 @@ CASES = {
     "NaN": (edited(3, slice(100, 110), np.nan), [(NOTE, "spool_position lacks readings, first at 0.500 to 0.545 s")]),
     "many NaN": (edited(3, slice(100, 900), np.nan), [(SEVERE, "spool_position lacks readings")]),
     "gap": (rows(lambda n: np.r_[0:400, 440:n]), [(NOTE, "time has a gap of 200 ms, first at 1.995 to 2.200 s")]),
-    "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has stamps that stand twice")]),
+    "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has duplicate stamps")]),
     "backward": (
         restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]),
         [(SEVERE, "runs backward 1 times, by up to")],

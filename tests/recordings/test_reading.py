@@ -90,8 +90,8 @@ def test_text_becomes_a_finding_with_its_line(tmp_path):
     [
         ("", ["holds no table"]),
         ("time [s],command [V]\n", ["no rows"]),
-        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["more columns than there are headings"]),
-        ("a,b\n1,2\n", ["no column is headed 'time'", "--map"]),
+        ("time [s],command [V]\n0,1,2\n1,1,2\n", ["more columns than the line of headings"]),
+        ("a,b\n1,2\n", ["no column has the heading 'time'", "--map"]),
         (PLAIN.replace("command", "foo"), ["'command'", "foo [V]"]),
         (PLAIN.replace("[bar]", "[bars]", 1), ["pressure_a", "'bars'", "MPa"]),
         (PLAIN.replace(" [mm]", ""), ["position", "no unit"]),
@@ -112,7 +112,7 @@ def test_what_is_no_recording_is_told_in_one_line(tmp_path, text, parts):
     [
         ("time: t", "command: is missing"),
         ("time: t\ncommand: {column: u, unit: bar}", "'bar': must be one of V"),
-        ("time: t\ncommand: {column: absent, unit: V}", "no column is headed 'absent'"),
+        ("time: t\ncommand: {column: absent, unit: V}", "no column has the heading 'absent'"),
         ("time: t\ncommand: {column: 9, unit: V}", "column 9"),
         ("time: t\ncommand: {column: u, units: V}", "unknown key; did you mean unit?"),
     ],
