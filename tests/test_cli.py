@@ -72,7 +72,7 @@ def test_simulate_says_which_voltage_acts(tmp_path):
     assert holding < -0.1
     assert max(applied) == pytest.approx(3.0 + holding, rel=1e-8)
     assert f"voltage: {min(applied):.3g} to {max(applied):.3g} V" in answer.stdout
-    assert f"({holding:.3g} V hold the start" in answer.stdout
+    assert f"({holding:.3g} V hold the initial position" in answer.stdout
 
 
 def test_simulate_reads_a_rig_and_a_csv(tmp_path):
@@ -260,7 +260,7 @@ TINY = {
 @pytest.mark.parametrize(
     ("resume", "files", "words"),
     [
-        (False, ["checkpoint.json"], "keeps what is done so far, --resume goes on with it"),
+        (False, ["checkpoint.json"], "keeps the finished work, --resume continues it"),
         (None, ["check.csv"], "are incomplete, --overwrite begins anew"),
         (False, [], "nothing had been written"),
     ],
@@ -310,7 +310,7 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     study.write_text(yaml.safe_dump(TINY))
     code, errors = stopped_study(folder)
     assert code == 143, errors
-    assert own_lines(errors) == [f"hydro: stopped; {folder} keeps what is done so far, --resume goes on with it"]
+    assert own_lines(errors) == [f"hydro: stopped; {folder} keeps the finished work, --resume continues it"]
     assert not (folder / "report.html").exists()
     assert_one_clear_line(hydro("study", "--config", study, "--output", folder), "holds results already")
     resumed = hydro("study", "--config", study, "--output", folder, "--resume")

@@ -245,7 +245,7 @@ def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files
             "input": list(FEATURES),
             "output": list(LeakageEstimate._fields),
             "missing": "repair of gaps, flow balance, features and the check for stuck sensors: the flow "
-            "balance is an iteration whose end depends on its result, which no plain operator expresses; see the C code",
+            "balance is an iteration whose end depends on its result; no plain operator does that, see the C code",
         },
         training=head.settings.training,
         checked=dict(checked),

@@ -1,1 +1,1 @@
-"""One rig without a controller: an open-loop run, and the figures of a calculation by hand."""
+"""One rig without a controller: its file, an open-loop run, and hand calculations."""

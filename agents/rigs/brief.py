@@ -1,4 +1,4 @@
-"""The six lines with which ``hydro check-rig`` begins, and the values that a rig's file leaves open."""
+"""The first six lines of ``hydro check-rig``, and the values that are missing in a rig's file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.units import FULL_VOLTAGE
 
 WEAK_DAMPING = 0.05
-"""Damping ratio below which an axis rings: a step still swings by a fifth after five periods."""
+"""Damping ratio below which an axis rings: after five periods a step still oscillates by a fifth."""
 
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
@@ -62,7 +62,7 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
 
 
 def _gains(healthy: Row, leaking: Row, leak: str, parameters: PlantParameters) -> str:
-    """The gain in V/mm, and as K_v: speed in 1/s per error, by the mean no-load speed."""
+    """The gain in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed."""
 
     def both(row: Row) -> str:
         if isinstance(row.value, str):
@@ -70,7 +70,7 @@ def _gains(healthy: Row, leaking: Row, leak: str, parameters: PlantParameters) -
         full_speed = sum(speed_limits(parameters)) / 2.0
         return f"{row.value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {row.value * full_speed:.3g} 1/s)"
 
-    return f"{both(healthy)} with a healthy seal, {both(leaking)} with {leak}; take half of it"
+    return f"{both(healthy)} with a healthy seal, {both(leaking)} with {leak}; use half of it"
 
 
 def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
@@ -89,18 +89,18 @@ def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
         watch.append("the axis rings: use damping (pressure feedback) or a low gain")
     small_enough = rows.get("is the inner step small enough")
     if small_enough and small_enough[0].value != "yes":
-        watch.append("the integrator is less exact than on the paper's rig")
+        watch.append("the integrator is less accurate than on the paper's rig")
     if isinstance(damping.value, str) and damping.value != "overdamped":
-        watch.append(f"the place to examine {damping.value}")
+        watch.append(f"at the examined position: {damping.value}")
     return f"it works{'; ' if watch else ''}{'; '.join(watch)}"
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
-    """Fields that a rig's file does not give, with the values that stand in, by group.
+    """Fields that are missing in a rig's file, with their default values, by group.
 
     Args:
         values: content of the file.
-        parameters: what was made of it.
+        parameters: the resulting parameters.
     """
     missing = [path.split(".") for path in PARAMETER_PATHS]
     missing = [[group, field] for group, field in missing if field not in (values.get(group) or {})]

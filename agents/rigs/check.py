@@ -1,4 +1,4 @@
-"""The figures that an engineer calculates by hand for a rig."""
+"""The hand calculations of an engineer for a rig."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Row(NamedTuple):
     group: str
     quantity: str
     at: str  # its condition
-    value: float | str  # words if there is no number
+    value: float | str  # text if there is no number
     unit: str
 
     def text(self, digits: int) -> str:
@@ -67,10 +67,10 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
 
 
 def resting_place(parameters: PlantParameters) -> float:
-    """Position in m at which to examine a rig: mid-stroke if it can be held, else the middle one of those that can be.
+    """Position in m at which a rig is examined: mid-stroke, or else the middle one of the positions that can be held.
 
     Raises:
-        HydroError: none of the positions tried can be held.
+        HydroError: none of the candidate positions can be held.
     """
     low, high = reachable_range(parameters)
     middle = 0.0 if low < 0.0 < high else 0.5 * (low + high)
@@ -238,7 +238,7 @@ def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
 def _figure(
     compute: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float
 ) -> float | str:
-    """A figure, or the reason why there is none."""
+    """A figure, or the reason for its absence."""
     try:
         value = compute(parameters, place)
         return value if math.isfinite(value) else "unlimited"
@@ -283,5 +283,5 @@ def _position(position: float) -> str:
 
 
 def leak_text(leak: float) -> str:
-    """A leak in words."""
+    """A leak as text."""
     return f"{leak:g} l/min"

@@ -1,4 +1,4 @@
-"""The file of a new rig: what its owner knows, what follows from it, and typical values with ranges for the rest."""
+"""The file of a new rig: given values, computed values, and typical values with ranges for the rest."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ Answers = Mapping[str, float | str]
 
 
 class Entry(NamedTuple):
-    """One line of the file: a field, its value as text, where the value comes from; and a range, if it is not sure."""
+    """One line of the file: a field, its value as text, and its origin; a range if the value is uncertain."""
 
     path: str  # group.field
     value: str
     origin: str
-    range: str = ""  # as YAML; empty: the value is sure
+    range: str = ""  # as YAML; empty: the value is certain
     reason: str = ""  # of the range
 
 
 class _Values:
-    """Turns answers into entries: a figure that was given, or else a value with its origin."""
+    """Turns answers into entries: the given figure, or a default value with its origin."""
 
     def __init__(self, answers: Answers, texts: Mapping[str, str]) -> None:
         self.answers, self.texts = answers, texts
@@ -46,8 +46,8 @@ class _Values:
             path: of the field.
             key: of the answer.
             otherwise: value and origin without an answer.
-            sure: range with reason, as ``range; reason``, of a value that was given.
-            unsure: the same of one that was not.
+            sure: range and reason, as ``range; reason``, of a given value.
+            unsure: the same for the default value.
         """
         known = key in self.answers
         value, origin = (self.texts[key].strip(), "given") if known else otherwise
@@ -56,7 +56,7 @@ class _Values:
 
 
 def in_unit(value: float, unit: str, si: str) -> str:
-    """A value in SI as text with three digits in a unit of :data:`~hydro_env.units.UNITS`."""
+    """An SI value as text with three digits in a unit of :data:`~hydro_env.units.UNITS`."""
     return f"{value / UNITS[si][unit]:.3g} {unit}"
 
 
@@ -64,12 +64,12 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
     """The text of a rig's file, and the rig that it describes.
 
     Args:
-        answers: figures in SI and words, by the keys of :data:`agents.rigs.questions.QUESTIONS`.
-        texts: the same as the user wrote them.
+        answers: figures in SI, and texts, by the keys of :data:`agents.rigs.questions.QUESTIONS`.
+        texts: the answers as the user wrote them.
         source: name of the file, for messages.
 
     Raises:
-        ConfigurationError: figures that contradict each other, or a rig that cannot work.
+        ConfigurationError: the figures contradict each other, or the rig cannot work.
     """
     if "accumulator" in answers and "pump_flow" not in answers:
         raise ConfigurationError("--accumulator: needs --pump-flow; without a pump the supply counts as constant")
@@ -103,7 +103,7 @@ def _cylinder(values: _Values, area: float) -> list[Entry]:
             "cylinder.dead_volume",
             "dead_volume",
             (in_unit(0.1 * swept, "cm³", "m³"), "assumed: 10 % of bore area times stroke"),
-            "{factor: [0.8, 1.2]}; drawings leave out bores and pockets",
+            "{factor: [0.8, 1.2]}; drawings omit bores and pockets",
             "{log_factor: [0.3, 3.0]}; published cylinders: 3 to 30 %, with hoses more",
         ),
         values.given(
@@ -142,7 +142,7 @@ def _valve(values: _Values) -> list[Entry]:
         underlap = (f"{100.0 * share:.3g} %", f"computed from a null flow of {values.texts['null_flow'].strip()}")
         width = "{factor: [0.3, 1.2]}; a pilot stage takes part of the null flow"
     return [
-        Entry("valve.model", "spool", "the bandwidth holds spool and drive together"),
+        Entry("valve.model", "spool", "the bandwidth describes spool and drive together"),
         values.given(
             "valve.rated_flow",
             "rated_flow",
@@ -197,7 +197,7 @@ def _split(text: str) -> tuple[str, str]:
 
 def _lines(values: _Values) -> list[Entry]:
     if "line_length" not in values.answers:
-        none = "not given: the dead volume's range holds short lines"
+        none = "not given: the dead volume's range covers short lines"
         return [Entry(f"lines.volume_{side}", "0 cm³", none) for side in "ab"]
     volume = 0.25 * math.pi * values.number("line_diameter") ** 2 * values.number("line_length")
     origin = f"computed: {values.texts['line_length'].strip()} of {values.texts['line_diameter'].strip()}"
@@ -218,7 +218,7 @@ def _fluid() -> list[Entry]:
 
 def _load(values: _Values, area: float) -> list[Entry]:
     damping = 4.0 * BAR * area
-    # Only the sum of load and piston acts: one range holds what is not sure of both.
+    # Only the sum of load and piston matters: one range covers the uncertainty of both.
     unsure = 0.05 + (
         0.0 if "piston_mass" in values.answers else 0.3 * _steel_mass(values, area) / values.number("mass")
     )
@@ -305,7 +305,7 @@ def _supply(values: _Values) -> list[Entry]:
 
 
 def _sensors(values: _Values) -> dict[str, dict[str, str]]:
-    """Fields of each sensor as text; empty: what follows from the rig."""
+    """Fields of each sensor as text; an empty one follows from the rig."""
     texts = values.texts
     sensors: dict[str, dict[str, str]] = {"position": {}, "pressure_a": {}, "pressure_b": {}, "spool_position": {}}
     for field, what in (("noise", "noise"), ("resolution", "resolution"), ("high", "range")):
@@ -320,8 +320,8 @@ def _sensors(values: _Values) -> dict[str, dict[str, str]]:
 
 def _written(entries: list[Entry], sensors: dict[str, dict[str, str]], source: str) -> str:
     lines = [
-        "# A rig, written by hydro new-rig. Each value says where it comes from: given, computed, or assumed. Correct",
-        "# what you know better. A value without a unit is in SI; pressures are gauge pressures.",
+        "# A rig, written by hydro new-rig. Each value has its origin: given, computed, or assumed. Correct each",
+        "# value that you know better. A value without a unit is in SI; pressures are gauge pressures.",
         f"# Next: hydro check-rig --rig {source}",
     ]
     group = ""
@@ -332,7 +332,7 @@ def _written(entries: list[Entry], sensors: dict[str, dict[str, str]], source: s
             group = first
         lines.append(f"  {field}: {entry.value}  # {entry.origin}")
     lines += [
-        "randomisation:  # what is not sure: each episode draws it, and hydro identify narrows it from a recording",
+        "randomisation:  # uncertain values: each episode draws them; hydro identify narrows them with a recording",
         *(f"  {entry.path}: {entry.range}  # {entry.reason}" for entry in entries if entry.range),
     ]
     if sensors:

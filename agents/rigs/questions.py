@@ -1,4 +1,4 @@
-"""What `hydro new-rig` asks: the figures on nameplates, data sheets and drawings."""
+"""The questions of `hydro new-rig`: figures on nameplates, data sheets and drawings."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import UNITS, in_si
 
 SIGNAL = "V or A"
-"""Marks the one question whose answer is a voltage or a current."""
+"""Unit of the question whose answer is a voltage or a current."""
 
 LINE_KINDS = ("pipe", "hose")
 
 DIVISORS = ("rated_drop", "step_time", "full_signal")
-"""Answers besides the required ones that must be above zero."""
+"""Optional answers that must be above zero."""
 
 
 class Question(NamedTuple):
     """One figure of a rig."""
 
     name: str  # of the option, without the dashes
-    group: str  # heading under which it is asked
-    unit: str  # SI; empty: words
+    group: str  # heading of the question
+    unit: str  # SI; empty: text
     example: str
     what: str
     required: bool = False
@@ -42,11 +42,11 @@ QUESTIONS = (
     Question("dead-volume", "cylinder", "m³", "100 cm3", "Oil beyond the stroke, each side: ports, end position."),
     Question("piston-mass", "cylinder", "kg", "8 kg", "Mass of piston and rod."),
     Question("rated-flow", "valve", "m³/s", "40 l/min", "Rated flow of the valve.", required=True),
-    Question("rated-drop", "valve", "Pa", "70 bar", "Pressure drop of the rated flow, over both edges together."),
+    Question("rated-drop", "valve", "Pa", "70 bar", "Pressure drop at the rated flow, over both edges together."),
     Question("bandwidth", "valve", "rad/s", "60 Hz", "Frequency at which the spool lags by 90 degrees, small signals."),
     Question("step-time", "valve", "s", "12 ms", "Time of a step of the spool from 0 to 100 %."),
     Question("full-signal", "valve", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
-    Question("null-flow", "valve", "m³/s", "0.5 l/min", "Oil through the valve at its null, at the supply pressure."),
+    Question("null-flow", "valve", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
     Question("overlap", "valve", "1", "10 %", "Dead band to each side of the null, of full stroke."),
     Question("spool-ratio", "valve", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
     Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
@@ -55,11 +55,11 @@ QUESTIONS = (
     Question("accumulator", "supply", "m³", "4 l", "Volume of the accumulator; needs --pump-flow."),
     Question("precharge", "supply", "Pa", "130 bar", "Gas pressure of the empty accumulator."),
     Question("mass", "load", "kg", "200 kg", "Moved mass without piston and rod.", required=True),
-    Question("external-force", "load", "N", "2 kN", "Steady force on the rod, positive against extension (weight)."),
+    Question("external-force", "load", "N", "2 kN", "Constant force on the rod, positive against extension (weight)."),
     Question("spring", "load", "N/m", "50 N/mm", "Stiffness of a spring with its rest at mid-stroke."),
     Question("line-length", "lines", "m", "1.5 m", "Length of each line between valve and cylinder."),
     Question("line-diameter", "lines", "m", "12 mm", "Inner diameter of these lines."),
-    Question("line-kind", "lines", "", "hose", f"What they are: {' or '.join(LINE_KINDS)}."),
+    Question("line-kind", "lines", "", "hose", f"Kind of these lines: {' or '.join(LINE_KINDS)}."),
     Question("position-noise", "sensors", "m", "0.02 mm", "Noise of the position sensor (standard deviation)."),
     Question("position-resolution", "sensors", "m", "5 um", "Smallest step of the position reading."),
     Question("pressure-range", "sensors", "Pa", "250 bar", "Upper end of the range of the pressure sensors."),
@@ -70,10 +70,10 @@ QUESTIONS = (
 
 
 def parsed(question: Question, text: str) -> float | str:
-    """An answer: a number in SI, or words.
+    """An answer: a number in SI, or text.
 
     Raises:
-        ConfigurationError: no number, no unit, the unit of another quantity, or unknown words.
+        ConfigurationError: number or unit is missing, the unit belongs to another quantity, or a word is unknown.
     """
     place, known = f"--{question.name} '{text.strip()[:40]}'", _known_words(question)
     if known:
@@ -103,7 +103,7 @@ def _known_words(question: Question) -> tuple[str, ...]:
 
 
 def _unit(question: Question, text: str) -> str:
-    """SI unit of an answer; a full signal in amperes is a current, any other a voltage."""
+    """SI unit of an answer; a full signal in amperes is a current, otherwise a voltage."""
     if question.unit != SIGNAL:
         return question.unit
     return "A" if text.strip().endswith(tuple(UNITS["A"])) else "V"

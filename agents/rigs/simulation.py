@@ -57,8 +57,8 @@ def read_voltage(path: Path) -> NDArray[np.float64]:
     """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
 
     Raises:
-        ConfigurationError: the file is no table of numbers (:func:`agents.recordings.table.read_table`), or a voltage
-            is beyond ±10 V.
+        ConfigurationError: the file is not a table of numbers (:func:`agents.recordings.table.read_table`), or a
+            voltage is outside ±10 V.
     """
     table = read_table(path)
     names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
@@ -118,7 +118,7 @@ def simulate_to_folder(
     run = simulate(parameters, inputs, sample_time, {"position": position})
     for given in (rig, input_file):
         if given is not None and given.resolve() in {(folder / name).resolve() for name in FILES}:
-            raise ConfigurationError(f"{given}: would be replaced by the results; take another --output")
+            raise ConfigurationError(f"{given}: would be replaced by the results; choose another --output")
     with output_folder(folder, "simulate", FILES, overwrite=overwrite):
         write_text(folder / CSV_FILE, trajectory_csv(run))
         (picture,) = render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")
@@ -126,7 +126,7 @@ def simulate_to_folder(
         parameters.to_yaml(folder / RIG_FILE)
     range_line = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
     if input_file is None:
-        range_line += f" ({holding:.3g} V hold the start, plus --voltage {voltage:g} V)"
+        range_line += f" ({holding:.3g} V hold the initial position, plus --voltage {voltage:g} V)"
     return [f"start: {1e3 * position:g} mm from mid-stroke", range_line, *(str(folder / name) for name in FILES)]
 
 
@@ -138,7 +138,7 @@ def trajectory_csv(run: Trajectory) -> str:
 
 
 def paint_trajectory(figure: Figure, run: Trajectory) -> None:
-    """Command and spool, position, pressures, flows, acceleration over time."""
+    """Draw command and spool, position, pressures, flows and acceleration over time."""
     axes = figure.subplots(5, 1, sharex=True)
     flow = 1.0 / LITRE_PER_MINUTE
     pressures = {"a (bore)": run.pressure_a, "b (rod)": run.pressure_b, "supply": run.supply_pressure}

@@ -1,1 +1,1 @@
-"""Services for the rooms above: cases and their seeds, weights on disk, folders, progress on the console."""
+"""Services for all packages: cases and their seeds, weights on disk, folders, progress on the console."""

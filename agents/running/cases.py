@@ -25,15 +25,15 @@ _POSITION = CHANNELS.index("position")
 
 
 class ControllerError(ConfigurationError):
-    """A controller raised an exception or returned something that is no command."""
+    """A controller raised an exception or returned an invalid command."""
 
 
 @runtime_checkable
 class Insider(Protocol):
-    """What acts on true states rather than observations, such as the best found; no controller."""
+    """An object that acts on true states instead of observations, such as the best found; not a controller."""
 
     def begin(self, axes: Axes) -> None:
-        """Take the axes whose episodes begin."""
+        """Prepare for the axes whose episodes begin."""
         ...
 
 
@@ -98,20 +98,20 @@ def run_cases(
     chunk: int = 2048,
     progress: Callable[[int], None] | None = None,
 ) -> Rollout:
-    """Run one episode of every case under a controller.
+    """Run one episode of every case with a controller.
 
     Args:
         config: the task.
         controller: the controller.
-        cases: the episodes; all that they do not fix is drawn from each case's seed.
+        cases: the episodes; the seed of each case draws all quantities that the case does not fix.
         signal_columns: columns of the observation to keep.
         states: keep positions, commands and so on as well.
         chunk: number of cases that run together; does not change results.
         progress: called with the number of finished cases.
 
     Raises:
-        ControllerError: the controller has no ``predict``, raised an exception, or returned no finite commands (N, 1)
-            with a state; the message names the case.
+        ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
+            1) with a state; the message names the case.
     """
     check_predict(controller)
     parts = []
@@ -165,7 +165,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
             spool[:, step] = axes.state[:, _SPOOL]
             power[:, step] = _supply_power(axes)
             reward[:, step] = rewards
-            # A failed axis stays where it failed, while its reference goes on.
+            # A failed axis keeps its position, while its reference continues.
             for array in (position, command, spool, power):
                 array[~alive, step] = array[~alive, step - 1]
             reward[~alive, step] = 0.0
@@ -233,11 +233,10 @@ def _act(
         action = np.asarray(answer[0], dtype=np.float64)
         kind = f"of shape {action.shape}"
     except (TypeError, ValueError, RuntimeError):
-        action, kind = np.zeros(0), f"that are no numbers ({type(answer[0]).__name__})"
+        action, kind = np.zeros(0), f"that are not numbers ({type(answer[0]).__name__})"
     if action.shape != needed:
         raise ControllerError(
-            f"{when}: predict returned commands {kind} for observations of shape "
-            f"{observation.shape}; needed is {needed}"
+            f"{when}: predict returned commands {kind} for observations of shape {observation.shape}; must be {needed}"
         )
     bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
     if len(bad):

@@ -1,4 +1,4 @@
-"""Folders of shipped weights and results; that of configuration files is found by :mod:`hydro_env.folders`."""
+"""Folders of shipped weights and of results; :mod:`hydro_env.folders` finds the configuration files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def pretrained_folder() -> Path:
 def output_folder(
     folder: Path, job: str, writes: Sequence[str], *, resume: bool | None = None, overwrite: bool = False
 ) -> Iterator[Path]:
-    """Claim a folder for the files that a command writes; it never replaces a file that it did not write.
+    """Claim a folder for the files of a command; the command never replaces a file that it did not write.
 
     The folder's manifest (``.hydro.json``) lists each file and the command that wrote it. A command replaces only its
     own files, and only on request. While the block runs, no other process can claim the folder; the lock ends with the
@@ -40,7 +40,7 @@ def output_folder(
     Args:
         folder: for the results; created if it does not exist.
         job: the command, as in ``hydro <job>``.
-        writes: names of all files that the block may write, relative to the folder; ``*`` stands for any characters.
+        writes: names of all files that the block may write, relative to the folder; ``*`` matches any characters.
         resume: whether to continue earlier results; ``None`` for a command that cannot.
         overwrite: whether to remove the earlier results of this command first.
 
@@ -66,13 +66,13 @@ def output_folder(
             _refuse_foreign(folder, job, writes, owners)
             present = _present(folder, [name for name, owner in owners.items() if owner == job])
             if present and not (resume or overwrite):
-                go_on = "" if resume is None else "--resume goes on with them, "
+                go_on = "" if resume is None else "--resume continues them, "
                 raise ConfigurationError(
                     f"{folder}: holds results already ({present[0]}); {go_on}--overwrite replaces them, "
-                    "--output takes another folder"
+                    "--output chooses another folder"
                 )
-            # The manifest comes before any result: it identifies the files of a killed command, and a folder that
-            # cannot be written shows at once instead of after hours of work.
+            # The manifest comes before any result: it identifies the files of a killed command, and reveals a read-only
+            # folder immediately, not after hours of work.
             claimed = owners | dict.fromkeys(writes, job)
             _write_manifest(folder, claimed)
             try:
@@ -83,7 +83,7 @@ def output_folder(
                 stop.add_note(_what_stays(folder, resume, _present(folder, writes)))
                 raise
             finally:
-                with suppress(ConfigurationError):  # a full disk: the manifest from above names the same files
+                with suppress(ConfigurationError):  # a full disk: the manifest above names the same files
                     _write_manifest(folder, {name: _owner(name, claimed) for name in _present(folder, claimed)})
     finally:
         for path in made:
@@ -96,12 +96,12 @@ def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
         return "nothing had been written"
     if resume is None:
         return f"the results in {folder} are incomplete, --overwrite begins anew"
-    return f"{folder} keeps what is done so far, --resume goes on with it"
+    return f"{folder} keeps the finished work, --resume continues it"
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    if sys.platform == "win32":  # no lock there; everything else holds
+    if sys.platform == "win32":  # no lock on this system
         yield
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -111,7 +111,7 @@ def _locked(folder: Path) -> Iterator[None]:
         except OSError as error:
             if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
                 raise ConfigurationError(
-                    f"{folder}: another hydro command is writing here; wait for it to end, or take another --output"
+                    f"{folder}: another hydro command is writing here; wait for it to end, or choose another --output"
                 ) from None
             # Some network file systems cannot lock a folder.
         yield
@@ -130,7 +130,7 @@ def _owners(folder: Path) -> dict[str, str]:
             raise TypeError
     except (ConfigurationError, AttributeError, KeyError, TypeError):
         raise ConfigurationError(
-            f"{path}: is not the list of results that hydro keeps; move it away, or take another --output"
+            f"{path}: is not the list of results that hydro keeps; move it away, or choose another --output"
         ) from None
     return {name: job for name, job in files.items() if not Path(name).is_absolute() and ".." not in Path(name).parts}
 
@@ -165,7 +165,7 @@ def _refuse_foreign(folder: Path, job: str, writes: Sequence[str], owners: Mappi
         if owner != job:
             whose = f"was written by hydro {owner}" if owner else "was not written by hydro"
             raise ConfigurationError(
-                f"{folder / name}: {whose}, and hydro {job} would replace it; move it away, or take another --output"
+                f"{folder / name}: {whose}, and hydro {job} would replace it; move it away, or choose another --output"
             )
 
 

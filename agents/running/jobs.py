@@ -1,7 +1,7 @@
 """Independent jobs of a study: they run side by side through joblib, and each finished result is one file.
 
 A job is a pure function of its fields: neither the order of the jobs nor the place where they run changes a bit of the
-results. The backend is the one of ``joblib.parallel_config``, by default one process per job.
+results. ``joblib.parallel_config`` sets the backend; by default each job has its own process.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ JOBS_FOLDER = "jobs"
 _JOBS_PER_ROUND = 4
 
 Report = Callable[[str, int, int], None]
-"""Is told the name of the phase, the number of finished jobs, and their total."""
+"""Called with the name of the phase, the number of finished jobs, and their total."""
 
 
 @dataclass(frozen=True)
 class JobResult:
-    """Columns of a job's cases, each (N,); or the reason why there are none."""
+    """Columns of a job's cases, each (N,); or the reason for their absence."""
 
     metrics: dict[str, NDArray[np.float64]]
     error: str = ""
 
 
 class Job(Protocol):
-    """What can run by itself."""
+    """A piece of work that can run independently."""
 
     @property
     def digest(self) -> str:
-        """Of what acts in the job; empty: its result is not used again."""
+        """Digest of the controllers or detectors in the job; empty: its result is not reused."""
         ...
 
     @property
     def file(self) -> str:
-        """Name of the file of its result; another job or version of the code has another name."""
+        """Name of the result file; it differs for every job and version of the code."""
         ...
 
     @property
@@ -66,23 +66,23 @@ class Job(Protocol):
         ...
 
     def run(self) -> JobResult:
-        """Run it; an error of what acts in it becomes the result."""
+        """Run the job; an error of its controller or detector becomes the result."""
         ...
 
 
 def run_jobs(
     listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None
 ) -> tuple[dict[str, JobResult], int]:
-    """Run jobs, or read the results that a folder holds already; interrupted, the finished ones stay there.
+    """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
     Args:
-        listed: each :class:`Job` by a key of its own.
+        listed: each :class:`Job` by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
-        jobs: number of jobs side by side; ``None``: one per core, or as the active ``parallel_config`` says.
-        progress: is told how far the jobs are.
+        jobs: number of jobs side by side; ``None``: one per core, or that of the active ``parallel_config``.
+        progress: called when a job finishes.
 
     Returns:
-        The results by the same keys, and the number of those that were read.
+        The results by the same keys, and the number of results that were read.
 
     Raises:
         ConfigurationError: a file cannot be written.
@@ -109,7 +109,7 @@ def run_jobs(
 
 
 def save_result(path: Path, result: JobResult) -> None:
-    """Write a result, whole or not at all.
+    """Write a result atomically.
 
     Raises:
         ConfigurationError: the file cannot be written.
@@ -154,23 +154,23 @@ def _named(key: str, job: Job) -> tuple[str, JobResult]:
 
 
 def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
-    """Run a job in a process of the pool: there Ctrl-C is left to the process that waits."""
+    """Run a job in a process of the pool, which leaves Ctrl-C to the waiting process."""
     if parent_process() is not None and current_thread() is main_thread():
         signal(SIGINT, SIG_IGN)
     return _named(key, job)
 
 
 def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str, JobResult]]:
-    """Results of jobs as they are ready, each with its key."""
+    """Results of jobs in the order of completion, each with its key."""
     if not waiting:
         return
     first, *others = waiting.items()
-    yield _named(*first)  # here: what it compiles, the other processes read from the disk
+    yield _named(*first)  # in this process: the others then read the compiled code from disk
     calls = [delayed(_in_worker)(key, job) for key, job in others]
     pool: Any
     try:
         pool = Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")
-    except ValueError:  # a backend that returns results only all at once
+    except ValueError:  # a backend that returns all results together
         pool = Parallel(n_jobs=jobs, batch_size=1)
         size = _JOBS_PER_ROUND * effective_n_jobs(jobs)
         for start in range(0, len(calls), size):

@@ -1,4 +1,4 @@
-"""Circumstances of a run besides its settings: command, date, commit, versions of packages, and the machine."""
+"""Conditions of a run besides its settings: command, date, commit, versions of packages, and machine."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from hydro_env import __version__
 
 
 class Origin(NamedTuple):
-    """What made a page."""
+    """Origin of a page."""
 
     command: str
     date: str  # UTC
-    version: str  # of hydro_env, with the commit where there is one
+    version: str  # of hydro_env, with the commit if there is one
 
     @classmethod
     def now(cls, command: str) -> Origin:
-        """The origin of a page that a command makes now."""
+        """The origin of a page that a command writes now."""
         return cls.of({**package_versions(), "date": date_now(), "command": command})
 
     @classmethod
     def of(cls, facts: Mapping[str, str]) -> Origin:
-        """The origin that stands in the facts of a run: command, date, hydro_env, commit."""
+        """The origin from the facts of a run: command, date, hydro_env, commit."""
         commit = facts.get("commit", "")
         made_with = facts.get("hydro_env", "") + (f", commit {commit}" if commit else "")
         return cls(facts.get("command", ""), facts.get("date", ""), made_with)
@@ -43,7 +43,7 @@ def date_now() -> str:
 
 @functools.cache
 def commit() -> str:
-    """Commit of the sources, "with changes" if they differ from it; empty for an installed package without sources."""
+    """Commit of the sources, plus "with changes" if they differ; empty for an installed package without sources."""
     folder = Path(hydro_env.__file__).parent
     git = ["git", "-C", str(folder)]
     try:

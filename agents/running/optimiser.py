@@ -26,7 +26,7 @@ def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
     """Restore the arrays of :func:`optimiser_tensors` into an Adam optimiser of the same parameters.
 
     Raises:
-        ConfigurationError: the arrays are not those of such an optimiser; ``where`` names the file.
+        ConfigurationError: the arrays do not belong to such an optimiser; ``where`` names the file.
     """
     import torch
 
@@ -44,7 +44,7 @@ def restore_optimiser(optimiser: Any, tensors: Tensors, where: str) -> None:
         require(stored, wanted, where)
         unknown = next((name for name in stored if name not in wanted), None)
         if unknown is not None:
-            raise ConfigurationError(f"{where}: tensor '{unknown}' is no memory of this optimiser")
+            raise ConfigurationError(f"{where}: tensor '{unknown}' does not belong to this optimiser")
     for name in wanted:
         _, index_text, key = name.split(".")
         state[int(index_text)][key] = torch.from_numpy(np.array(stored[name]))

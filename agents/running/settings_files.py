@@ -1,4 +1,4 @@
-"""Parts of a YAML file that stand in files of their own: its task, and the settings of its controllers."""
+"""Parts of a YAML file that are separate files: its task, and the settings of its controllers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from hydro_env.task.rig import task_from
 
 
 def read_task(given: Any, file: Path) -> Any:
-    """The task that a YAML file gives: a name in ``configs/tasks``, a path, or a group whose ``plant`` is a rig's.
+    """The task of a YAML file: a name in ``configs/tasks``, a path, or a group whose ``plant`` names a rig.
 
-    Paths are relative to the file. Anything else is returned as it is.
+    Paths are relative to the file. Anything else is returned unchanged.
 
     Raises:
-        ConfigurationError: no such task or rig, unreadable file, unknown key or impossible value.
+        ConfigurationError: the task or rig does not exist, the file is unreadable, a key is unknown, or a value is
+            impossible.
     """
     if isinstance(given, str):
         return task_config(given, folder=file.parent)
@@ -27,7 +28,7 @@ def read_task(given: Any, file: Path) -> Any:
 
 
 def read_settings(controllers: Any, file: Path) -> dict[str, str]:
-    """Replace each controller's ``settings`` that are the path of a YAML file, relative to ``file``, by its content.
+    """Replace each controller's ``settings`` by the content of a YAML file, if they are its path relative to ``file``.
 
     Returns:
         The files that were read, by the controller's name.

@@ -1,4 +1,4 @@
-"""What a condition of a protocol changes on an axis: its task, its plant, its sensors, or the whole rig."""
+"""Changes of an axis under a condition of a protocol: task, plant, sensors, or the whole rig."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Factor = Annotated[float, Field(ge=0.0, le=100.0)]
 class Surroundings(Group):
     """Changes of a task, of every plant and of the sensors."""
 
-    task: dict[str, Any] = Field(default_factory=dict, description="changes of the task, as in its YAML")
+    task: dict[str, Any] = Field(default_factory=dict, description="changed fields of the task, as in YAML")
     parameters: dict[str, float | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
-    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters in parts of the nominal rig's")
+    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters relative to the nominal rig's")
     noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
     bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
     rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
@@ -32,11 +32,11 @@ class Surroundings(Group):
         for name in ("parameters", "factors"):
             for path in getattr(self, name):
                 if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
-                    raise ValueError(f"{name}: '{path}' is no parameter that a condition may set")
+                    raise ValueError(f"{name}: '{path}' is not a parameter that a condition may set")
                 if name == "factors" and path in MODEL_CODES:
                     raise ValueError(f"factors: '{path}' is a name, not a number")
                 if name == "factors" and path in self.parameters:
-                    raise ValueError(f"factors: '{path}' stands in parameters as well")
+                    raise ValueError(f"factors: '{path}' is also in parameters")
         return self
 
     def task_on(self, base: TaskConfig, where: str) -> TaskConfig:
@@ -47,7 +47,7 @@ class Surroundings(Group):
             where: for messages, such as ``conditions.<name>``.
 
         Raises:
-            ConfigurationError: the changes give no possible task.
+            ConfigurationError: the changed task is impossible.
         """
         try:
             task = task_config(base, rig=self.rig, **self.task)
@@ -63,7 +63,7 @@ class Surroundings(Group):
         return validate(TaskConfig, merged(task.model_dump(), {"sensors": sensors}), f"{where}: task")
 
     def parameters_on(self, task: TaskConfig) -> dict[str, dict[str, float | str]]:
-        """Parameters of every plant of a task that are fixed, as the option ``parameters`` of ``reset``."""
+        """Fixed parameters of every plant of a task, for the option ``parameters`` of ``reset``."""
         fixed: dict[str, float | str] = dict(self.parameters)
         for path, factor in self.factors.items():
             group, field = path.split(".")

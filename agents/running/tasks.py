@@ -1,4 +1,4 @@
-"""Changes of a task that experiments share: nothing that changes on its own, a reference of their own, no noise."""
+"""Changes of a task that experiments share: constant conditions, a given reference, no noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_env.task.sensors import CHANNELS
 
 
 def steady(config: TaskConfig) -> TaskConfig:
-    """The task in which leak, faults and external force stay from the start of an episode as they are drawn."""
+    """The task with leak, faults and external force constant during an episode."""
     return task_config(
         config,
         disturbance={"kind": "none"},
@@ -21,7 +21,7 @@ def steady(config: TaskConfig) -> TaskConfig:
 
 
 def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskConfig:
-    """The :func:`steady` task with a reference (T + 1,), m, one value per period from the start."""
+    """The :func:`steady` task with a given reference (T + 1,), m, one value per period from the start."""
     return task_config(
         steady(config),
         episode_duration=(len(reference) - 1) * config.control_period,
@@ -30,5 +30,5 @@ def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskCon
 
 
 def noiseless(config: TaskConfig) -> TaskConfig:
-    """The task without the noise of the sensors; their bias and 16-bit steps stay."""
+    """The task without sensor noise; the sensors keep their bias and 16-bit steps."""
     return task_config(config, sensors={channel: {"noise": 0.0} for channel in CHANNELS})

@@ -1,4 +1,4 @@
-"""Weights as safetensors with a JSON beside them, checkpoints as one file: loading either runs no code."""
+"""Weights as safetensors with a JSON file, checkpoints as one file; loading runs no code."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class StoredLayout(Group):
             _ = self.layout.preview_times
         except ValueError:
             raise ValueError(
-                "observation_names: a preview must say how far it looks, as reference_preview_5ms"
+                "observation_names: a preview must contain its time, such as reference_preview_5ms"
             ) from None
         return self
 
@@ -55,7 +55,7 @@ class StoredLayout(Group):
 
 
 def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
-    """Write ``path``.safetensors and ``path``.json, each whole or not at all.
+    """Write ``path``.safetensors and ``path``.json, each atomically.
 
     Args:
         path: without suffix (a suffix ``.safetensors`` or ``.json`` is removed; any other dot belongs to the name).
@@ -112,7 +112,7 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dic
     """Read what :func:`save_checkpoint` wrote.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, damaged, or of something else.
+        ConfigurationError: the file is missing, unreadable, damaged, or of another kind.
     """
     tensors = _unpacked(path)
     digest = tensors.pop(_DIGEST, None)
@@ -122,10 +122,11 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dic
 
 
 def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool = True) -> None:
-    """Check that arrays have the names, shapes and kinds of number of the ``wanted`` ones.
+    """Check that arrays have the names, shapes and number types of the ``wanted`` ones.
 
     Raises:
-        ConfigurationError: one is missing, has another shape or kind, or (with ``finite``) holds NaN or infinity.
+        ConfigurationError: an array is missing, has another shape or type, or (with ``finite``) contains NaN or
+            infinity.
     """
     for name, like in wanted.items():
         if name not in tensors:
@@ -134,7 +135,7 @@ def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool =
         if array.shape != like.shape or array.dtype != like.dtype:
             raise ConfigurationError(
                 f"{where}: tensor '{name}' holds {array.dtype} of shape {array.shape}, "
-                f"needed is {like.dtype} of shape {like.shape}"
+                f"must be {like.dtype} of shape {like.shape}"
             )
         if finite and not np.isfinite(array).all():
             raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
@@ -172,10 +173,10 @@ def _unpacked(path: Path) -> dict[str, NDArray[Any]]:
 def _described(text: bytes, kind: str, path: Path) -> dict[str, Any]:
     try:
         settings: Any = json.loads(text.decode())
-    except (ValueError, RecursionError):  # ValueError: also bytes that are no text, and integers of 5000 digits
+    except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
         raise ConfigurationError(f"{path}: not a JSON file") from None
     found = settings.get("format") if isinstance(settings, dict) else None
     if found != f"hydro_env {kind}" or settings.get("format_version") != FORMAT_VERSION:
         shown = str(found)[:60]
-        raise ConfigurationError(f"{path}: holds {shown!r}, not the 'hydro_env {kind}' of format 1 asked for")
+        raise ConfigurationError(f"{path}: holds {shown!r}: must be 'hydro_env {kind}' of format 1")
     return dict(settings)

@@ -1,1 +1,1 @@
-"""A study: its settings, the training and comparison of its controllers, and its resumption."""
+"""A study: its settings, training and comparison of its controllers, and how it resumes."""

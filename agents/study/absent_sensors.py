@@ -1,4 +1,4 @@
-"""A study on a rig that lacks sensors: what cannot work without them is left out, with the reason."""
+"""A study on a rig without some sensors: controllers that need them are left out, with the reason."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
         raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
     changes: dict[str, Any] = {"controllers": kept}
     if study.leakage_head is not None:
-        notes.append(f"no leakage head: it reads {', '.join(absent)}, and this rig has no such sensor")
+        notes.append(f"no leakage head: it reads {', '.join(absent)}, but this rig has no such sensor")
         changes["leakage_head"] = None
     return study.model_copy(update=changes), notes
 

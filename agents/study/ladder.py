@@ -1,4 +1,4 @@
-"""A ladder: trainings that differ in one thing each, on several seeds, judged on the same cases."""
+"""A ladder: trainings that each differ in one setting, on several seeds, evaluated on the same cases."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ CURVE_FILE = "learning_curve.svg"
 
 
 class Rung(Group):
-    """One kind of training."""
+    """One training with its settings."""
 
-    after: str | None = Field(None, description="an earlier rung, whose kind, corrected controller and settings hold")
+    after: str | None = Field(None, description="an earlier rung; its kind, corrected controller and settings apply")
     kind: str | None = Field(None, description="ppo, sac, or module:attribute for your own trainer")
     corrects: str | None = Field(None, description="name of the controller that it corrects")
-    settings: dict[str, Any] = Field(default_factory=dict, description="of the training; on top of the earlier rung's")
+    settings: dict[str, Any] = Field(default_factory=dict, description="of the training; override the earlier rung")
 
 
 class LadderSettings(Group):
@@ -82,9 +82,9 @@ class LadderSettings(Group):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> LadderSettings:
-        """Read a ladder; the settings of a controller may be the path of a YAML file, relative to that of the ladder.
+        """Read a ladder; the settings of a controller may be the path of a YAML file, relative to the ladder's file.
 
-        So may the task, or the name of one in ``configs/tasks``.
+        The task may be such a path too, or a name in ``configs/tasks``.
 
         Raises:
             ConfigurationError: unreadable file, unknown key or impossible value.
@@ -106,7 +106,7 @@ class LadderSettings(Group):
         return make_controller(entry.kind, self.task, entry.settings)
 
     def resolved(self, name: str) -> Resolved:
-        """What a rung trains, with all that it takes over from earlier rungs.
+        """The training of a rung, with the settings of earlier rungs.
 
         Raises:
             ConfigurationError: its trainer is unknown, or the settings do not fit it.
@@ -128,12 +128,12 @@ class LadderSettings(Group):
         return Resolved(made, kind, corrects if getattr(checked, "residual", True) else None, checked)
 
     def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
-        """The cases and a table of level, family and plant of each: validation plants, or test plants."""
+        """The cases, and a table with level, family and plant of each; on validation plants or test plants."""
         return tracking_cases(self.evaluation, TEST_SEEDS.start if test else LADDER_SEEDS)
 
 
 class Resolved(NamedTuple):
-    """What a rung trains."""
+    """The training of a rung."""
 
     trainer: Trainer
     kind: str
@@ -151,24 +151,24 @@ def run_ladder(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Path:
-    """Train and judge every rung on every seed as independent jobs; write the tables of all that is finished.
+    """Train and evaluate every rung on every seed as independent jobs; write the tables of all finished jobs.
 
     Args:
         ladder: the ladder.
-        folder: for the results; each job has a folder of its own.
-        jobs: how many jobs run side by side.
+        folder: for the results; each job has its own subfolder.
+        jobs: number of jobs side by side.
         rungs: names of the rungs to train; default: all.
         seeds: number of seeds, instead of the ladder's.
-        test: judge on test plants instead of validation plants, once all choices are made.
-        resume: go on with what is in the folder.
-        overwrite: begin anew.
+        test: evaluate on test plants instead of validation plants; only after all choices are made.
+        resume: continue the results in the folder.
+        overwrite: replace them.
 
     Returns:
         The file with the table.
 
     Raises:
-        ConfigurationError: an unknown rung, a folder in use, results of other settings, or a training that failed;
-            the results of the others are kept.
+        ConfigurationError: a rung is unknown, the folder is in use, its results have other settings, or a training
+            failed; the results of the others are kept.
     """
     chosen = rungs or list(ladder.rungs)
     for name in chosen:
@@ -200,13 +200,13 @@ def run_ladder(
 
 
 def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
-    """Draw the error of a rung while it learns, relative to the first controller, with the band of its seeds."""
+    """Draw the error of a rung during training, relative to the first controller, with the band of its seeds."""
     own = folder / "rungs" / rung
     curves = [
         read_curve(file).assign(controller=f"{rung}{SEED_MARK}{file.name}") for file in sorted(own.glob("seed *"))
     ]
     curve = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame()
-    if ERROR in curve:  # it was validated
+    if ERROR in curve:  # the training has validations
         base = next(iter(ladder.controllers))
         error, _, _ = validation_errors(ladder.task, ladder.make(base))
         for plot in learning_plots(curve, base, error):
@@ -216,7 +216,7 @@ def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
 def _results(
     ladder: LadderSettings, folder: Path, todo: list[tuple[str, int]], jobs: int, test: bool
 ) -> Iterator[tuple[str, int, pd.DataFrame | str]]:
-    """Results of the jobs, as they end."""
+    """Results of the jobs in the order of completion."""
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
     yield from parallel(delayed(run_rung)(ladder, name, seed, folder, test) for name, seed in todo)
 
@@ -224,10 +224,10 @@ def _results(
 def run_rung(
     ladder: LadderSettings, name: str, seed: int, folder: Path, test: bool
 ) -> tuple[str, int, pd.DataFrame | str]:
-    """Train one rung on one seed and judge it, or read what an earlier run has left.
+    """Train one rung on one seed and evaluate it, or read the results of an earlier run.
 
     Returns:
-        Name, seed, and a table of metrics with one row per case; or the reason why there is none.
+        Name, seed, and a table of metrics with one row per case, or the reason for its absence.
     """
     own = folder / "rungs" / name / f"seed {seed}"
     own.mkdir(parents=True, exist_ok=True)

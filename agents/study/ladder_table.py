@@ -62,7 +62,7 @@ def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> 
     Args:
         scores: rows of :func:`rung_scores`.
         order: names of the rungs from top to bottom; those without scores are left out.
-        reference: name of the controller that all are compared with.
+        reference: name of the controller for all comparisons.
     """
     figures = [name for name in scores.columns if name not in ("rung", "seed")]
     rows, lines = [], []

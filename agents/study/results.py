@@ -32,7 +32,7 @@ REPORT_FILE = "report.html"
 CARDS = "model_cards"
 REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
 MOST_COLUMNS = 3
-"""Controllers that stand beside each other in a table on the console; more get a row each."""
+"""Largest number of controllers side by side in a table on the console; more controllers get a row each."""
 
 EXAMPLE_SEED = TEST_SEEDS.start + 900_000
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
@@ -53,7 +53,7 @@ def evaluate_study(
 ) -> Evaluation:
     """Evaluate controllers; write tables and report into the folder.
 
-    A message on standard error names a controller that fails; the results of the others are written.
+    If a controller fails, a message on standard error names it; the results of the others are written.
     """
 
     def work() -> Evaluation:
@@ -140,7 +140,7 @@ def _ratio_to_first(evaluation: Evaluation, name: str, group: str, value: str | 
 
 
 def _errors_of_many(evaluation: Evaluation) -> Table:
-    """One row per controller, for more controllers than fit beside each other."""
+    """One row per controller, for too many controllers to show side by side."""
     first, *others = evaluation.controllers
     table = Table(title="Mean absolute tracking error (test plants)")
     for heading in ("controller", "mm", f"/ {first} [95 %]", "equal weights of references [95 %]"):

@@ -44,11 +44,11 @@ from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
 TUNED_FILE = "tuned_study.yaml"
-"""The study with the gains that tuning found, for `hydro evaluate --config` and `hydro train --config`."""
+"""The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
 HEAD_PHASE = "train leakage head"
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
-"""Settings that trained weights depend on; the others may change when a study resumes."""
+"""Settings on which trained weights depend; the others may change when a study resumes."""
 
 
 def run_study(
@@ -62,7 +62,7 @@ def run_study(
     """Run all phases; ``resume`` skips those that are finished.
 
     Raises:
-        ConfigurationError: settings do not fit each other, the folder cannot be used, or its results have other
+        ConfigurationError: settings contradict each other, the folder cannot be used, or its results have other
             settings.
         KeyboardInterrupt: Ctrl-C; the finished work remains and the study can be resumed.
     """
@@ -104,7 +104,7 @@ def run_study(
 
 
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
-    """Write the settings into the folder; its earlier results must have been trained with the same."""
+    """Write the settings into the folder; its earlier results must have the same settings."""
     described: dict[str, Any] = {**study.model_dump(mode="json"), "seed": seed}
     file = folder / CONFIG_FILE
     if file.exists():
@@ -143,7 +143,7 @@ def _try_out(study: StudySettings) -> None:
 def _tuned(
     study: StudySettings, name: str, folder: Path, seed: int, phases: Phases, display: ProgressDisplay
 ) -> Controller:
-    """A controller that needs no training, tuned first if the study says so."""
+    """A controller that needs no training, tuned first if the study requires it."""
     if name not in study.tuned:
         return study.make(name)
     own = folder / "controllers" / name

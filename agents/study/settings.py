@@ -30,8 +30,8 @@ class TuningSettings(Group):
     """Tuning of a classical controller (:func:`agents.learning.tuning.tune`) before it takes part in a study."""
 
     objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
-    evaluations: int = Field(840, ge=1, le=10_000_000, description="candidates in all")
-    cases: int = Field(42, ge=1, le=100_000, description="training cases of each candidate")
+    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
+    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
 
 
 class ControllerEntry(Group):
@@ -43,7 +43,8 @@ class ControllerEntry(Group):
     )
     corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
     tune: TuningSettings | None = Field(
-        None, description="for a classical controller: tune its gains first, from its settings on; --rig always does"
+        None,
+        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
     )
 
     @cached_property
@@ -51,7 +52,7 @@ class ControllerEntry(Group):
         """Its trainer; ``None`` for a controller that needs no training.
 
         Raises:
-            ConfigurationError: no such kind.
+            ConfigurationError: the kind is unknown.
         """
         if self.kind in CONTROLLERS:
             return None
@@ -124,7 +125,7 @@ class StudySettings(Group):
             sources: files with the settings of controllers, by name.
 
         Raises:
-            ConfigurationError: a controller cannot be made, settings do not fit each other, or the episodes are too
+            ConfigurationError: a controller cannot be made, settings contradict each other, or the episodes are too
                 short for the leakage head.
         """
         for name, entry in self.controllers.items():
@@ -146,7 +147,7 @@ class StudySettings(Group):
                     )
             else:
                 if entry.tune is not None:
-                    raise ConfigurationError(f"{source}: controllers.{name}: tune: it is trained, not tuned")
+                    raise ConfigurationError(f"{source}: controllers.{name}: tune: a trained one cannot be tuned")
                 settings = validate(trainer.settings, entry.settings, where)
                 if getattr(settings, "residual", False) and entry.corrects is None:
                     raise ConfigurationError(
@@ -189,9 +190,8 @@ class StudySettings(Group):
         """All controllers ready to act, without any training.
 
         Args:
-            agents: additional controllers, or replacements of those of the study, as texts that
-                :func:`~agents.evaluation.opponents.opponent` understands. Any other trained controller takes the
-                shipped weights.
+            agents: additional controllers, or replacements of those of the study, as texts for
+                :func:`~agents.evaluation.opponents.opponent`. Any other trained controller takes the shipped weights.
 
         Raises:
             ConfigurationError: a controller cannot be made or has no weights.
@@ -212,7 +212,7 @@ class StudySettings(Group):
         return controllers
 
     def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
-        """As :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
+        """Like :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
         reasons = []
         study = self
         for name, entry in self.controllers.items():
@@ -229,18 +229,18 @@ class StudySettings(Group):
 def default_study(
     path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
 ) -> StudySettings:
-    """The study of a file, or that of ``make study``; of another task or on another rig.
+    """The study of a file or of ``make study``, optionally with another task or rig.
 
-    Gains belong to a rig. On another rig every classical controller is therefore tuned first. What needs sensors that
-    the rig lacks is left out; one line on standard error says so.
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
+    absent sensors are left out, with one line each on standard error.
 
     Args:
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
         task: name or file of the task, instead of the study's.
-        rig: name or file of the rig to which the task is moved.
+        rig: name or file of another rig for the task.
 
     Raises:
-        ConfigurationError: a file that is wrong, or settings that do not fit each other.
+        ConfigurationError: a file is wrong, or settings contradict each other.
     """
     study = StudySettings.from_yaml(config_file("studies", path or "default"))
     if task is None and rig is None:

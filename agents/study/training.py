@@ -57,7 +57,7 @@ def train_controller(
         settings: settings of the training, instead of the study's.
 
     Raises:
-        ConfigurationError: impossible settings, or a checkpoint that is missing, damaged or of other settings.
+        ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
         KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
     """
     settings = settings if settings is not None else study.training_settings(name)
@@ -81,7 +81,7 @@ def train_controller(
 
 
 def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, display: ProgressDisplay) -> Controller:
-    """Tune one classical controller of a study, and write its gains into the folder; goes on where it was stopped.
+    """Tune one classical controller of a study, and write its gains into the folder; continues after an interruption.
 
     Args:
         study: the study.
@@ -115,19 +115,19 @@ def tune_gains(
     display: ProgressDisplay,
     phase: str,
 ) -> Tuned:
-    """Tune gains with progress on the console; the best so far are written after every generation.
+    """Tune gains with progress on the console; the best gains so far are written after every generation.
 
     Args:
         kind: of the controller.
         task: the task.
         budget: objective, number of candidates and of training cases.
-        start: gains from which the search starts; default: those of their class.
+        start: gains where the search starts; default: those of their class.
         file: for the gains.
         log: for the costs of every candidate.
         seed: seed of the search.
         resume: continue from the log.
         display: shows the progress.
-        phase: its name there.
+        phase: name of the phase on the console.
 
     Raises:
         ConfigurationError: a log of other settings, or no candidate can control the axis.
@@ -180,7 +180,7 @@ def train_leakage_head(
     """Train the leakage head on episodes under each controller; write its weights into the folder.
 
     Raises:
-        ConfigurationError: impossible settings, or a rig that lacks a sensor that the head reads.
+        ConfigurationError: the settings are impossible, or the rig lacks a sensor that the head reads.
     """
     settings = study.leakage_head or HeadTrainingSettings()
     settings.check(study.task)

@@ -62,7 +62,7 @@ def test_channels_with_stamps_of_their_own_are_interpolated_and_told(tmp_path):
     assert not known[own[-1] < TIME].any()
     assert not known[(TIME > 0.401) & (TIME < 0.499)].any()
     assert known[(TIME > 0.01) & (TIME < 0.39)].all()
-    assert [f.signal for f in found.findings if "time stamps of its own, one every 10 ms" in f.line()] == ["position"]
+    assert [f.signal for f in found.findings if "its own time stamps, one every 10 ms" in f.line()] == ["position"]
 
 
 def test_tdms_waveforms_and_columns(tmp_path):

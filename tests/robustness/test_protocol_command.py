@@ -66,7 +66,7 @@ def test_a_failing_agent_is_named_and_the_others_stay(place):
 def test_resuming_uses_the_finished_jobs(place):
     assert evaluate("-o", "out").returncode == 0
     first = pd.read_csv("out/tables/cases.csv")
-    assert_one_clear_line(evaluate("-o", "out"), "holds results already", "--resume goes on")
+    assert_one_clear_line(evaluate("-o", "out"), "holds results already", "--resume continues")
     answer = evaluate("-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
     assert answer.returncode == 0, answer.stderr
     cases = pd.read_csv("out/tables/cases.csv")
@@ -107,5 +107,5 @@ def test_ctrl_c_keeps_the_finished_jobs_and_says_so_in_one_line(place):
     os.killpg(running.pid, signal.SIGINT)  # as a terminal does: to the workers as well
     _, errors = running.communicate()
     assert running.returncode == 130
-    assert own_lines(errors) == ["hydro: stopped; out keeps what is done so far, --resume goes on with it"]
+    assert own_lines(errors) == ["hydro: stopped; out keeps what is done so far, --resume continues with it"]
     assert 8 <= len(list(jobs.glob("*.npz"))) < 400

@@ -192,7 +192,7 @@ def test_a_checkpoint_with_any_byte_changed_is_refused(tmp_path):
         ({}, "holds no tensor 'weight'"),
         (
             {"weight": np.zeros((3, 2), dtype=np.float32)},
-            r"holds float32 of shape \(3, 2\), needed is",
+            r"holds float32 of shape \(3, 2\), must be",
         ),
         ({"weight": np.zeros((2, 3))}, "holds float64 of shape"),
         ({"weight": np.full((2, 3), np.inf, dtype=np.float32)}, "not finite"),
@@ -226,5 +226,5 @@ def test_weights_of_a_future_format_are_refused(tmp_path):
     path = copied("policy", tmp_path)
     file = path.with_name("policy.json")
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 2}))
-    with pytest.raises(ConfigurationError, match="of format 1 asked for"):
+    with pytest.raises(ConfigurationError, match="of format 1"):
         load_weights(path, "policy")

@@ -29,7 +29,7 @@ def test_results_are_listed_and_replaced_only_on_request(tmp_path):
     assert listed(folder) == {"a.csv": "study", "tables/1.csv": "study"}
     with pytest.raises(ConfigurationError, match=r"holds results already \(a.csv\); --overwrite replaces"):
         write(folder)
-    with pytest.raises(ConfigurationError, match="--resume goes on"):
+    with pytest.raises(ConfigurationError, match="--resume continues"):
         write(folder, resume=False)
     with pytest.raises(ConfigurationError, match="exclude each other"):
         write(folder, resume=True, overwrite=True)

@@ -105,7 +105,7 @@ def test_overwrite_begins_anew_and_a_stopped_ladder_says_what_it_keeps(tmp_path,
     monkeypatch.setattr("agents.study.ladder.judged", stop)
     with pytest.raises(KeyboardInterrupt) as stopped:
         run_ladder(other, tmp_path, rungs=["alone"], seeds=1, resume=True)
-    assert "keeps what is done so far" in stopped.value.__notes__[0]
+    assert "keeps the finished work" in stopped.value.__notes__[0]
 
 
 def test_a_training_that_fails_loses_only_its_own_row(tmp_path):

@@ -165,7 +165,7 @@ def test_another_rig_changes_the_task_and_asks_for_tuning(tmp_path):
         (PLAIN + '  mine: {kind: "my_algorithm:Mine", tune: {}}\n', r"controllers.mine: tune: only pid"),
         (
             PLAIN + "  PPO: {kind: ppo, corrects: PID, tune: {}}\n",
-            r"controllers.PPO: tune: it is trained, not tuned",
+            r"controllers.PPO: tune: a trained one cannot be tuned",
         ),
         ("controllers: {PID: {kind: pid, tune: {evaluations: 0}}}\n", r"tune.evaluations = 0: must be"),
     ],
