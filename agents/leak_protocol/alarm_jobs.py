@@ -1,4 +1,4 @@
-"""Long jobs of the protocol: axes at work under an alarm, healthy for hours, and before and after a leak begins."""
+"""Long jobs of the protocol: an alarm watches healthy axes for hours, and axes before and after the onset of a leak."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _ROOMS = ("controllers", "running", "leakage", "alarms", "leak_protocol")
 LEVELS = (0.1, 0.3, 1.0)
 ACTIVITIES: tuple[Activity | None, ...] = (None, *Activity)
 SHIFT, PAST, AFTER = 600.0, 300.0, 62.0
-"""Work in s of a healthy axis; of an axis before a leak begins, and after it."""
+"""Simulated time in s: of a healthy axis; of a leaking axis before and after the onset."""
 
 AXES_TOGETHER = 60
 FIRST_SEED = FIRST_TEST_SEED + 50_000
@@ -49,12 +49,12 @@ class AlarmJob:
     config: TaskConfig
     first_seed: int
     axes: int
-    leaks: bool  # whether leaks begin; else the axes stay healthy
-    digest: str = ""  # of the detector; empty: the result is not used again
+    leaks: bool  # true: leaks begin; false: the axes stay healthy
+    digest: str = ""  # of the detector; empty: the result is not reused
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns of its result: alarms and hours of each axis, or delays in s and alarms before."""
+        """Names of the columns of its result: alarms and hours of each axis, or delays in s and earlier alarms."""
         if not self.leaks:
             return ("alarms", "hours")
         return ("early", *(_name(level, then) for level in LEVELS for then in ACTIVITIES))
@@ -66,12 +66,12 @@ class AlarmJob:
 
     @property
     def key(self) -> str:
-        """A text that no other job of the protocol has."""
+        """A text that is unique in the protocol."""
         return f"alarm|{self.reader}|{self.leaks}|{self.first_seed}"
 
     @cached_property
     def file(self) -> str:
-        """Name of the file of its result; another job, detector or version of the code has another name."""
+        """Name of the result file; it differs for every job, detector and version of the code."""
         parts = (
             FORMAT,
             digest_of_code(*_ROOMS),
@@ -88,7 +88,7 @@ class AlarmJob:
         return Operation(self.first_seed, self.axes, duration, self.settings.interval, after=after)
 
     def run(self) -> JobResult:
-        """Let the axes work and look at them; an error of the task becomes the result."""
+        """Simulate the axes and their looks; an error of the task becomes the result."""
         onsets = tuple(Onset(level, then) for level in LEVELS for then in ACTIVITIES) if self.leaks else ()
         try:
             before, *each = simulate(self.config, shipped("pid", self.config), self.detector, self._operation, onsets)
@@ -110,7 +110,7 @@ class AlarmJob:
 def alarm_plan(
     reader: str, detector: Detector, settings: AlarmSettings, config: TaskConfig, hours: float, digest: str
 ) -> Iterator[AlarmJob]:
-    """The jobs of one alarm: so many hours of healthy axes, and as many axes on which leaks begin."""
+    """The jobs of one alarm: ``hours`` of healthy axes, and axes with the onset of a leak."""
     axes = max(int(np.ceil(hours * 3600.0 / SHIFT)), 1)
     for leaks, first_seed in ((False, FIRST_SEED), (True, FIRST_SEED_OF_LEAKS)):
         for first in range(0, axes, AXES_TOGETHER):
@@ -119,7 +119,7 @@ def alarm_plan(
 
 
 def alarm_table(reader: str, results: dict[bool, list[JobResult]]) -> pd.DataFrame:
-    """Of one alarm: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset.
+    """Table of one alarm: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset.
 
     Args:
         reader: name of the detector.

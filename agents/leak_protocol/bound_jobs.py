@@ -30,7 +30,7 @@ class BoundJob:
     condition: str
     level: float
     config: TaskConfig  # of the runs
-    known: TaskConfig  # whose priors count
+    known: TaskConfig  # for the priors
     acting: str
     begin: float  # s
     duration: float  # s
@@ -49,12 +49,12 @@ class BoundJob:
 
     @property
     def key(self) -> str:
-        """A text that no other job of the protocol has."""
+        """A text that is unique in the protocol."""
         return f"bound|{self.condition}|{self.level:g}"
 
     @cached_property
     def file(self) -> str:
-        """Name of the file of its result; another job or version of the code has another name."""
+        """Name of the result file; it differs for every job and version of the code."""
         cases = self.cases
         assert cases.leakage_flow_lpm is not None
         numbers = [cases.seeds.tolist(), cases.leakage_flow_lpm.tolist(), cases.parameters, self.acting]
@@ -68,7 +68,7 @@ class BoundJob:
         return f"{hashlib.sha256('|'.join(parts).encode()).hexdigest()[:32]}.npz"
 
     def run(self) -> JobResult:
-        """Smallest standard deviation of the leak, l/min at 100 bar, with all that the task draws unknown."""
+        """Smallest standard deviation of the leak, l/min at 100 bar; all quantities that the task draws are unknown."""
         controller = ACTING[self.acting].make(self.config, self.count, int(self.cases.seeds[0]))
         try:
             windows = known_windows(self.config, controller, self.cases, self.begin, self.duration)

@@ -1,4 +1,4 @@
-"""What the protocol needs of a detector, and the two of this project behind it: leakage head and estimator."""
+"""The protocol's interface to a detector, and the choice between the leakage head and the estimator."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from hydro_env.files import Group
 Floats = NDArray[np.float64]
 
 VERDICTS = ("none", "internal leak", "external leak", "valve fault", "sensor fault", "return line", "cannot tell")
-"""What a detector may say of a window."""
+"""Possible verdicts of a detector on a window."""
 
 NONE, INTERNAL, EXTERNAL, VALVE, SENSOR, RETURN, UNKNOWN = range(len(VERDICTS))
 
 
 class Reading(NamedTuple):
-    """What a detector says of N windows, each (N,); NaN: it does not say."""
+    """Results of a detector for N windows, each (N,); NaN: no answer."""
 
     score: Floats  # rises with the evidence of a leak past the piston; NaN: it cannot tell
     probability: Floats  # of a leak past the piston, 0 to 1
@@ -31,21 +31,21 @@ class Reading(NamedTuple):
 
 
 class Detector(Protocol):
-    """Anything that judges windows of measured signals."""
+    """Anything that evaluates windows of measured signals."""
 
     threshold: float | None
-    """Score from which it reports a leak; ``None``: the protocol finds it on validation windows."""
+    """Score at which it reports a leak; ``None``: the protocol computes it from validation windows."""
 
     def refuses(self, config: TaskConfig, samples: int) -> str:
-        """The reason why it cannot judge windows of so many samples of a task; empty if it can."""
+        """The reason why it cannot read windows of ``samples`` samples of a task; empty if it can."""
         ...
 
     def read(self, signals: NDArray[Any], config: TaskConfig) -> Reading:
-        """Judge windows.
+        """Evaluate windows.
 
         Args:
             signals: (N, 5, T) in SI units, in the order of :data:`~agents.leakage.head.SIGNALS`.
-            config: the task as the detector knows it: rig, ranges and sensors, not the drawn plants.
+            config: the task as known to the detector: rig, ranges and sensors, not the drawn plants.
         """
         ...
 
@@ -57,15 +57,17 @@ class DetectorChoice(Group):
     weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
     task: dict[str, Any] = Field(
         default_factory=dict,
-        description="of an estimator: changes of the task, such as faults; its unknowns and priors follow from it",
+        description="of an estimator: changed fields of its task, such as faults; unknowns and priors follow from it",
     )
-    unknowns: tuple[str, ...] = Field((), description="of an estimator: besides those that follow from the task")
+    unknowns: tuple[str, ...] = Field((), description="of an estimator: in addition to those from the task")
     groups: tuple[str, ...] = Field((), description="of the conditions that it reads; default: all")
     windows: int = Field(1000, ge=1, le=100_000, description="windows per leak level")
     validation_windows: int = Field(
         4000, ge=20, le=100_000, description="healthy windows for the threshold at 1 % false alarms"
     )
-    batch: int = Field(500, ge=1, le=10_000, description="windows of a job; fixed: no result depends on the machine")
+    batch: int = Field(
+        500, ge=1, le=10_000, description="windows per job; fixed: results must not depend on the machine"
+    )
 
 
 def logit(probability: NDArray[Any]) -> Floats:

@@ -1,4 +1,4 @@
-"""The figures that the project wants to reach, with what was measured beside them."""
+"""The project's required figures beside the measured ones."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from agents.leak_protocol.tables import LeakTables
 
 FAULT_GROUPS = ("fault", "plant")
-"""Groups of conditions whose healthy axes must not be taken for leaking ones."""
+"""Groups of conditions whose healthy axes must raise no false alarms."""
 
 COVERAGE = (0.87, 0.93)
-"""Share of true sizes that 90 % intervals should hold."""
+"""Required coverage of 90 % intervals."""
 
 FEWEST = 20
-"""Windows below which the coverage of a cell is not judged."""
+"""Smallest number of windows for judging the coverage of a cell."""
 
 
 class Floor(NamedTuple):
-    """One figure: what it must reach, and what it should."""
+    """One figure with its limits: the floor must be reached, the aim should be."""
 
     figure: str
     detector: str
@@ -43,7 +43,7 @@ MISSING = Interval(np.nan, np.nan, np.nan)
 
 
 def floors_table(tables: LeakTables, protocol: LeakProtocol) -> pd.DataFrame:
-    """One row per figure that was measured: value with its interval, floor, aim, and which of the two it reaches."""
+    """One row per measured figure: value with interval, floor, aim, and which of the two it reaches."""
     floors: list[Floor] = []
     for name, choice in protocol.detectors.items():
         measured = set(tables.detection["detector"]) if len(tables.detection) else set()
@@ -112,7 +112,7 @@ class _Finder:
         return Interval(*(100.0 * float(rows.iloc[0][column + end]) for end in ("", "_low", "_high")))
 
     def _worst(self, conditions: Sequence[str]) -> tuple[Interval, str]:
-        """The highest share of false alarms on healthy axes, and under which condition."""
+        """The highest share of false alarms on healthy axes, and its condition."""
         found = {name: self._percent(name, HEALTHY, "flagged") for name in conditions}
         found = {name: value for name, value in found.items() if not np.isnan(value.value)}
         if not found:
@@ -193,7 +193,7 @@ class _Finder:
         rows = self._rows(self.tables.sizes)
         rows = rows[(rows["level"] != HEALTHY) & (rows["coverage"].notna()) & (rows["told"] >= FEWEST)]
         if len(rows):
-            # Within the interval: what a finite number of windows cannot tell apart counts as reached.
+            # A value within the interval counts as reached: the number of windows is finite.
             good = (rows["coverage_low"] <= COVERAGE[1]) & (rows["coverage_high"] >= COVERAGE[0])
             worst: dict[Any, Any] = rows.loc[rows["coverage"].idxmin()].to_dict()
             label = conditions[worst["condition"]].label or worst["condition"]

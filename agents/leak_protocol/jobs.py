@@ -24,24 +24,24 @@ FORMAT = "hydro_env leakage job 1"
 _ROOMS = ("controllers", "running", "leakage", "estimation", "leak_protocol")
 
 TRUTH = ("seed", "leak_lpm", "error_mm", "failed")
-"""Columns besides those of a reading: the leak at the end of the window, the mean position error of the run, and
+"""Columns in addition to those of a reading: the leak at the end of the window, the mean position error of the run, and
 whether the run failed."""
 
 
 @dataclass(frozen=True)
 class WindowJob:
-    """A pure function of its fields: the same job gives the same numbers wherever and beside whatever it runs."""
+    """A pure function of its fields: the same job gives the same numbers on every machine and beside any other job."""
 
     condition: str
     level: float
     reader: str
     detector: Detector
     config: TaskConfig  # of the runs
-    known: TaskConfig  # as the detector knows it
+    known: TaskConfig  # as known to the detector
     acting: str
     samples: int  # of a window
     cases: Cases
-    digest: str = ""  # of the detector; empty: its result is not used again
+    digest: str = ""  # of the detector; empty: its result is not reused
     validation: bool = False
 
     @property
@@ -56,13 +56,13 @@ class WindowJob:
 
     @property
     def key(self) -> str:
-        """A text that no other job of the protocol has."""
+        """A text that is unique in the protocol."""
         kind = "validation" if self.validation else "test"
         return f"{kind}|{self.condition}|{self.level:g}|{self.reader}|{self.cases.seeds[0]}"
 
     @cached_property
     def file(self) -> str:
-        """Name of the file of its result; another job, detector or version of the code has another name."""
+        """Name of the result file; it differs for every job, detector and version of the code."""
         cases = self.cases
         faults = {name: sizes.tolist() for name, sizes in (cases.faults or {}).items()}
         assert cases.leakage_flow_lpm is not None
@@ -98,10 +98,10 @@ class WindowJob:
 def windows(
     config: TaskConfig, acting: str, cases: Cases, samples: int
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Measured windows (N, 5, samples) in SI units, cut from runs at a place that the seed fixes, and their truth.
+    """Measured windows (N, 5, samples) in SI units, cut from runs at places set by the seed, and their true values.
 
     Raises:
-        ControllerError: what operates the axes failed.
+        ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
     layout = ObservationLayout.of(config)
@@ -110,7 +110,7 @@ def windows(
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
     run = run_cases(config, controller, cases, columns)
     assert run.signals is not None
-    scaled = np.full((len(cases), len(SIGNALS), config.steps), np.nan)  # NaN where the rig has no such sensor
+    scaled = np.full((len(cases), len(SIGNALS), config.steps), np.nan)  # NaN: the rig has no such sensor
     for number, name in enumerate(present):
         scaled[:, SIGNALS.index(name)] = run.signals[:, number].astype(np.float64) * layout.scale[layout.index(name)]
     spare = config.steps - samples
@@ -130,7 +130,7 @@ def plan(protocol: LeakProtocol, detectors: dict[str, Detector], digests: dict[s
 
     Args:
         protocol: the protocol.
-        detectors: by name, those that read its windows.
+        detectors: detectors of its windows, by name.
         digests: of their weights, by name.
     """
     for name, condition in protocol.conditions.items():

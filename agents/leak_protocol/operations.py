@@ -1,4 +1,4 @@
-"""Ways in which the axes of the protocol are operated: those of the head's training, and others that it never saw."""
+"""Operations of the axes of the protocol: those of the head's training, and unseen ones."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from agents.leakage.operation import MANNERS, Operation, loaded, slow, still
 from hydro_env import TaskConfig
 
 Make = Callable[[TaskConfig, int, int], Controller]
-"""Makes what operates the axes from the task, the number of axes and a seed."""
+"""Makes the controller of the axes from the task, the number of axes and a seed."""
 
 
 class Acting(NamedTuple):
-    """What operates the axes."""
+    """The controller of the axes."""
 
     make: Make
-    trained: bool  # whether the leakage head's training holds such operation
+    trained: bool  # whether it is part of the leakage head's training
 
 
 class Motion(NamedTuple):
-    """What is asked of the axes: a change of the task."""
+    """The motion of the axes: a change of the task."""
 
     change: Callable[[TaskConfig], TaskConfig]
     label: str
@@ -41,13 +41,13 @@ def _manner(name: str) -> Make:
 
 class _Memory(NamedTuple):
     time: int  # control periods since the start
-    holding: NDArray[np.float64]  # (N,), command that held the start
-    error: NDArray[np.float64]  # (N,), of the sample before
+    holding: NDArray[np.float64]  # (N,), command that holds the initial position
+    error: NDArray[np.float64]  # (N,), of the previous sample
     command: NDArray[np.float64]  # (N,)
 
 
 class _Unseen:
-    """Base of the operations that no training holds; each axis draws its own numbers."""
+    """Base of the operations outside the training; each axis draws its own parameters."""
 
     def __init__(self, config: TaskConfig, count: int, seed: int) -> None:
         self.layout, self.period = ObservationLayout.of(config), config.control_period
@@ -55,7 +55,7 @@ class _Unseen:
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
     def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commands (N,) besides the one that held the start; ``error`` (N,) in strokes."""
+        """Commands (N,) relative to the holding command; ``error`` (N,) in strokes."""
         raise NotImplementedError
 
     def predict(
@@ -87,7 +87,7 @@ class SlidingMode(_Unseen):
 
 
 class ThreeStep(_Unseen):
-    """A switch with a dead band: out, hold, in; as a simple proximity control does."""
+    """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
 
     def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
         """Commands (N,)."""
@@ -97,7 +97,7 @@ class ThreeStep(_Unseen):
 
 
 class SweptSine(_Unseen):
-    """A sine of rising frequency in open loop, as in a measurement of the frequency response."""
+    """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
 
     def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
         """Commands (N,)."""
@@ -117,7 +117,7 @@ ACTING: dict[str, Acting] = {
     "three-step switch": Acting(ThreeStep, False),
     "swept sine": Acting(SweptSine, False),
 }
-"""What may operate an axis, by name."""
+"""Controllers of the axes, by name."""
 
 MOTIONS: dict[str, Motion] = {
     "ordinary": Motion(lambda config: config, "all kinds of reference"),
@@ -125,4 +125,4 @@ MOTIONS: dict[str, Motion] = {
     "standing still": Motion(still, "a place that is held"),
     "changing loads": Motion(loaded, "changing external forces"),
 }
-"""What may be asked of an axis, by name."""
+"""Motions of the axes, by name."""

@@ -1,4 +1,4 @@
-"""The protocol as data: conditions, each a way to operate the axes, faults, and changes of plant and sensors."""
+"""The protocol as data: conditions, each with an operation of the axes, faults, and changes of plant and sensors."""
 
 from __future__ import annotations
 
@@ -29,31 +29,32 @@ KIND: Literal["leakage"] = "leakage"
 
 FIRST_TEST_SEED = TEST_SEEDS.start + 400_000
 FIRST_VALIDATION_SEED = VALIDATION_SEEDS.start + 800_000
-"""The first of 100 000 seeds that this protocol alone uses."""
+"""The first of 100 000 seeds that only this protocol uses."""
 
 HEALTHY, DRAWN = 0.0, -1.0
-"""Levels for leaks that are drawn: from the healthy range of the task, and from all of its ranges, half healthy."""
+"""Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
+healthy."""
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 Level = Annotated[float, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
 
 
 class LeakCondition(Surroundings):
-    """One condition; the detectors do not know of it."""
+    """One condition; the detectors do not know it."""
 
     group: str = Field("other", description="conditions that belong together in tables and pictures")
     label: str = Field("", description="short text; default: the name")
-    acting: str = Field("PID", description=f"what operates the axes: {', '.join(ACTING)}")
-    motion: str = Field("ordinary", description=f"what is asked of them: {', '.join(MOTIONS)}")
+    acting: str = Field("PID", description=f"controller of the axes: {', '.join(ACTING)}")
+    motion: str = Field("ordinary", description=f"motion of the axes: {', '.join(MOTIONS)}")
     begins: Literal["at rest", "anywhere"] = Field(
-        "at rest", description="at rest: the windows are the starts of runs; anywhere: they are cut from longer runs"
+        "at rest", description="at rest: windows are the starts of runs; anywhere: windows are cut from longer runs"
     )
     duration: float = Field(2.0, gt=0.0, le=60.0, description="s; length of the windows")
     levels: tuple[Level, ...] | None = Field(
         None, min_length=1, description="l/min at 100 bar; 0: healthy; -1: drawn, half healthy; default: protocol"
     )
-    share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, in parts of the detector's number")
-    detectors: tuple[str, ...] | None = Field(None, description="those that read it; default: all")
+    share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
+    detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
     faults: dict[str, float] = Field(default_factory=dict, description="magnitude of each fault, by name")
 
     @model_validator(mode="after")
@@ -92,13 +93,13 @@ class LeakProtocol(Group):
     @model_validator(mode="after")
     def _consistent(self) -> LeakProtocol:
         if self.base not in self.conditions:
-            raise ValueError(f"base: '{self.base}' is none of the conditions")
+            raise ValueError(f"base: '{self.base}' is not one of the conditions")
         strange = [name for name in self.bound_conditions if name not in self.conditions]
         if strange:
-            raise ValueError(f"bound_conditions: '{strange[0]}' is none of the conditions")
+            raise ValueError(f"bound_conditions: '{strange[0]}' is not one of the conditions")
         foreign = [name for name in self.alarms if name not in self.detectors]
         if foreign:
-            raise ValueError(f"alarms: '{foreign[0]}' is none of the detectors")
+            raise ValueError(f"alarms: '{foreign[0]}' is not one of the detectors")
         for name, condition in self.conditions.items():
             unknown = [detector for detector in condition.detectors or () if detector not in self.detectors]
             if unknown:
@@ -133,7 +134,7 @@ class LeakProtocol(Group):
         """The protocol with another task, or on another rig.
 
         Raises:
-            ConfigurationError: no such task or rig, or a condition that does not fit it.
+            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
         """
         base = task_config(self.task if task is None else task, rig=rig)
         moved = validate(LeakProtocol, {**self.model_dump(), "task": base}, "protocol")
@@ -145,7 +146,7 @@ class LeakProtocol(Group):
         """The task of the runs of a condition.
 
         Raises:
-            ConfigurationError: the changes give no possible task.
+            ConfigurationError: the changed task is impossible.
         """
         condition = self.conditions[name]
         task = MOTIONS[condition.motion].change(condition.task_on(self.task, f"conditions.{name}"))
@@ -153,7 +154,7 @@ class LeakProtocol(Group):
         return task_config(task, episode_duration=runs * condition.duration)
 
     def known_task(self, name: str) -> TaskConfig:
-        """The task as the detectors know it: another rig has its data sheet, no other change shows."""
+        """The task as known to the detectors: another rig changes the data sheet; no other change is visible."""
         rig = self.conditions[name].rig
         return self.task if rig is None else task_config(self.task, rig=rig)
 
@@ -167,7 +168,7 @@ class LeakProtocol(Group):
         return (chosen is None or detector in chosen) and (not groups or self.conditions[name].group in groups)
 
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
-        """The first ``count`` cases of a level; the same seeds, so the same plants, at every level and condition."""
+        """The first ``count`` cases of a level; every level and condition has the same plants."""
         condition, task = self.conditions[name], self.task_in(name)
         first = FIRST_VALIDATION_SEED if validation else FIRST_TEST_SEED
         seeds = np.arange(first, first + count)
@@ -183,12 +184,12 @@ class LeakProtocol(Group):
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the whole protocol with all that its files name, as sorted JSON."""
+        """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def table(self) -> pd.DataFrame:
-        """One row per condition: group, label, what operates the axes, changes (JSON)."""
+        """One row per condition: group, label, controller of the axes, changes (JSON)."""
         own = {"group", "label", "acting", "motion", "begins", "duration", "levels", "share", "detectors"}
         rows: list[dict[str, Any]] = []
         for name, condition in self.conditions.items():

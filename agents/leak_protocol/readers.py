@@ -1,4 +1,4 @@
-"""The detectors of this project as the protocol reads them: the leakage head, and the estimator."""
+"""The detectors of this project for the protocol: the leakage head, and the estimator."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ from hydro_env.units import flow_from_resistance
 HEAD_FILE = "leakage_head"
 
 LEAST_DEVIATION = 0.1
-"""Part of the healthy bound below which no standard deviation of the leak is believed: the model is not exact."""
+"""Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
 
 CLEAR = 3.0
-"""Standard deviations by which an unknown lies outside what is normal when the estimator names it as the fault."""
+"""Distance of an unknown from its normal range at which the estimator names it as a fault, in standard deviations."""
 
 
 OTHER_LABELS = {"external_leak": EXTERNAL, "valve_fault": VALVE, "sensor_fault": SENSOR, "return_line": RETURN}
-"""Verdict of each other fault whose probability the head gives."""
+"""Verdict of each fault other than a leak, for the probabilities of the head."""
 
 
 class HeadReader:
@@ -53,7 +53,7 @@ class HeadReader:
         self.threshold: float | None = float(logit(np.array([head.settings.threshold]))[0])
 
     def refuses(self, config: TaskConfig, samples: int) -> str:
-        """Other observations, or a length of the window that the head cannot read."""
+        """The reason if the observations differ, or the head cannot read the length of the window."""
         settings = self.head.settings
         if settings.layout != ObservationLayout.of(config) or settings.task.plant != config.plant:
             return "the head was trained on another rig or on other observations"
@@ -62,7 +62,7 @@ class HeadReader:
         return ""
 
     def read(self, signals: NDArray[Any], config: TaskConfig) -> Reading:
-        """Judge windows; see :class:`~agents.leak_protocol.detectors.Detector`."""
+        """Evaluate windows; see :class:`~agents.leak_protocol.detectors.Detector`."""
         del config
         found = self.head.estimate_windows(signals)
         inside = found.outside == 0.0
@@ -74,7 +74,7 @@ class HeadReader:
         return Reading(score, probability, flow, low, high, self._otherwise(found))
 
     def _otherwise(self, found: LeakageEstimate) -> Floats:
-        """The other fault that lies highest above its threshold, as the number of its verdict; else none."""
+        """The fault with the largest excess over its threshold, as the number of its verdict; else none."""
         verdict = np.full(len(found.probability), float(NONE))
         highest = np.zeros(len(verdict))
         thresholds = logit(self.head.tensors["thresholds"])
@@ -86,11 +86,11 @@ class HeadReader:
 
 
 class EstimatorReader:
-    """The simulator as model: its score is the leak above the healthy bound, in standard deviations.
+    """The estimator with the simulator as model: its score is the leak above the healthy bound, in standard deviations.
 
     Args:
-        changes: of the task, before unknowns and priors follow from it.
-        unknowns: names besides those (:mod:`agents.estimation.names`).
+        changes: of the task that gives unknowns and priors.
+        unknowns: additional names (:mod:`agents.estimation.names`).
     """
 
     threshold: float | None = None
@@ -99,12 +99,12 @@ class EstimatorReader:
         self.changes, self.unknowns = dict(changes or {}), unknowns
 
     def refuses(self, config: TaskConfig, samples: int) -> str:
-        """Nothing: the estimator takes every rig and every length."""
+        """An empty text: the estimator reads every rig and every length."""
         del config, samples
         return ""
 
     def read(self, signals: NDArray[Any], config: TaskConfig) -> Reading:
-        """Judge windows; see :class:`~agents.leak_protocol.detectors.Detector`."""
+        """Evaluate windows; see :class:`~agents.leak_protocol.detectors.Detector`."""
         expected = task_config(config, **self.changes)
         own = default_unknowns(expected)
         names = (*own, *(name for name in self.unknowns if name not in own))
@@ -123,11 +123,11 @@ class EstimatorReader:
 
 
 def named_fault(found: Estimate, config: TaskConfig) -> Floats:
-    """Number of the verdict, (N,), that follows from the unknowns besides the leak past the piston.
+    """Number of the verdict, (N,), from the unknowns other than the leak past the piston.
 
-    An unknown names a fault if it lies clearly outside what the task calls normal: by 3 of its standard deviations
-    beyond 2 standard deviations of the healthy task's prior. What a healthy task does not draw has a wide prior, of
-    which half a standard deviation counts as normal.
+    An unknown names a fault if it lies clearly outside its normal range: by 3 of its own standard deviations beyond 2
+    standard deviations of the healthy task's prior. An unknown that a healthy task does not draw has a wide prior; half
+    a standard deviation of it counts as normal.
 
     Args:
         found: the estimate.

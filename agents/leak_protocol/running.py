@@ -23,14 +23,14 @@ FALSE_ALARM_RATE = 0.01
 
 @dataclass(frozen=True)
 class LeakRun:
-    """What a protocol gave."""
+    """Results of a protocol."""
 
     windows: pd.DataFrame  # one row per detector and window: truth, reading, verdict, flagged
     thresholds: pd.DataFrame  # one row per detector
     status: pd.DataFrame  # detector, condition, status, message
     alarms: pd.DataFrame  # false alarms per 100 h, delays and misses; empty without an alarm
     bound: pd.DataFrame  # condition, level, seed, sigma_lpm; empty without a bound
-    reused: int  # jobs whose results were there already
+    reused: int  # jobs with results from an earlier run
 
 
 def run_leak_protocol(
@@ -42,16 +42,16 @@ def run_leak_protocol(
     jobs: int | None = None,
     progress: Report | None = None,
 ) -> LeakRun:
-    """Run all jobs of a protocol; interrupted, it keeps the finished ones (:mod:`agents.running.jobs`).
+    """Run all jobs of a protocol; an interruption keeps the finished ones (:mod:`agents.running.jobs`).
 
     Args:
         protocol: the conditions.
-        detectors: by the names that the protocol gives them.
+        detectors: by their names in the protocol.
         digests: of the detectors' weights and settings, by name; an empty one keeps no result.
         alarms: jobs of the alarms (:func:`agents.leak_protocol.alarm_jobs.alarm_plan`).
         folder: for the results of the jobs; ``None`` keeps none.
         jobs: number of jobs side by side; default: one per core.
-        progress: is told how far the jobs are.
+        progress: called when a job finishes.
 
     Raises:
         ConfigurationError: no detector could read any window, or a file cannot be written.
@@ -61,7 +61,7 @@ def run_leak_protocol(
     refused = [text.split("|", 2) for text in planned if isinstance(text, str)]
     status = {(reader, name): ("not applicable", message) for reader, name, message in refused}
     lasting = {job.key: job for job in alarms}
-    # The long jobs first: at the end no core waits for one of them.
+    # The long jobs come first, so that no core waits for one at the end.
     bounds = {job.key: job for job in bound_plan(protocol)}
     results, reused = run_jobs({**lasting, **bounds, **listed}, folder, jobs, progress)
     frames: list[pd.DataFrame] = []
@@ -78,7 +78,7 @@ def run_leak_protocol(
         raise ConfigurationError(f"no detector read any window; the first reason: {next(iter(status.values()))[1]}")
     thresholds = _thresholds(pd.concat(healthy), detectors)
     without = thresholds.loc[thresholds["used"].isna(), "detector"]
-    for name in without:  # it would seem to find nothing
+    for name in without:  # otherwise it would appear to find nothing
         status[str(name), protocol.base] = ("failed", "no threshold: it read no healthy validation windows")
     read = pd.concat(frames, ignore_index=True)
     windows = judged(read[~read["detector"].isin(without)], thresholds, protocol.task.leakage.class_bounds[0])
@@ -118,7 +118,7 @@ def _alarm_table(
 
 
 def _thresholds(healthy: pd.DataFrame, detectors: dict[str, Detector]) -> pd.DataFrame:
-    """Of each detector: the threshold at 1 % false alarms on healthy validation windows, and the one that it uses."""
+    """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
     rows = []
     for name, detector in detectors.items():
         score = healthy.loc[healthy["detector"] == name, "score"].to_numpy()
@@ -131,10 +131,10 @@ def _thresholds(healthy: pd.DataFrame, detectors: dict[str, Detector]) -> pd.Dat
 
 
 def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float) -> pd.DataFrame:
-    """The windows of runs that did not fail, with four columns more.
+    """The windows of runs that did not fail, with four additional columns.
 
-    ``flagged`` (by the threshold in use), ``at_1_percent`` (by that at 1 % false alarms), ``verdict`` (its number), and
-    ``leaking`` (the truth: above the bound of a healthy seal, l/min at 100 bar).
+    ``flagged`` (with the threshold in use), ``at_1_percent`` (with the threshold at 1 % false alarms), ``verdict`` (its
+    number), and ``leaking`` (true leak above the bound of a healthy seal, l/min at 100 bar).
     """
     windows = windows[windows["failed"] == 0.0]
     known = thresholds.set_index("detector")

@@ -20,10 +20,10 @@ BINS = np.linspace(0.0, 1.0, 11)
 """Edges of the bins of the reliability curve."""
 
 SMALLEST_SIZE = 1e-3
-"""l/min; smaller estimates count as this much in logarithms."""
+"""l/min; lower limit of estimates in logarithms."""
 
 FAR = 6.0
-"""Standard deviations from which an unflagged estimate is called a local minimum."""
+"""Error of an unflagged estimate that counts as a local minimum, in standard deviations."""
 
 SECONDS_PER_HOUR = 3600.0
 
@@ -76,9 +76,9 @@ _CELL = ["detector", "condition", "level"]
 
 
 def detection_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
-    """Share of windows reported as a leak past the piston: with the detector's threshold, and with that at 1 %.
+    """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
-    ``per_hour``: of windows that follow one another without overlap.
+    ``per_hour``: for consecutive windows without overlap.
     """
     rows = []
     for key, frame in run.windows.groupby(_CELL, sort=False):
@@ -108,7 +108,7 @@ def verdict_table(run: LeakRun) -> pd.DataFrame:
 
 
 def size_table(run: LeakRun) -> pd.DataFrame:
-    """Errors of the size and coverage of the 90 % intervals, over windows in which the detector can tell."""
+    """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
     sigma = _bound_of(run.bound)
     rows = []
     for key, frame in run.windows.groupby(_CELL, sort=False):
@@ -172,7 +172,7 @@ def reliability_table(run: LeakRun) -> pd.DataFrame:
 
 
 def masking_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
-    """Detection beside position error, by what operates the axes: does better control hide the leak?"""
+    """Detection and position error by controller of the axes: does better control hide the leak?"""
     sigma = _bound_of(run.bound)
     rows = []
     for (detector, condition, level), frame in run.windows.groupby(_CELL, sort=False):
@@ -198,8 +198,8 @@ def make_tables(
 
     Args:
         protocol: the protocol.
-        run: what it gave.
-        facts: keys and values of the table ``protocol``, besides title and hash.
+        run: its results.
+        facts: keys and values of the table ``protocol``, in addition to title and hash.
         timings: seconds of each detector.
     """
     from agents.leak_protocol.floors import floors_table

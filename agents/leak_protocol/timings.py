@@ -1,4 +1,4 @@
-"""What a detector costs on this machine: seconds per window, and per update of the streaming head."""
+"""Computing time of a detector on this machine: seconds per window, and per update of the streaming head."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WINDOWS, STRETCHES = 8, 16
 
 
 def timings_table(protocol: LeakProtocol, detectors: dict[str, Detector]) -> pd.DataFrame:
-    """Seconds of one core, the shortest of some repetitions: per window, and per update of a head on one axis."""
+    """Seconds on one core, the shortest of several repetitions: per window, and per update of a head on one axis."""
     config, base = protocol.task_in(protocol.base), protocol.conditions[protocol.base]
     samples = round(base.duration / config.control_period)
     signals, _ = windows(config, base.acting, protocol.cases_in(protocol.base, HEALTHY, WINDOWS), samples)
@@ -46,9 +46,9 @@ def _shortest(call: Callable[[], object], repetitions: int) -> float:
 
 
 def _update(head: LeakageHead, config: TaskConfig) -> float:
-    """Seconds of one call of ``predict`` on one axis whose window is full.
+    """Seconds per call of ``predict`` on one axis with a full window.
 
-    A head reads its window once in so many calls: the mean over such a stretch, the shortest of some stretches.
+    A head reads its window once in many calls: mean over such a stretch, and the shortest of several stretches.
     """
     env = ServoHydraulicVectorEnv(1, config, info=False)
     observation, _ = env.reset(seed=[FIRST_TEST_SEED])

@@ -1,1 +1,1 @@
-"""The page of the leakage protocol: how small a leak is seen, how early, how surely, and when nothing can be said."""
+"""The page of the leakage protocol: smallest detectable leak, delay, reliability, and windows without an answer."""

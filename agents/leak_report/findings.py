@@ -10,16 +10,16 @@ from agents.report.findings import Finding, interval_text
 from agents.report.text import listed, number, setting, unbroken
 
 SURE = 95.0
-"""Percent of windows in which a leak must be found for the sentence "is found"."""
+"""Percentage of windows with detection for the sentence "is found"."""
 
 TOO_OFTEN = 10.0
-"""Percent of healthy windows from which a condition is named as one that is taken for a leak."""
+"""Percentage of healthy windows with false alarms above which a condition is named."""
 
 MOST_NAMED = 5
 
 
 def findings(record: Record) -> list[Finding]:
-    """How small, how early, how sure, and when it cannot tell."""
+    """Findings on size, delay, reliability, confusions and windows without an answer."""
     items = [_small(record), *_early(record), _sure(record), _confused(record), _silent(record)]
     return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
 
@@ -31,7 +31,7 @@ def _levels(record: Record, detector: str, condition: str) -> list[float]:
 
 
 def smallest_found(record: Record, detector: str, condition: str) -> float:
-    """The smallest leak from which on every larger one is found in 95 % of the windows; NaN if none is."""
+    """The smallest leak such that it and every larger one is found in 95 % of the windows; NaN if there is none."""
     found = np.nan
     for level in reversed(_levels(record, detector, condition)):
         if record.share(detector, condition, level, "at_1_percent").value < SURE:
@@ -46,7 +46,7 @@ def _small(record: Record) -> Finding:
     duration = float(record.conditions["duration_s"][record.base])
     if not known:
         return Finding(
-            "No size of leak is found surely.", f"No detector finds any of them in {SURE:.0f} % of the windows."
+            "No size of leak is found reliably.", f"No detector finds any of them in {SURE:.0f} % of the windows."
         )
     best = min(known, key=lambda name: known[name])
     parts = [
@@ -107,7 +107,7 @@ def _sure(record: Record) -> Finding:
     if not rates or max(rates.values()) < 1.0:
         return Finding("On healthy axes in ordinary motion false alarms are rare.", text)
     often = max(rates, key=lambda name: rates[name])
-    lead = f"The {often} alone raises {number(rates[often], 0)} false alarms an hour: let an alarm sum up its windows."
+    lead = f"The {often} alone raises {number(rates[often], 0)} false alarms per hour: let an alarm sum up its windows."
     return Finding(lead, text)
 
 
@@ -141,9 +141,9 @@ def _silent(record: Record) -> Finding:
             parts.append(f"{name}: {', '.join(labels[:MOST_NAMED])}{more}")
     if not parts:
         return Finding(
-            "No detector stays silent.", "None says “cannot tell” in more than half of the windows of a condition."
+            "No detector stays silent.", "None answers “cannot tell” in more than half of the windows of a condition."
         )
     return Finding(
-        "Where the model or the training does not hold, the answer is “cannot tell”.",
+        "Where the model or the training is not valid, the answer is “cannot tell”.",
         f"In more than half of the windows: {'; '.join(parts)}.",
     )

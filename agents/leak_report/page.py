@@ -78,7 +78,7 @@ def render_page(record: Record) -> Page:
 
 
 def problems(record: Record) -> list[str]:
-    """Detectors that failed, or did not apply, under a condition, one line each."""
+    """Detectors that failed or were not applicable under a condition, one line each."""
     status = record.table("status")
     if status.empty:
         return []

@@ -50,7 +50,7 @@ def detection_plot(record: Record) -> list[Plot]:
         log_leak_axis(axes, levels)
         axes.set(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
 
-    title = "How small a leak is found"
+    title = "Smallest leak that is found"
     note = (
         f"{record.label(record.base).capitalize()}, one window each; threshold at 1 % false alarms on validation axes. "
         "Bars: 95 % interval."
@@ -142,13 +142,13 @@ def motion_plots(record: Record) -> list[Plot]:
 
 
 def fault_plots(record: Record) -> list[Plot]:
-    """Faults and changed plants that are taken for a leak, and a leak that is found beside them."""
+    """Faults and changed plants that are mistaken for a leak, and detection of a leak together with them."""
     conditions = record.in_groups("fault", "plant", "rig")
     taken = _rows_plot(
         record,
         "fault-taken",
-        "What is taken for a leak past the piston",
-        "Healthy seal, one other fault or change each: share of windows in which a leak is reported; line: 10 %.",
+        "Faults and changes mistaken for a leak past the piston",
+        "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %.",
         conditions,
         lambda detector, condition: record.share(detector, condition, HEALTHY),
         "healthy windows reported as leaking, %",
@@ -157,8 +157,8 @@ def fault_plots(record: Record) -> list[Plot]:
     beside = _rows_plot(
         record,
         "fault-beside",
-        "A leak of 0.3 l/min beside the same faults",
-        "Share of windows in which the leak is reported although the fault is there.",
+        "A leak of 0.3 l/min together with the same faults",
+        "Share of windows in which the leak is reported in spite of the fault.",
         conditions,
         lambda detector, condition: record.share(detector, condition, 0.3),
         "windows in which it is reported, %",
@@ -183,11 +183,11 @@ def coverage_plots(record: Record) -> list[Plot]:
         for plot in _rows_plot(
             record,
             f"coverage-{number}",
-            f"Do 90 % intervals hold the truth? {side.capitalize()}",
-            "Leak of 0.3 l/min: share of the given intervals that hold it; lines: 87 and 93 %.",
+            f"Do 90 % intervals contain the true size? {side.capitalize()}",
+            "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %.",
             conditions,
             find,
-            "intervals that hold the true size, %",
+            "intervals that contain the true size, %",
             {87.0: ":", 93.0: ":"},
         )
     ]
@@ -218,8 +218,8 @@ def size_plot(record: Record) -> list[Plot]:
         log_leak_axis(axes, levels)
         axes.set(yscale="log", ylabel="error of the size, RMS of log10")
 
-    title = "How well the size is told"
-    note = "0.05 is about 12 %. The bound is the least error that any method can have on such windows."
+    title = "Accuracy of the estimated size"
+    note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
     rows = {
         name: [(setting(level), size) for level, size in zip(part["level"], part["rms_log10"], strict=True)]
         for name, part in parts.items()
@@ -228,7 +228,7 @@ def size_plot(record: Record) -> list[Plot]:
 
 
 def reliability_plot(record: Record) -> list[Plot]:
-    """Probability that the detector gives against the frequency of leaks."""
+    """Probability of the detector against the frequency of leaks."""
     table = record.table("reliability")
     if table.empty:
         return []
@@ -245,10 +245,10 @@ def reliability_plot(record: Record) -> list[Plot]:
                 100.0 * part["probability"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke
             )
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
-        axes.set(xlabel="probability that the detector gives, %", ylabel="windows that leak, %")
+        axes.set(xlabel="probability of the detector, %", ylabel="windows that leak, %")
         axes.set(xlim=(-3, 103), ylim=(-3, 103))
 
-    title = "Does the probability mean what it says?"
+    title = "Calibration of the probability"
     errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
     note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."
     rows = {
@@ -259,7 +259,7 @@ def reliability_plot(record: Record) -> list[Plot]:
 
 
 def masking_plot(record: Record) -> list[Plot]:
-    """Detection of a small leak by controller, the most exact controller first."""
+    """Detection of a small leak by controller; the controller with the smallest error comes first."""
     table = record.masking()
     if table.empty:
         return []
@@ -269,7 +269,7 @@ def masking_plot(record: Record) -> list[Plot]:
         record,
         "masking",
         "0.1 l/min found, by controller",
-        "In brackets the mean position error; windows from the start of the motion, threshold at 1 % false alarms.",
+        "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms.",
         [str(condition) for condition in errors.index],
         lambda detector, condition: record.share(detector, condition, 0.1, "at_1_percent"),
         "windows in which it is found, %",

@@ -1,4 +1,4 @@
-"""What the page shows: the tables of the protocol, and short texts for their conditions."""
+"""Content of the page: the tables of the protocol, and short texts for their conditions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from agents.report.text import setting
 
 @dataclass(frozen=True)
 class Record:
-    """Tables by the name of their CSV file; a table that is missing or empty leaves its section out."""
+    """Tables by the name of their CSV file; the page omits the section of a missing or empty table."""
 
     tables: Mapping[str, pd.DataFrame]
     base: str  # the condition with all leak sizes
@@ -27,7 +27,7 @@ class Record:
 
     @property
     def detectors(self) -> list[str]:
-        """Detectors that read something."""
+        """Detectors with readings."""
         return [str(name) for name in self.table("detection")["detector"].unique()]
 
     @property
@@ -55,7 +55,7 @@ class Record:
         return [str(name) for name in table.loc[table["group"].isin(groups), "condition"]]
 
     def masking(self) -> pd.DataFrame:
-        """Rows of the table ``masking`` about windows that are as long as those of the base condition."""
+        """Rows of the table ``masking`` for windows of the same length as in the base condition."""
         table, durations = self.table("masking"), self.conditions["duration_s"]
         return table if table.empty else table[table["condition"].map(durations) == durations[self.base]]
 
@@ -68,12 +68,12 @@ class Record:
         return {} if found.empty else {str(key): value for key, value in found.iloc[0].to_dict().items()}
 
     def share(self, detector: str, condition: str, level: float, column: str = "flagged") -> Interval:
-        """A share of the table ``detection`` in percent, with its interval; NaN where there is none."""
+        """A share of the table ``detection`` in percent, with its interval; NaN if there is none."""
         return percent_of(self.cell("detection", detector, condition, level), column)
 
 
 def percent_of(row: Mapping[str, float], column: str) -> Interval:
-    """A share and its interval in percent from a row of a table; NaN where there is none."""
+    """A share and its interval in percent from a row of a table; NaN if there is none."""
     return Interval(*(100.0 * float(row.get(column + end, np.nan)) for end in ("", "_low", "_high")))
 
 

@@ -28,8 +28,8 @@ class Cell:
     """One share of a confusion table."""
 
     text: str
-    meaning: str  # better (right), worse (wrong), or silent (cannot tell)
-    share: int  # percent of the meaning's colour
+    meaning: str  # better (correct), worse (wrong), or silent (cannot tell)
+    share: int  # percentage of the meaning's colour
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Confusion:
 
 
 def confusions(record: Record) -> list[Confusion]:
-    """What each detector makes of each fault: on a healthy seal, and beside a leak."""
+    """Verdicts of each detector for each fault, with a healthy and with a leaking seal."""
     table = record.table("verdicts")
     conditions = [record.base, *record.in_groups("fault", "plant", "rig")]
     found = []
@@ -54,7 +54,7 @@ def confusions(record: Record) -> list[Confusion]:
                 for name, row in cells.items()
                 if row
             )
-            beside = "healthy seal" if level == HEALTHY else f"beside a leak of {setting(level)} l/min"
+            beside = "healthy seal" if level == HEALTHY else f"with a leak of {setting(level)} l/min"
             if len(rows) > 1:
                 found.append(Confusion(f"{detector}: {beside}; share of windows, %", VERDICTS, rows))
     return found
@@ -67,7 +67,7 @@ def _cell(record: Record, condition: str, level: float, verdict: str, value: flo
 
 
 def right_verdicts(record: Record, condition: str, level: float) -> tuple[str, ...]:
-    """Verdicts that are right: the leak wherever there is one, else the fault, else none."""
+    """Correct verdicts: the leak if there is one, else the fault, else none."""
     if level > HEALTHY:
         return ("internal leak",)
     changes = str(record.conditions["changes"].get(condition, ""))
@@ -78,7 +78,7 @@ def right_verdicts(record: Record, condition: str, level: float) -> tuple[str, .
 
 
 def floors_table(record: Record) -> list[Table]:
-    """The figures that the project wants to reach, with those measured."""
+    """The project's required figures beside the measured ones."""
     table = record.table("floors")
     if table.empty:
         return []
@@ -159,7 +159,7 @@ def size_tables(record: Record) -> list[Table]:
         ]
         header = (
             "Condition, leak", "error, RMS log10", "median error, l/min", "bound, l/min", "error ÷ bound",
-            "interval holds the truth, %", "told, %",
+            "interval contains the true size, %", "answered, %",
         )  # fmt: skip
         tables.append(Table(f"{detector}: size of the leak", header, rows))
     return tables
@@ -192,14 +192,14 @@ def alarm_tables(record: Record) -> list[Table]:
 
 
 def masking_tables(record: Record) -> list[Table]:
-    """Detection of small leaks beside position error and bound, one row per controller."""
+    """Detection of small leaks, position error and bound, one row per controller."""
     table = record.masking()
     if table.empty:
         return []
     shares = table[table["level"] <= 0.3].pivot_table(
         index="condition", columns=["detector", "level"], values="at_1_percent", sort=False
     )
-    # What was measured under one controller only compares nothing.
+    # A single controller allows no comparison.
     shares = shares.loc[:, shares.notna().sum() >= min(2, len(shares))]
     columns = [(name, level) for name in record.detectors for level in sorted(table["level"].unique())]
     columns = [column for column in columns if column in shares.columns]
@@ -220,7 +220,7 @@ def masking_tables(record: Record) -> list[Table]:
 
 
 def conditions_tables(record: Record) -> list[Table]:
-    """What each condition changes."""
+    """Changes of each condition."""
     table = record.table("conditions")
     columns = {"label": "Condition", "acting": "Operated by", "motion": "Motion", "begins": "Window begins",
                "duration_s": "s", "trained": "Head trained on it", "changes": "Changes"}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Drawing of all figures: one style, one palette, SVG and PNG that are the same on every machine.
+"""Drawing of all figures: one style, one palette, and the same SVG and PNG on every machine.
 
 Each controller has the same colour, marker and line in all figures. The same numbers give the same bytes.
 """
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.floating[Any]]
 
 WIDTH, HEIGHT = 4.6, 3.0
-"""inches; 440 pixels, about the width of a phone, where text keeps its size."""
+"""inches; 440 pixels, about the width of a phone, so that text keeps its size there."""
 
 WIDE = 8.6
 """inches; a figure of several panels side by side."""
@@ -41,7 +41,7 @@ INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line
 
 STYLE: Any = {
     "svg.hashsalt": "hydro_env",
-    "svg.fonttype": "path",  # letters are outlines: the reader needs no font
+    "svg.fonttype": "path",  # letters as outlines: the browser needs no font
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.labelsize": 9.0,
@@ -119,7 +119,7 @@ def controllers_of(evaluation: Evaluation) -> list[str]:
 
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
-    """Files of these kinds (``svg``, ``png``) with the drawing of ``paint`` on a figure of a size (inches)."""
+    """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
@@ -152,12 +152,12 @@ def make_plot(
 
 
 def as_plot(key: str, title: str, note: str, alt: str, file: bytes, wide: bool = False) -> Plot:
-    """The figure of a page from its drawing."""
+    """A figure of a page from an SVG file."""
     return Plot(key, title, note, alt, _inline(file, key, alt), file, wide)
 
 
 def _inline(file: bytes, key: str, alt: str) -> str:
-    """The SVG element for a page; its ids start with ``key``, except those of letters, which all figures share."""
+    """The SVG element for a page; its ids begin with ``key``, except those of letters, which all figures share."""
     svg = file.decode()
     own = r'(\bid="|url\(#|href="#)(?!DejaVuSans)'
     text = re.sub(own, lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
@@ -167,14 +167,14 @@ def _inline(file: bytes, key: str, alt: str) -> str:
 
 
 def _shortened(path: str) -> str:
-    """A path of an SVG with a tenth of a point, and without the letters of its straight lines."""
+    """An SVG path rounded to a tenth of a point, without the letters of its straight lines."""
     rounded = re.sub(r"\.(\d)\d+", r".\1", path)
     lines = r"[ML][^A-Za-z]+(?:L[^A-Za-z]+)+"
     return re.sub(lines, lambda match: re.sub(r"\s+L ", " ", match.group(0)), rounded)
 
 
 def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
-    """A figure of one panel: what ``paint`` draws, with a legend above."""
+    """A figure of one panel that ``paint`` draws, with a legend above."""
 
     def painted(figure: Figure) -> None:
         axes = figure.subplots()
@@ -185,7 +185,7 @@ def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes],
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
-    """All numbers of a figure in words, by controller."""
+    """All numbers of a figure as text, by controller."""
     parts = [f"{name}: " + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name]) for name in rows]
     return f"{title}. {'; '.join(parts)}."
 
@@ -257,7 +257,7 @@ def bars_by(
     looks: Mapping[str, Look],
     kind: str,
 ) -> None:
-    """Bars of every controller at the place of each value of the column ``by``, those of one value side by side."""
+    """Draw bars of every controller for each value of the column ``by``; the bars of one value stand side by side."""
     width = min(0.2, 0.7 / len(parts)) if kind == "rows" else 0.16
     for index, (name, part) in enumerate(parts.items()):
         places = np.array([values.index(str(value)) for value in part[by]]) + dodge(len(parts), index, width)

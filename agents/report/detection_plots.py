@@ -39,7 +39,7 @@ SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
 def detection_plots(evaluation: Evaluation) -> list[Plot]:
-    """All figures about detection; none without a leakage head."""
+    """All figures about detection; an empty list without a leakage head."""
     if evaluation.detection.empty:
         return []
     return [_rates(evaluation), _roc(evaluation), _size(evaluation), _precision_recall(evaluation)]
@@ -85,7 +85,7 @@ def _corners(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _operating_point(detection: pd.DataFrame, controller: str, bounds: LeakBounds) -> tuple[float, float]:
-    """False-alarm rate, and detection rate of all leaks, at the head's own threshold."""
+    """False-alarm rate and detection rate of all leaks at the head's threshold."""
     part = detection[detection["controller"] == controller]
     flow, flagged = part["leakage_flow_lpm"].to_numpy(), part["flagged"].to_numpy(dtype=np.float64)
     return float(flagged[flow <= bounds.healthy_up_to].mean()), float(flagged[flow > bounds.leaking_above].mean())
@@ -144,13 +144,13 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
         axes.set_xlim(0.0, 101.0)
         axes.set_ylim(0.0, 102.0)
         axes.set_xlabel("recall: leaks flagged, %")
-        axes.set_ylabel("precision: flags that are right, %")
+        axes.set_ylabel("precision: correct flags, %")
 
-    title = "How many flags are right"
+    title = "How many flags are correct"
     areas = _from_summary(evaluation, "average_precision", 3)
     note = (
-        f"Precision against recall. Here {100.0 * share:.0f} % of the episodes leak; where leaks are rarer, fewer "
-        f"flags are right. Average precision: {areas}."
+        f"Precision against recall. Here {100.0 * share:.0f} % of the episodes leak; with rarer leaks fewer "
+        f"flags are correct. Average precision: {areas}."
     )
     alt = f"{title}: precision against recall. Average precision: {areas}."
     return one_panel("precision", title, note, alt, paint)

@@ -22,7 +22,7 @@ FEW_PLANTS = 12
 """With fewer plants the intervals are rough; the report says so."""
 
 FALSE_ALARM_TARGET = 0.01
-"""False-alarm rate for which the threshold of the leakage head was set."""
+"""Target false-alarm rate of the leakage head's threshold."""
 
 NEITHER = "no clear difference"
 
@@ -39,7 +39,7 @@ class Finding:
 
 
 def interval_text(interval: Interval, unit: str = "", decimals: int | None = None) -> str:
-    """Value, unit, and the interval in brackets if there is one."""
+    """Value, unit, and interval in brackets if there is one."""
     if decimals is None:
         decimals = decimals_for(interval.value)
     value, low, high = (number(part, decimals) for part in interval)
@@ -77,7 +77,7 @@ def verdict(interval: Interval, plants: int) -> str:
 
 
 def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> Interval:
-    """Mean error at the largest leak over that at the smallest, on the same plants."""
+    """Mean error at the largest leak over the mean error at the smallest, on the same plants."""
     own = cases[cases["controller"] == controller]
     own = own if family is None else own[own["family"] == family]
     level = own["leakage_flow_lpm"]
@@ -102,7 +102,7 @@ def caution(evaluation: Evaluation) -> str:
     if plants >= FEW_PLANTS:
         return ""
     what = "without intervals" if plants < FEWEST_PLANTS else "with rough intervals"
-    return f"A small run, {what}: {plants} plants per leak size and kind of reference are too few for any decision."
+    return f"A small run, {what}: {plants} plants per leak size and kind of reference are too few for a decision."
 
 
 def failures(evaluation: Evaluation) -> str:
@@ -188,8 +188,8 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
     text = (
         f"Over all runs the mean error of {name} is {interval_text(whole)} times that of {base}; {name} is "
         f"better in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
-        f"Steps have by far the largest errors and dominate this mean; with equal weights for all kinds of reference "
-        f"(geometric mean of the ratios) it is {interval_text(equal)}. "
+        f"Steps have by far the largest errors and dominate this mean. With equal weights for all kinds of reference "
+        f"(geometric mean of the ratios) the ratio is {interval_text(equal)}. "
         f"{_breakdown(frame, 'level', plants)} {_breakdown(frame, 'family', plants)} "
         f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
     )
@@ -197,7 +197,7 @@ def _comparison(evaluation: Evaluation, name: str) -> Finding:
 
 
 def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
-    """The levels or families at which a controller wins, loses, or neither, as a sentence."""
+    """The levels or families at which a controller wins, loses, or does neither, as a sentence."""
     labels: dict[str, list[str]] = {"wins": [], "loses": [], NEITHER: []}
     for row in frame[frame["group"] == group].to_dict("records"):
         value = str(row["value"])
@@ -251,7 +251,7 @@ def _alarm_sentence(alarms: dict[str, Interval]) -> str:
     """Sentence that compares the false alarms on test plants with the target set on validation plants."""
     sentence = f"The threshold was set for {100.0 * FALSE_ALARM_TARGET:g} % false alarms on validation plants"
     above = [name for name, interval in alarms.items() if interval.low > FALSE_ALARM_TARGET]
-    return f"{sentence}; on the test plants there are clearly more under {listed(above)}." if above else f"{sentence}."
+    return f"{sentence}; the test plants have clearly more under {listed(above)}." if above else f"{sentence}."
 
 
 def _size(evaluation: Evaluation) -> Finding:

@@ -1,4 +1,4 @@
-"""Values that a browser shows where the pointer rests on a point of a figure, as ``<title>`` elements of SVG."""
+"""Values that a browser shows when the pointer is on a point of a figure, as ``<title>`` elements of SVG."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from matplotlib.lines import Line2D
 from agents.report.text import number
 
 MOST_POINTS = 20
-"""Points per line; of a longer line, this many are chosen evenly."""
+"""Largest number of points per line; a longer line is thinned evenly."""
 
 REACH = 6
 """Radius around a point within which its value is shown, in points of the drawing."""
 
 
 def name_categories(axis: Axis, places: Any, labels: Any) -> None:
-    """Give each place on an axis a label: as tick, and as the value of the points beside it."""
+    """Give each place on an axis a label: for its tick, and for the values of its points."""
     axis.set_ticks(list(places), list(labels))
     ends, words = np.asarray(list(places), dtype=np.float64), list(labels)
 
@@ -62,7 +62,7 @@ def _marks(figure: Figure) -> Iterator[str]:
 
 
 def _labels(figure: Figure) -> dict[Any, str]:
-    """Names of lines, and of colours for lines that repeat them in another panel."""
+    """Names of lines, and of their colours for the same lines in another panel."""
     known: dict[Any, str] = {}
     for axes in figure.findobj(Axes):
         assert isinstance(axes, Axes)
@@ -75,7 +75,7 @@ def _labels(figure: Figure) -> dict[Any, str]:
 
 
 def _points(axes: Axes, line: Line2D) -> list[tuple[float, float]]:
-    """Points of a line that are seen, thinned; none of a cloud, whose points are too close."""
+    """Visible points of a line, thinned; none for a cloud, whose points are too close."""
     x, y = (np.asarray(values, dtype=np.float64) for values in line.get_data(orig=False))
     if len(x) > 4 * MOST_POINTS and line.get_linestyle() == "None":
         return []
@@ -86,7 +86,7 @@ def _points(axes: Axes, line: Line2D) -> list[tuple[float, float]]:
 
 
 def _value(axes: Axes, which: str, value: float) -> str:
-    """A coordinate as text, with the words of its axis: "leak 0.3 l/min at 100 bar"."""
+    """A coordinate as text, with the label of its axis: "leak 0.3 l/min at 100 bar"."""
     group = axes.get_shared_x_axes() if which == "x" else axes.get_shared_y_axes()
     own = getattr(axes, f"get_{which}label")()
     words = own or next(filter(None, (getattr(other, f"get_{which}label")() for other in group.get_siblings(axes))), "")

@@ -1,4 +1,4 @@
-"""A page and its figures: how every report goes from numbers to files."""
+"""A page and its figures: the common way from results to files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LETTER = re.compile(r'<path id="DejaVuSans[^"]*"[^>]*/>')
 """Outline of a letter in a drawing."""
 
 FIGURE_FILES = "figures/*.svg"
-"""The files beside a page, for the list of files that a command writes."""
+"""Pattern of the figure files beside a page."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def make_page(template: Path, origin: Origin, **values: Any) -> Page:
 
     Args:
         template: file of the template.
-        origin: what made the page.
+        origin: command, date and version of the page.
         values: for the template; the :class:`~agents.report.canvas.Plot` objects in them, or in lists of them, become
             files.
     """

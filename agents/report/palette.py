@@ -1,7 +1,7 @@
 """The colours of all figures and pages, each in a light and a dark theme.
 
-Figures are drawn in the light colours. On a page each of them becomes a variable of CSS, whose value follows the
-reader's theme; files beside the page keep the light colours.
+Figures are drawn in the light colours. On a page each colour becomes a CSS variable that follows the reader's theme;
+files beside the page keep the light colours.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MEANINGS = {"better": SERIES[0], "worse": SERIES[1], "good": SERIES[2], "doubtfu
 """Judgements in tables and verdicts."""
 
 STRONGEST = 50
-"""Percent of a meaning's colour in a cell of a table; with more, text would lose its contrast."""
+"""Largest percentage of a colour in a table cell; with more, text loses its contrast."""
 
 
 def _variables() -> dict[str, Colour]:
@@ -70,20 +70,20 @@ def css_variables(theme: str) -> str:
 
 
 def themed(svg: str) -> str:
-    """A drawing in the light colours, with variables instead of them."""
+    """A drawing with CSS variables instead of its light colours."""
     names = {colour.light: name for name, colour in reversed(VARIABLES.items())}
     names |= {"#000000": "ink"}
     return re.sub(r"#[0-9a-f]{6}\b", lambda m: f"var(--{names[m[0]]})" if m[0] in names else m[0], svg)
 
 
 def mixed(colour: str, background: str, percent: float) -> str:
-    """The colour on a background, as ``color-mix`` of CSS in sRGB mixes them."""
+    """The colour mixed with a background, like ``color-mix`` of CSS in sRGB."""
     pairs = zip(_channels(colour), _channels(background), strict=True)
     return "#" + "".join(f"{round(b + percent / 100.0 * (a - b)):02x}" for a, b in pairs)
 
 
 def contrast(first: str, second: str) -> float:
-    """Contrast ratio of two colours (WCAG 2): 3 for lines, 4.5 for text is enough."""
+    """Contrast ratio of two colours (WCAG 2); 3 suffices for lines, 4.5 for text."""
     lighter, darker = sorted((_luminance(first), _luminance(second)), reverse=True)
     return (lighter + 0.05) / (darker + 0.05)
 

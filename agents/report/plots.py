@@ -53,9 +53,9 @@ def tracking_plots(evaluation: Evaluation) -> list[Plot]:
     compared = not evaluation.ratios.empty
     return [
         level_plot(evaluation, *error, "mean", "Mean error by leak size", "Mean over all runs."),
-        level_plot(evaluation, *travel, "What the position costs: the way of the valve's spool."),
+        level_plot(evaluation, *travel, "Cost of the positioning: travel of the valve's spool."),
         *([_difference_plot(evaluation)] if compared else []),
-        level_plot(evaluation, *reversals, "Changes of direction that the valve answers; they wear it."),
+        level_plot(evaluation, *reversals, "Changes of direction that the valve follows; they wear it."),
         _by_family(evaluation),
         *([_ratio_plot(evaluation)] if compared else []),
         level_plot(evaluation, *error, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
@@ -64,10 +64,10 @@ def tracking_plots(evaluation: Evaluation) -> list[Plot]:
 
 
 def _hint(evaluation: Evaluation) -> str:
-    """How far single means are known: with several controllers their intervals, which overlap, mislead."""
+    """A hint on intervals: with several controllers, overlapping intervals of single means mislead."""
     if evaluation.ratios.empty:
         return " Bars: 95 % interval."
-    return " Intervals stand in the tables; the paired comparison tells which differences are certain."
+    return " The tables hold the intervals; the paired comparison shows which differences are certain."
 
 
 def level_plot(evaluation: Evaluation, metric: str, label: str, column: str, title: str, note: str) -> Plot:
@@ -113,7 +113,7 @@ def level_plot(evaluation: Evaluation, metric: str, label: str, column: str, tit
 
 
 def _difference_plot(evaluation: Evaluation) -> Plot:
-    """Error minus that of the baseline on the same plants, with intervals of this difference."""
+    """Error minus the baseline's error on the same plants, with intervals of the difference."""
     base, *names = controllers_of(evaluation)
     looks = looks_of([base, *names])
     levels = sorted({float(level) for level in evaluation.cases["leakage_flow_lpm"]})
@@ -164,7 +164,7 @@ def _by_family(evaluation: Evaluation) -> Plot:
 
 
 def _ends(frame: pd.DataFrame, column: str, intervals: bool) -> Array:
-    """Values that the scale must show: those of a column, with or without intervals."""
+    """Values that the scale must include: those of a column, with or without intervals."""
     columns = [column, "low", "high"] if intervals else [column]
     values: Array = frame[columns].to_numpy(dtype=np.float64).ravel()
     return values
@@ -185,7 +185,7 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
 
 
 def _ratio_plot(evaluation: Evaluation) -> Plot:
-    """Error over that of the baseline on the same plants, by kind of reference."""
+    """Error over the baseline's error on the same plants, by kind of reference."""
     frame = evaluation.ratios[evaluation.ratios["group"].isin(["all", "family"])]
     looks = looks_of(controllers_of(evaluation))
     base, names = str(frame["against"].iloc[0]), [str(name) for name in frame["controller"].unique()]
@@ -197,7 +197,7 @@ def _ratio_plot(evaluation: Evaluation) -> Plot:
         axes.axvline(1.0, color=INK, linewidth=1.0)
         bars_by(axes, parts, "value", values, "ratio", looks, "rows")
         if len(names) == 1:
-            axes.containers[0].set_label("")  # the axis names it: no legend
+            axes.containers[0].set_label("")  # the axis label names it
             text: dict[str, Any] = {"color": looks[names[0]].colour, "va": "center", "fontsize": 8.5}
             for row, value in enumerate(frame["ratio"]):
                 axes.text(1.01, row, number(value), transform=axes.get_yaxis_transform(), **text)

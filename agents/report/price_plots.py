@@ -1,4 +1,4 @@
-"""What a leak costs even where the position holds: power from the supply, reserve of speed and force."""
+"""The cost of a leak even if the axis holds its position: power from the supply, reserve of speed and force."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ RESERVES = {
     "force out": "force_out_n",
     "force back": "force_back_n",
 }
-"""What is left at full command, and its column."""
+"""Reserves at full command, and their columns."""
 
 
 def price_plots(table: pd.DataFrame) -> list[Plot]:
-    """Power to hold, and what is left of speed and force, over the leak.
+    """Holding power, and reserve of speed and force, over the leak.
 
     Args:
         table: of :func:`~agents.experiments.leak_price.leak_price`; empty without it.
@@ -38,7 +38,7 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
     def paint_left(axes: Axes) -> None:
         for name, look in looks.items():
             axes.plot(leaks, shares[name], label=name, marker=look.marker, **look.stroke)
-        axes.set(ylabel="left, % of the tight seal", ylim=(0.0, 105.0))
+        axes.set(ylabel="reserve, % of the tight seal", ylim=(0.0, 105.0))
         log_leak_axis(axes, marks)
 
     where = number(float(table["place_mm"].iloc[0]), 0)
@@ -59,7 +59,7 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
         one_panel(
             "price-left",
             "Reserve of speed and force",
-            "At full command: steady speed there, and the largest load that the axis still holds.",
+            "At full command: steady speed at this place, and the largest load that the axis can hold.",
             description("Reserve of speed and force", kept, " %"),
             paint_left,
         ),
@@ -67,7 +67,7 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
 
 
 def price_sentence(table: pd.DataFrame, leak: float) -> str:
-    """What one leak costs, as a sentence; empty without the table, or without this leak in it."""
+    """The cost of one leak, as a sentence; empty if the table does not contain the leak."""
     rows = table[table["leakage_flow_lpm"] == leak] if len(table) else table
     if rows.empty:
         return ""
@@ -77,6 +77,6 @@ def price_sentence(table: pd.DataFrame, leak: float) -> str:
     power = f"takes {number(held)} W" if held == held else "is impossible"
     where = number(float(row["place_mm"]), 0)
     return (
-        f"Whatever the controller: holding {where} mm {power} from the supply. Left at full "
-        f"command, of what the tightest seal gives: {listed([f'{name} {share} %' for name, share in left.items()])}."
+        f"With any controller, holding {where} mm {power} from the supply. Reserve at full "
+        f"command, relative to the tightest seal: {listed([f'{name} {share} %' for name, share in left.items()])}."
     )

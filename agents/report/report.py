@@ -50,14 +50,14 @@ class Example:
     time: Array  # s
     reference: Array  # m
     position: dict[str, Array]  # controller → m
-    command: dict[str, Array]  # controller → parts of 10 V
+    command: dict[str, Array]  # controller → fraction of 10 V
     preview: float = 0.0  # s; the observation shows the reference this far ahead
     leak: float = 0.0  # l/min at 100 bar
 
 
 @dataclass(frozen=True)
 class StudyRecord:
-    """Circumstances of a study for its report."""
+    """Facts of a study for its report."""
 
     title: str
     configuration: str  # YAML text of the study configuration
@@ -84,7 +84,7 @@ def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> Non
 
 
 def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
-    """The report. It calls a controller that corrects another 'PPO on PID'."""
+    """The report. A controller that corrects another is named like 'PPO on PID'."""
     names = {name: correction_name(name, base) for name, base in record.corrects.items()}
     evaluation, record = _renamed(evaluation, record, names)
     looks = looks_of(controllers_of(evaluation))
@@ -94,7 +94,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
         "energy, J",
         "mean",
         "Energy from the supply by leak size",
-        "Mean over all runs; every leak has the same motions.",
+        "Mean over all runs; the motions are the same for every leak.",
     )
     return make_page(
         HERE / "report.html.j2",
@@ -127,7 +127,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
 
 
 def _levels(evaluation: Evaluation, record: StudyRecord) -> list[tuple[str, Table, str]]:
-    """Each leak as text, its errors and costs, and a sentence about what it costs a controller or none."""
+    """Each leak as text, its errors and costs, and a sentence about its cost with any controller."""
     return [
         (setting(level), table, price_sentence(record.leak_price, level))
         for level, table in level_tables(evaluation).items()
@@ -205,14 +205,14 @@ def _protocol(evaluation: Evaluation) -> list[str]:
         "Every controller runs on the same plants, references and sensor noise: all comparisons are paired.",
         _seeds_sentence(evaluation),
         f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings); of shares: 95 %, "
-        "Wilson. Of many such intervals side by side, about one in twenty misses its true value.",
+        "Wilson. About one in twenty of many such intervals misses its true value.",
     ]
     if not evaluation.detection.empty:
         row = evaluation.detection_summary.iloc[0]
         sentences.append(
             f"Detection: {int(row['healthy_episodes'])} healthy and {int(row['leaking_episodes'])} leaking episodes "
             f"per controller, on other plants (seeds {_span(evaluation.detection['seed'])}); leak sizes are "
-            "log-uniform, kinds of reference are drawn. The network reads the signals of one whole episode."
+            "log-uniform, kinds of reference are drawn at random. The network reads the signals of one whole episode."
         )
     return sentences
 
@@ -222,8 +222,8 @@ def _seeds_sentence(evaluation: Evaluation) -> str:
     tables = [table["seed"] for table in (evaluation.cases, evaluation.detection) if not table.empty]
     inside = all(min(seeds) >= TEST_SEEDS.start and max(seeds) < TEST_SEEDS.stop for seeds in tables)
     kept = "so no plant used here took part in training or in setting thresholds"
-    broken = "but some runs here used seeds outside those kept for the test: they may have been trained on"
+    broken = "but some runs here used seeds outside the test seeds; a controller may have been trained on them"
     return (
-        f"A seed fixes plant, reference and noise. Tracking uses seeds {_span(evaluation.cases['seed'])}; training is "
-        f"given {_span(TRAINING_SEEDS)}, validation {_span(VALIDATION_SEEDS)}, {kept if inside else broken}."
+        f"A seed fixes plant, reference and noise. Tracking uses seeds {_span(evaluation.cases['seed'])}; training "
+        f"uses {_span(TRAINING_SEEDS)}, validation {_span(VALIDATION_SEEDS)}, {kept if inside else broken}."
     )

@@ -16,7 +16,7 @@ SHOWN: dict[str, tuple[str, str, float]] = {
     "mean_error_mm": ("Mean error", "mm", 1.0),
     "rms_error_mm": ("Root-mean-square error", "mm", 1.0),
     "peak_error_mm": ("Peak error", "mm", 1.0),
-    "settling_time_s": ("Settling time, where it settled", "s", 1.0),
+    "settling_time_s": ("Settling time, if settled", "s", 1.0),
     "unsettled_share": ("Standstills without settling", "%", 100.0),
     "overshoot_percent": ("Overshoot of steps", "%", 1.0),
     "steady_state_error_mm": ("Steady-state error", "mm", 1.0),
@@ -37,15 +37,15 @@ def _shown(metric: str) -> tuple[str, str, float]:
 
 
 OVERVIEW = ("mean_error_mm", "peak_error_mm", "valve_travel_per_s", "reversals_per_s", "supply_energy_j", "failed")
-"""Metrics that stand beside each other: an error is no result without its price."""
+"""Metrics side by side: an error is no result without its cost."""
 
 
 def overview(evaluation: Evaluation) -> Table:
-    """One row per controller over all runs: error, ratio to the first one, worst cases, and what they cost."""
+    """One row per controller over all runs: error, ratio to the first one, worst cases, and costs."""
     names = controllers_of(evaluation)
     cells = {name: _overview_cells(evaluation.cases, name) for name in names}
     return Table(
-        "Errors and what they cost, mean over all runs",
+        "Errors and costs, mean over all runs",
         ("Controller", _overview_header()[0], f"÷ {names[0]}'s", "worst 5 %, mm", *_overview_header()[1:]),
         [(name, mean, *_overall(evaluation, name), *rest) for name, (mean, *rest) in cells.items()],
     )
@@ -83,7 +83,7 @@ def _overview_cells(cases: pd.DataFrame, name: str) -> tuple[str, ...]:
 
 
 def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
-    """Mean with interval, worst 5 % and worst of every controller."""
+    """Mean with interval, worst 5 % and worst run of every controller."""
     column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
     table = evaluation.levels if by == "level" else evaluation.families
     table = table[table["metric"] == metric]
@@ -161,7 +161,7 @@ SUMMARY: dict[str, tuple[str, float, int, str]] = {
     "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
     "detection_rate_moderate": ("Leaks from {moderate:g} l/min flagged at this threshold", 100.0, 1, " %"),
     "detection_rate_moderate_at_1_percent": (
-        "Leaks from {moderate:g} l/min flagged if the threshold gave 1 % false alarms on these very episodes",
+        "Leaks from {moderate:g} l/min flagged at a threshold with 1 % false alarms on these episodes",
         100.0,
         1,
         " %",

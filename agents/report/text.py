@@ -14,9 +14,9 @@ MOST_DECIMALS = 9
 
 
 def number(value: float, decimals: int | None = None, digits: int = 3, signed: bool = False) -> str:
-    """A number with ``digits`` significant digits, or with ``decimals`` decimals; never an exponent; – for NaN.
+    """A number with ``digits`` significant digits, or with ``decimals`` decimals; without exponent; – for NaN.
 
-    The minus is a minus sign (−), and a zero has no sign; ``signed`` writes the plus of positive numbers.
+    The minus is a minus sign (−), and zero has no sign; ``signed`` adds a plus to positive numbers.
     """
     if not np.isfinite(value):
         return "–" if np.isnan(value) else "∞" if value > 0 else "−∞"
@@ -25,14 +25,14 @@ def number(value: float, decimals: int | None = None, digits: int = 3, signed: b
 
 
 def decimals_for(size: float, digits: int = 3) -> int:
-    """Number of decimals that shows a value of this size with ``digits`` significant digits."""
+    """Number of decimals for ``digits`` significant digits of a value of this size."""
     if size == 0.0 or not np.isfinite(size):
         return 0
     return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), MOST_DECIMALS)
 
 
 def setting(value: float) -> str:
-    """A chosen number in its shortest form: 0.01, 4, −30."""
+    """A setting in its shortest form: 0.01, 4, −30."""
     return f"{value:g}".replace("-", "−")
 
 
@@ -42,7 +42,7 @@ def span(low: float, high: float, decimals: int = 0) -> str:
 
 
 def listed(parts: Sequence[str]) -> str:
-    """Parts as in a sentence: a, b and c."""
+    """Parts as a list in a sentence: a, b and c."""
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
@@ -92,7 +92,7 @@ class Table:
 
 
 def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
-    """Templates of some folders and of this one: HTML, or prose, in which line breaks do not matter.
+    """Templates of some folders and of this one: HTML, or prose with free line breaks.
 
     Filters: ``n`` is :func:`number`, ``s`` is :func:`setting`.
     """

@@ -15,7 +15,7 @@ from agents.report.text import number
 from agents.running.seeds import SEED_MARK
 
 LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
-"""Columns of stable-baselines3's log that have other names in the training curve."""
+"""Columns of stable-baselines3's log with other names in the training curve."""
 
 UPDATES = {
     "train/approx_kl": "approximate KL divergence",
@@ -26,11 +26,11 @@ UPDATES = {
 ERROR = "validation/mean_error_mm"
 
 DISCARDED = 0.05
-"""First part of the training that does not set the scale: values of the untrained policy would flatten the rest."""
+"""First share of the training, which does not set the scale: values of the untrained policy would flatten the rest."""
 
 
 def _checked(curve: pd.DataFrame) -> pd.DataFrame:
-    """The curve with our names of columns; empty if it holds no steps."""
+    """The curve with this project's column names; empty if it has no steps."""
     curve = curve.rename(columns={old: new for old, new in LOG_NAMES.items() if new not in curve})
     if "steps" not in curve or curve.empty:
         return pd.DataFrame()
@@ -38,11 +38,11 @@ def _checked(curve: pd.DataFrame) -> pd.DataFrame:
 
 
 def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float) -> list[Plot]:
-    """Error on validation plants over training, relative to a baseline; none without a curve or a baseline's error.
+    """Error on validation plants over training, relative to a baseline; empty without a curve or a baseline's error.
 
     Args:
-        curve: as for :func:`training_plots`. Trainings of one controller on several seeds are called NAME#0, NAME#1,
-            …; the line is their median, the band reaches from the lowest to the highest.
+        curve: as for :func:`training_plots`. Trainings of one controller on several seeds are named NAME#0, NAME#1, …;
+            the line is their median, the band their range.
         baseline: name of the controller to which errors are relative.
         baseline_error_mm: its mean error on the same plants.
     """
@@ -95,7 +95,7 @@ def training_plots(curve: pd.DataFrame) -> list[Plot]:
         return []
     errors = {name: _words(name) for name in curve if name.startswith("validation/") and name.endswith("_mm")}
     reward = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
-    kl = "How much an update changes the policy (KL divergence), and how well the value function predicts (1 is best)."
+    kl = "Change of the policy per update (KL divergence), and quality of the value function's prediction (1 is best)."
     updates = {name: words for name, words in UPDATES.items() if name in curve}
     validation = "Lower is better; no policy is trained on these plants."
     return [
@@ -148,7 +148,7 @@ def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str],
 
 
 def _scale(axes: Axes, curve: pd.DataFrame, column: str) -> bool:
-    """Scale by the values after the first part, and mark earlier ones beyond the scale; whether there are any."""
+    """Scale by the values after the first part, and mark earlier ones beyond it; returns whether there are any."""
     late = curve[curve["steps"] > DISCARDED * curve["steps"].max()][column].dropna().to_numpy(dtype=np.float64)
     if len(late) < 2:
         return False

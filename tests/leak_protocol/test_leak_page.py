@@ -70,7 +70,7 @@ def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
     assert not re.search(r'(src|href)="(?!#|figures/)', page)
     assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
-    for text in ("Measured against floors and aims", "Does better control hide the leak?", "valve null −1 %"):
+    for text in ("Results beside floors and aims", "Does better control hide the leak?", "valve null −1 %"):
         assert text in page
     assert "estimator did not read ADRC: reads no ADRC." in page
     assert page.count("<svg") >= 8

@@ -63,9 +63,9 @@ def test_groups_and_detectors_choose_what_is_read():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"base": "absent"}, "'absent' is none of the conditions"),
-        ({"alarms": {"X": "a.yaml"}}, "'X' is none of the detectors"),
-        ({"bound_conditions": ["absent"]}, "'absent' is none of the conditions"),
+        ({"base": "absent"}, "'absent' is not one of the conditions"),
+        ({"alarms": {"X": "a.yaml"}}, "'X' is not one of the detectors"),
+        ({"bound_conditions": ["absent"]}, "'absent' is not one of the conditions"),
         ({"conditions": {"plain": {"acting": "nobody"}}}, "must be one of PID"),
         ({"conditions": {"plain": {"motion": "flying"}}}, "must be one of ordinary"),
         ({"conditions": {"plain": {"faults": {"rust": 1.0}}}}, "unknown 'rust'"),

@@ -83,7 +83,13 @@ def test_groups_are_in_order_and_the_many_parameters_are_folded(record):
 
 
 def test_every_section_and_number_stands_on_the_page(page):
-    for title in ("Who wins where", "Where each controller fails", "Frequency response", "Stiffness", "Standstill"):
+    for title in (
+        "Comparison by condition",
+        "Where each controller fails",
+        "Frequency response",
+        "Stiffness",
+        "Standstill",
+    ):
         assert f"<h2>{title}</h2>" in page
     assert "41b35ac0" in page
     assert "hydro evaluate &lt;x&gt;" in page
@@ -102,7 +108,13 @@ def test_a_policy_that_corrects_is_called_so(record):
 def test_missing_tables_leave_their_sections_out():
     tables = protocol_tables()
     page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]})).html
-    for title in ("Who wins where", "Where each controller fails", "Frequency response", "Stiffness", "Standstill"):
+    for title in (
+        "Comparison by condition",
+        "Where each controller fails",
+        "Frequency response",
+        "Stiffness",
+        "Standstill",
+    ):
         assert f"<h2>{title}</h2>" not in page
     assert "<h2>How it was measured</h2>" in page
 
