@@ -36,7 +36,7 @@ VIEW = (
     "position_bias",
     *LeakageEstimate._fields,
 )
-"""What the page reads of an axis after each control period."""
+"""Values of an axis that the page reads after each control period."""
 
 _SENSOR = ("noise", "low", "high", "resolution")
 
@@ -45,7 +45,7 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
     """C sources of the playground's axes, by file name.
 
     Raises:
-        TranslationError: a function uses something that has no translation.
+        TranslationError: a function uses a construct without translation.
     """
     plant = plant_code(config.plant)
     translator = Translator()
@@ -95,7 +95,7 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
 
 
 def _signal(name: str, config: TaskConfig) -> str:
-    """What a controller's signal is in the C of an axis."""
+    """The C expression for a signal of a controller."""
     if name in CHANNELS:
         return f"view->measured[{CHANNELS.index(name)}]"
     if name == "previous_voltage":

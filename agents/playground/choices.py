@@ -1,4 +1,4 @@
-"""The controllers of the playground: the shipped ones, some with gains that can be turned while they run."""
+"""The controllers of the playground: the shipped ones, some with gains that can be changed while they run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Choice:
 
     kind: str
     name: str
-    gains: dict[str, tuple[str, str]]  # field → words on its slider, unit
+    gains: dict[str, tuple[str, str]]  # field → label of its slider, unit
 
 
 CHOICES = (

@@ -27,7 +27,7 @@ from hydro_env.rendering import OIL
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
 CENTRE = 0.02
-"""m; about the middle of the range that the supply holds against the spring."""
+"""m; about the middle of the range that the supply can hold against the spring."""
 
 SEED = 20151
 
@@ -103,7 +103,7 @@ def web_compiler() -> list[str]:
     """Command of the compiler for WebAssembly.
 
     Raises:
-        ConfigurationError: it is not installed.
+        ConfigurationError: the compiler is not installed.
     """
     if importlib.util.find_spec("ziglang") is None:
         text = "the playground is compiled by the package ziglang: pip install 'hydro_env[playground]'"
@@ -116,7 +116,7 @@ def web_assembly(sources: dict[str, str]) -> bytes:
 
     Raises:
         ConfigurationError: the compiler is not installed.
-        HydroError: the compiler failed; with its first message.
+        HydroError: the compiler failed; the message is its first line.
     """
     with tempfile.TemporaryDirectory() as folder:
         for name, text in sources.items():

@@ -1,4 +1,4 @@
-"""Controllers whose gains can be turned while they run: the gains are part of the memory."""
+"""Controllers whose gains can be changed while they run: the gains are part of the memory."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class TunableMemory(NamedTuple):
 
 
 class Tunable:
-    """A classical controller that takes some of its gains from its memory; at the start it has its own.
+    """A classical controller that takes some of its gains from its memory; it starts with its own gains.
 
     Args:
         controller: any controller whose class makes it from gains and task by plain arithmetic.
-        names: the gains that can be turned.
+        names: the gains that can be changed.
     """
 
     def __init__(self, controller: ClassicalController, names: tuple[str, ...]) -> None:

@@ -28,7 +28,7 @@ from hydro_env.units import FULL_VOLTAGE
 Array = NDArray[np.float64]
 
 GAIN_MARGIN = 2.0
-"""Largest stable gain over the gain used."""
+"""Gain margin: largest stable gain over the gain in use."""
 
 SETTLED_SHARE = 0.02
 """Relative deviation from the final value within which a step response counts as settled."""
@@ -104,14 +104,14 @@ def closed_loop_run(
     latency: float = COMMAND_LATENCY,
     sample_time: float = INNER,
 ) -> pd.DataFrame:
-    """The nonlinear plant in a sampled position loop; one row per sample, and the end.
+    """Simulate the nonlinear plant in a sampled position loop; one row per sample, including the end.
 
     Args:
         parameters: the plant.
         reference: m, one value per control period, shape (n,).
         control: the controller, called once per control period.
         start: m, initial position, at rest.
-        deviation: m, added to the position at the start.
+        deviation: m, added to the initial position.
         latency: s, until a command acts.
         sample_time: s; control period and latency are multiples of it.
 
@@ -143,7 +143,7 @@ def closed_loop_run(
 
 
 def limit_table(rig: Rig, leaks: tuple[float, ...] = FINE_ABOVE) -> pd.DataFrame:
-    """Largest stable gain by law, leak and position, and the speed of the loop at gains below it.
+    """Largest stable gain by law, leak and position, and the speed of the loop at lower gains.
 
     ``limit_per_m`` in command (1 = 10 V) per metre; ``continuous_limit_per_m`` = 2 ζ ω over the speed per command: no
     sampling, no latency, an ideal valve (Merritt 1967). NaN where the position cannot be held. ``gain_per_m`` is the
@@ -188,7 +188,7 @@ def _continuous_limit(plant: PlantParameters, place: float) -> float:
 def achievable(table: pd.DataFrame) -> pd.DataFrame:
     """Per law and leak, with one gain for the whole reach: the worst bandwidth, settling time and velocity gain.
 
-    Only positions that can be held with every leak count: all leaks are compared at the same positions.
+    It uses only positions that can be held with every leak; all leaks are therefore compared at the same positions.
     """
     held = table.groupby("position_mm")["limit_per_m"].transform(lambda limits: limits.notna().all())
     judged = table[held] if held.any() else table

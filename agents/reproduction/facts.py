@@ -1,4 +1,4 @@
-"""The numbers and choices for the sentences of a figure (words/*.j2), and the short tables of the page."""
+"""The numbers and cases for the sentences of a figure (words/*.j2), and the short tables of the page."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Facts = dict[str, Any]
 """Names in a template → values; ``summary`` is a table for the page."""
 
 NEGLIGIBLE_CHANGE = 0.03
-"""Relative change of a measure of speed that counts as no change."""
+"""Largest relative change of a measure of speed that counts as unchanged."""
 
 
 def displacement_facts(rig: Rig, table: pd.DataFrame) -> Facts:
@@ -59,7 +59,7 @@ def closed_moves_facts(rig: Rig, table: pd.DataFrame) -> Facts:
 
 
 def force_rate_facts(rig: Rig, table: pd.DataFrame, law: Law) -> Facts:
-    """Sizes of the terms, the check by (23), leakage's share in move and stop."""
+    """Sizes of the terms, the check with (23), and leakage's share in move and stop."""
     windows = shares(table, rig.stretch)
     at = {name: windows[windows["window"] == name].set_index("leak_lpm") for name in WINDOWS}
     part = table[table["leak_lpm"] == DRAWN]

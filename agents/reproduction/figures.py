@@ -71,7 +71,7 @@ class Entry(NamedTuple):
     height: float  # inches
     equations: str = ""
     in_paper: bool = False
-    headline: bool = False  # mentioned in the summary although the paper does not have it
+    headline: bool = False  # in the summary although it is not in the paper
     words: str = ""  # template; the key by default
 
 
@@ -144,10 +144,10 @@ FIGURES = (
 class Words(NamedTuple):
     """Sentences of the page about a figure."""
 
-    paper: str  # what the paper says, in other words
+    paper: str  # summary of the paper
     how: str  # how it was computed here
-    found: list[str]  # what comes out; numbers from the table
-    differs: list[str]  # where the paper's conclusion does not come out
+    found: list[str]  # results with numbers from the table
+    differs: list[str]  # results that differ from the paper's conclusion
     summary: Table | None
     verdicts: list[Verdict]  # on the paper's conclusions
 

@@ -20,7 +20,7 @@ DRAWN = 1.0
 """l/min at 100 bar; the leak of the picture."""
 
 EXTERNAL_LEAK = 0.1
-"""l/min at 100 bar past the rod seal; without it the fourth term would be zero."""
+"""l/min at 100 bar past the rod seal; without this leak the fourth term would be zero."""
 
 TERMS = {
     "valve_n_s": "flow through the valve",

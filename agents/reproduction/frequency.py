@@ -16,7 +16,7 @@ from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.states import STATE_NAMES
 
 MAP_POSITIONS = np.linspace(-0.95, 0.95, 21)
-"""In parts of half the stroke."""
+"""Positions as fractions of half the stroke."""
 
 MAP_LEAKS = np.geomspace(TIGHT, SEVERE, 17)
 

@@ -16,10 +16,10 @@ from hydro_env.units import FULL_VOLTAGE
 
 DURATION = 6.0  # s
 JUDGED = 0.5  # s at the end
-SMALLEST_ERROR = 1e-3  # mm; errors below are none
+SMALLEST_ERROR = 1e-3  # mm; a smaller error counts as zero
 
 CYCLE = ((0.25, 1.0), (0.25, None), (0.25, -1.0), (0.25, None))
-"""s (times Rig.stretch) and parts of Rig.voltage; None holds the start."""
+"""s (times Rig.stretch) and fraction of Rig.voltage; None holds the initial position."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ def controllers(rig: Rig) -> dict[str, Gains]:
 
 
 def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[float, float]:
-    """Mean error (m) and mean command (V) at the end of a hold that begins in balance at the target, u = 0.
+    """Mean error (m) and mean command (V) at the end of a hold that begins in equilibrium at the target with u = 0.
 
-    The position has no noise; the command is computed every 5 ms and acts at once. The integral part stops while the
+    The position has no noise; the command is computed every 5 ms and acts without latency. The integral stops while the
     command is at its limit.
     """
     integral, before = 0.0, target
@@ -61,14 +61,14 @@ def held_error(plant: PlantParameters, gains: Gains, target: float) -> tuple[flo
 
 
 def holding_table(rig: Rig, leaks: tuple[float, ...] = LEVELS) -> pd.DataFrame:
-    """Error in mm and command in V of each controller and leak; the rig as assumed, throttle in parallel.
+    """Error in mm and command in V of each controller and leak, for the assumed rig with a throttle in parallel.
 
     Raises:
-        HydroError: the axis holds without a pressure difference, and nothing leaks.
+        HydroError: the axis holds without a pressure difference, so that nothing leaks.
     """
     _, voltage = equilibrium(with_leak(rig.parameters, SEVERE, "throttle"), rig.hold)
     if 1e3 * abs(voltage) < SMALLEST_ERROR * FULL_VOLTAGE * rig.holding_gain:
-        raise HydroError("no force asks for a pressure difference while it holds, so that no oil leaks")
+        raise HydroError("no force needs a pressure difference while the axis holds, so that no oil leaks")
     rows = []
     for leak in leaks:
         plant = with_leak(rig.parameters, leak, "throttle")

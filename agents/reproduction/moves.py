@@ -15,19 +15,20 @@ from hydro_env import equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 
 MOVES = ((0.25, 1.0), (0.45, 0.0), (0.25, 1.0), (0.45, 0.0), (0.5, -1.0), (0.5, 0.0))
-"""s and parts of Rig.voltage: two moves out and one back, a stop after each. Rig.stretch scales all times here."""
+"""s and fraction of Rig.voltage: two moves out and one back, each with a stop after it. Rig.stretch scales all
+times."""
 
 HELD = 0.1
-"""s; the start is held this long first."""
+"""s; time at the initial position before the first move."""
 
 FIRST_STOP = 0.35
 """s; the first command to stop."""
 
 SETTLE_FIRST = 1.0
-"""s; the closed loop comes to rest before the record begins."""
+"""s; time for the closed loop to come to rest before the record begins."""
 
 JUDGED = 0.1
-"""s at the end of the first stop over which the remaining error is taken."""
+"""s at the end of the first stop, for the mean of the remaining error."""
 
 SEED = 12
 
@@ -96,7 +97,7 @@ def start_stop_reference(rig: Rig) -> NDArray[np.float64]:
 
 
 def ramp_speed(rig: Rig) -> float:
-    """Speed in m/s of the ramps: the lower no-load speed times the part of 10 V that the moves use."""
+    """Speed in m/s of the ramps: the lower no-load speed times the voltage of the moves over 10 V."""
     return rig.voltage / 10.0 * min(speed_limits(rig.parameters))
 
 

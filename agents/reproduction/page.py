@@ -20,12 +20,12 @@ HERE = Path(__file__).parent
 
 
 def equation_table() -> pd.DataFrame:
-    """Where each equation of the paper is computed, and what was corrected in it."""
+    """The function for each equation of the paper, and its corrections."""
     return pd.read_csv(HERE / "equations.csv")
 
 
 class PageFigure(NamedTuple):
-    """A figure of the page, or the reason why there is none."""
+    """A figure of the page, or the reason for its absence."""
 
     entry: Entry
     words: Words | None = None
@@ -34,7 +34,7 @@ class PageFigure(NamedTuple):
 
     @property
     def plot(self) -> Plot:
-        """The drawing for the page, with its findings for those who cannot see it."""
+        """The drawing for the page, with its findings as alternative text."""
         found = " ".join(self.words.found if self.words else [])
         title = self.entry.title
         return as_plot(self.entry.key, title, "", f"{title}. {found}", self.drawing, wide=True)
@@ -46,7 +46,7 @@ def all_verdicts(figures: list[PageFigure]) -> list[Verdict]:
 
 
 def render_page(figures: list[PageFigure], origin: Origin, rig: Rig) -> Page:
-    """The page; the files of its figures stand beside it."""
+    """The page; the files of its figures are beside it."""
     table = equation_table()
     equations = Table("Equations", tuple(table.columns), list(table.itertuples(index=False, name=None)))
     bounds = TaskConfig().leakage.class_bounds

@@ -21,7 +21,7 @@ from agents.reproduction.settling import chosen, friction_words
 from hydro_env import resistance_from_flow
 
 ENLARGED = (0.01, 1.0, 4.0)
-"""Leaks whose stop is drawn enlarged."""
+"""Leaks whose stop is enlarged."""
 
 TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
@@ -37,7 +37,7 @@ def leak_lines(
 
 
 def paint_displacement(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
-    """The whole move, and the time after the first stop enlarged, with and without friction."""
+    """Draw the whole move, and an enlarged time after the first stop, with and without friction."""
     parts: Any = figure.subfigures(2, 1, height_ratios=[1.25, 1.0])
     frictions = [bool(friction) for friction in table["friction"].unique()]
     whole, panels = parts[0].subplots(), parts[1].subplots(1, len(frictions), sharey=True, squeeze=False)[0]
@@ -152,7 +152,7 @@ def paint_force_rate(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
 
 
 def _stacked(axes: Axes, time: np.ndarray, rows: pd.DataFrame) -> None:
-    """Positive parts pile up above zero, negative ones below: upper edge plus lower edge is the sum."""
+    """Stack positive parts above zero and negative ones below: upper edge plus lower edge is the sum."""
     above, below = np.zeros(len(rows)), np.zeros(len(rows))
     for colour, hatch, (name, words) in zip(COLOURS, ("", "", "////", "...."), TERMS.items(), strict=False):
         values = 1e-3 * rows[name].to_numpy()

@@ -1,4 +1,4 @@
-"""Drawings of the figures that the paper does not have: maps, frequency responses, stability, holding, sensitivity."""
+"""Drawings of further figures beside the paper's: maps, frequency responses, stability, holding, sensitivity."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from agents.reproduction.settling import FRICTION_SHARES
 ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 SHARES_OF_MAP = (0.1, 0.3, 0.5, 0.65, 0.8, 0.92)
 WIDE_RANGE = 5.0
-"""Largest over smallest value above which contours are drawn at round numbers of each decade."""
+"""Ratio of largest to smallest value above which contours have round numbers of each decade."""
 
 DEEPEST = 0.5
-"""Largest opacity of a shade; through it the page's background shows, light or dark."""
+"""Largest opacity of a shade; the background of the page, light or dark, shows through."""
 
 SHOWN = 20
 """Parameters in the picture of the sensitivities."""
@@ -63,7 +63,7 @@ def paint_maps(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
         axes.contourf(grid.columns, grid.index, values, levels=levels, colors=shades, extend="both")
         lines = axes.contour(grid.columns, grid.index, values, levels=levels, colors=INK, linewidths=0.8)
         for label in axes.clabel(lines, fontsize=8, fmt="%g", inline=False, colors=INK):
-            # Along the contours some would be upside down.
+            # Labels along the contours could be upside down.
             label.set(rotation=0.0, path_effects=[withStroke(linewidth=2.5, foreground=PAPER)])
         axes.set(yscale="log", xlabel="position, mm (0 = mid-stroke, + = extending)")
         ticks(axes.yaxis, (0.01, 0.1, 1.0, 4.0))
@@ -154,7 +154,7 @@ def paint_holding(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.7)
     axes.set_ylabel("remaining error, mm")
     log_leak_axis(axes, LEVELS, "leak (throttle in parallel), l/min at 100 bar")
-    axes.set_title("Error that remains while holding")
+    axes.set_title("Remaining error while holding")
     legend_inside(axes, loc="best")
 
 

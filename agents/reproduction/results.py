@@ -1,4 +1,4 @@
-"""The results of the page as single numbers of one plant, so that their sensitivity to a parameter can be computed."""
+"""The results of the page as single numbers of one plant, for their sensitivity to parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.units import FULL_VOLTAGE
 
 LEAK = 0.3
-"""l/min at 100 bar; leak of all results that name no other."""
+"""l/min at 100 bar; leak of all results without another leak."""
 
 FRICTION_SHARE = 0.02
 """Friction of the settling times relative to the assumed friction; small enough for the axis to oscillate."""
@@ -32,7 +32,7 @@ class Setting(NamedTuple):
     """Settings that do not change while a plant is varied."""
 
     rig: Rig
-    frequency: float  # rad/s, of the oscillation whose settling is judged
+    frequency: float  # rad/s, of the oscillation that settles
     gain: float  # of the closed loop, command per metre
 
 

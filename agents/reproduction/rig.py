@@ -24,10 +24,10 @@ SLOWEST = 65.0
 """Hz; an axis that oscillates more slowly gets more time."""
 
 LONGEST_STRETCH = 20.0
-"""Longest durations, in those for the paper's rig: beyond it the figures would take minutes."""
+"""Longest durations, as a multiple of those for the paper's rig; longer ones would take minutes."""
 
 LONG_STRETCH, LONG_SAMPLE_TIME = 10.0, 1e-3
-"""Above this stretch, records are sampled more coarsely (s)."""
+"""Stretch above which records have a longer sample time (s)."""
 
 SAMPLES_PER_PERIOD = 20
 SAMPLE_TIMES = (0.5e-3, 0.25e-3, 0.2e-3, 0.1e-3, 0.05e-3, 0.02e-3)
@@ -41,7 +41,7 @@ HOLDING_SPEED = 3.0
 class Rig:
     """A plant with the places and commands of its moves; the defaults are those of the paper's rig.
 
-    It holds all choices of :func:`own_rig` for another rig; no figure has positions or durations of its own.
+    It holds all choices of :func:`own_rig` for another rig; no figure has its own positions or durations.
     """
 
     parameters: PlantParameters = field(default_factory=PlantParameters)
@@ -49,7 +49,7 @@ class Rig:
     is_paper: bool = True
     start: float = 0.005  # m, where moves begin
     place: float = 0.02  # m, where the axis is linearised
-    hold: float = 0.04  # m, where holding is judged
+    hold: float = 0.04  # m, position for holding
     voltage: float = 4.0  # V, of the moves
     stretch: float = 1.0  # all durations times this: a slow axis gets more time
     sample_time: float = 0.5e-3  # s
@@ -76,7 +76,7 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
     """Places and commands for any rig: moves within 40 % of its reach, durations by its oscillation.
 
     Raises:
-        ConfigurationError: the rig cannot work at all, or moves too slowly for the figures.
+        ConfigurationError: the rig cannot work, or moves too slowly for the figures.
     """
     refuse_unworkable(parameters, name)
     if parameters == PlantParameters():
@@ -117,7 +117,7 @@ def rig_from(path: Path | None) -> Rig:
     """The paper's rig, or that of a YAML file.
 
     Raises:
-        ConfigurationError: a wrong file, or a rig that cannot work; one line.
+        ConfigurationError: the file is wrong, or the rig cannot work.
     """
     return Rig() if path is None else own_rig(PlantParameters.from_yaml(path), str(path))
 
@@ -140,7 +140,7 @@ def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> Pl
 
 def with_friction_share(base: PlantParameters, share: float) -> PlantParameters:
     """The plant with its friction forces times ``share``."""
-    if share == 0.0:  # no model takes forces of zero
+    if share == 0.0:  # no model accepts zero forces
         return base.replace(friction={"model": "none"})
     forces = ("coulomb_force", "breakaway_force")
     return base.replace(friction={name: share * getattr(base.friction, name) for name in forces})

@@ -21,7 +21,7 @@ def sensitivity_table(rig: Rig, results: tuple[Result, ...] = RESULTS) -> pd.Dat
     """One row per result and parameter, the largest effect first within each result.
 
     ``normal``, ``at_low`` and ``at_high`` in the result's unit; ``change_low_percent`` and ``change_high_percent`` of
-    the normal value; ``effect_percent`` the larger of their sizes; ``rank`` from 1. NaN where a value is not possible.
+    the normal value; ``effect_percent`` the larger of their sizes; ``rank`` from 1. NaN if a value is impossible.
 
     Raises:
         HydroError: no result can be computed for this rig.

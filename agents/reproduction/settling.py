@@ -33,7 +33,7 @@ class Settling(NamedTuple):
 
     clean_s: float  # of the noise-free acceleration
     theory_s: float  # linear theory; NaN with friction
-    naive_s: float  # last |a| above the level, drift and all
+    naive_s: float  # last |a| above the level, including the drift
     natural_frequency_rad_s: float  # of the linearised axis; NaN where it does not oscillate
     damping_ratio: float
     first_swing_m_s2: float  # largest after the stop
@@ -97,7 +97,7 @@ def settling_of(run: Trajectory, reference_frequency: float, stretch: float = 1.
 
 
 def settling_from_signal(run: Trajectory, reference_frequency: float, seed: int, stretch: float = 1.0) -> float:
-    """Settling time in s that the accelerometer's record gives, by the envelope in a band about the oscillation."""
+    """Settling time in s from the accelerometer's record, by the envelope in a band about the oscillation."""
     sample_time = float(run.time[1] - run.time[0])
     signal = recorded_acceleration(run.acceleration, sample_time, np.random.default_rng(seed))
     outline = band_envelope(signal, sample_time, reference_frequency)
@@ -135,14 +135,14 @@ def settling_table(rig: Rig, leaks: tuple[float, ...] = FINE_BELOW) -> pd.DataFr
 
 
 def need_a_swing(settling_time: float | str | bool) -> None:
-    """Raise an error if the stop of the tight axis without friction is too gentle for a settling time.
+    """Check that the stop of the tight axis without friction is abrupt enough for a settling time.
 
     Raises:
         HydroError: there is nothing to settle.
     """
     if settling_time == 0.0:
         raise HydroError(
-            f"the valve closes so gently, or so little moves, that no swing after the stop exceeds {SETTLED:g} m/s²: "
+            f"the valve closes so gently, or the move is so small, that no swing after it exceeds {SETTLED:g} m/s²: "
             f"there is nothing to settle"
         )
 

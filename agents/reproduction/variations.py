@@ -1,4 +1,4 @@
-"""Every assumed parameter of a rig, each varied down and up by itself."""
+"""Every assumed parameter of a rig, varied down and up one at a time."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ FORCE_SHARE = 0.02
 """Variation of the external force (assumed to be zero), relative to the force limit."""
 
 EXTERNAL_LEAKS = (0.1, 1.0)
-"""l/min at 100 bar past the rod seal; assumed tight, randomised over these."""
+"""l/min at 100 bar past the rod seal; assumed tight, varied over these values."""
 
 EXTRA_THROTTLE = 0.06
-"""l/min at 100 bar through an orifice besides the leak; 20 % of :data:`~agents.reproduction.results.LEAK`."""
+"""l/min at 100 bar through an orifice in addition to the leak; 20 % of :data:`~agents.reproduction.results.LEAK`."""
 
 LEAK_NAME = "leakage.internal_resistance"
 
 
 class Variation(NamedTuple):
-    """One assumed parameter, and the two plants with other values of it; ``None`` if a value is not possible."""
+    """One assumed parameter, and the two plants with other values of it; ``None`` if a value is impossible."""
 
     name: str  # group.field
     value: str

@@ -1,4 +1,4 @@
-"""What the paper concludes, and whether it comes out here: a verdict per conclusion, from the facts of the figures."""
+"""The conclusions of the paper, and whether they are reproduced: a verdict per conclusion, from the figures' facts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from agents.reproduction.facts import NEGLIGIBLE_CHANGE, Facts
 
 YES, PART, NO = "comes out", "in part", "not"
 LITTLE = 0.05
-"""Relative change of a length or a time that counts as little."""
+"""Relative change of a length or a time that counts as small."""
 
 
 class Verdict(NamedTuple):
@@ -26,7 +26,7 @@ class Verdict(NamedTuple):
 
 
 def verdicts_of(key: str, title: str, facts: Facts) -> list[Verdict]:
-    """The verdicts that a figure allows; none for figures that the paper draws no conclusion from.
+    """The verdicts of a figure; an empty list if the paper draws no conclusion from it.
 
     Args:
         key: of the figure.

@@ -29,7 +29,7 @@ COSTS = {
     "energy_ratio": "supply_energy_j",
     "offset_ratio": "steady_state_error_sensor_mm",
 }
-"""Metric of each ratio that stands beside the error."""
+"""Metrics of the ratios beside the error."""
 
 
 class Grid:
@@ -72,12 +72,12 @@ class Grid:
         return self._known[controller, metric]
 
     def weights(self, controller: str, seeds: int, plants: Mask | slice = slice(None)) -> Weights:
-        """Weights of a controller's training seeds, and of some plants; plants have the same ones for everybody."""
+        """Weights of a controller's training seeds, and of some plants; the latter are the same for all controllers."""
         number = self.controllers.index(controller)
         return Weights(seed_weights(seeds, RESAMPLES, number), self._plant_weights[:, plants])
 
     def compare(self, controller: str, against: str, plants: Mask, situations: Mask) -> dict[str, float]:
-        """Columns of one row of a comparison over some plants and situations that both controllers have."""
+        """Columns of one row of a comparison over some plants and situations of both controllers."""
         part = np.ix_(plants, situations)
         mine, theirs = (self.values(name, ERROR)[:, part[0], part[1]] for name in (controller, against))
         absent = np.isnan(mine).all(axis=0) | np.isnan(theirs).all(axis=0)
@@ -110,7 +110,7 @@ class Grid:
     def _equal_weight(
         self, mine: Array, theirs: Array, weights: Weights, their_weights: Weights, plants: Mask, situations: Mask
     ) -> Array:
-        """Geometric mean over conditions and families of the ratio of means: every one weighs the same."""
+        """Geometric mean over conditions and families of the ratio of means, all with the same weight."""
         families, conditions = self.family[plants], self.condition[situations]
         logs = []
         for condition in dict.fromkeys(conditions.tolist()):
@@ -145,7 +145,7 @@ def _mean_over_seeds(values: Array) -> Array:
 
 
 def _ratio(one: Array, other: Array) -> float:
-    """Ratio of the means of two metrics on the cases that both have."""
+    """Ratio of the means of two metrics on their common cases."""
     absent = np.isnan(one).all(axis=0) | np.isnan(other).all(axis=0)
     if absent.all():
         return float("nan")

@@ -25,7 +25,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.rig import merged
 
 FIRST_SEED = TEST_SEEDS.start + 200_000
-"""The first of 100 000 seeds that the protocol alone uses; the ordinary evaluation has others."""
+"""The first of 100 000 seeds that only the protocol uses; the ordinary evaluation has others."""
 
 SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
@@ -33,7 +33,7 @@ Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 
 
 class ControllerChoice(Group):
-    """The form of a controller that was tuned or trained for a condition."""
+    """A variant of a controller that was tuned or trained for a condition."""
 
     kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
     settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
@@ -43,7 +43,7 @@ class ControllerChoice(Group):
 
 
 class Condition(Surroundings):
-    """One condition: what differs from the task of the protocol. Only the plant and the sensors know of it."""
+    """One condition: its differences from the task of the protocol, which the controllers do not know."""
 
     group: str = Field("other", description="conditions that belong together in tables and pictures")
     label: str = Field("", description="short text for axes; default: the name")
@@ -52,7 +52,7 @@ class Condition(Surroundings):
     families: tuple[str, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, ControllerChoice] = Field(
-        default_factory=dict, description="by name; controllers that were tuned or trained for this condition"
+        default_factory=dict, description="by name; controllers tuned or trained for this condition"
     )
 
     @model_validator(mode="after")
@@ -65,7 +65,7 @@ def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
     """Check leak levels and families of references.
 
     Raises:
-        ValueError: a level beyond the limit, an unknown family, or something that stands twice.
+        ValueError: a level is above the limit, a family is unknown, or an entry is duplicate.
     """
     for level in levels:
         if not 0.0 < level <= LEAKAGE_LIMIT:
@@ -77,11 +77,11 @@ def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
         raise ValueError("families: 'user' must stand alone")
     for name, values in (("leak_levels", levels), ("families", families)):
         if len(set(values)) != len(values):
-            raise ValueError(f"{name}: holds something twice")
+            raise ValueError(f"{name}: has a duplicate entry")
 
 
 class Sweep(Group):
-    """Conditions that fix one parameter of the plant after another at factors of the nominal rig's."""
+    """Conditions that each fix one parameter of the plant at a factor of the nominal value."""
 
     group: str = "parameter"
     leak_levels: tuple[float, ...] | None = Field(None, min_length=1)
@@ -114,7 +114,7 @@ class Protocol(Group):
     chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
     standstill_leak_levels: tuple[float, ...] = Field(
         (0.03, 1.0, 8.0),
-        description="l/min; search for limit cycles under each condition that has no leak levels of its own",
+        description="l/min; search for limit cycles under each condition without its own leak levels",
     )
     standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
     bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
@@ -129,7 +129,7 @@ class Protocol(Group):
         check_grid(self.standstill_leak_levels, ())
         for name in self.bound_conditions:
             if name not in self.conditions:
-                raise ValueError(f"bound_conditions: '{name}' is no condition")
+                raise ValueError(f"bound_conditions: '{name}' is not a condition")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -152,7 +152,7 @@ class Protocol(Group):
             swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
             twice = next((name for name in swept if name in conditions), None)
             if twice is not None:
-                raise ConfigurationError(f"{path}: conditions.{twice}: stands in sweep as well")
+                raise ConfigurationError(f"{path}: conditions.{twice}: is also in sweep")
             values["conditions"] = conditions = {**conditions, **swept}
         for condition in conditions.values() if isinstance(conditions, dict) else ():
             if not isinstance(condition, dict):
@@ -177,7 +177,7 @@ class Protocol(Group):
         """The protocol with another task, or on another rig.
 
         Raises:
-            ConfigurationError: no such task or rig, or a condition that does not fit it.
+            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
         """
         base = task_config(self.task if task is None else task, rig=rig)
         protocol = validate(Protocol, {**self.model_dump(), "task": base}, "protocol")
@@ -189,7 +189,7 @@ class Protocol(Group):
         """The task under each condition.
 
         Raises:
-            ConfigurationError: the changes give no possible task; the message names the condition.
+            ConfigurationError: the changed task is impossible; the message names the condition.
         """
         return {name: self._task(name) for name in self.conditions}
 
@@ -205,7 +205,7 @@ class Protocol(Group):
         return condition.task_on(self.task, f"conditions.{name}")
 
     def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
-        """Parameters of every plant that a condition fixes, as the option ``parameters`` of ``reset``."""
+        """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
         return self.conditions[name].parameters_on(self.task_in(name))
 
     def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
@@ -225,7 +225,7 @@ class Protocol(Group):
         return self._cases(name, table), table
 
     def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """Those cases of a condition for which the best found is computed, and their table as in :meth:`cases_in`."""
+        """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
         _, table = self.cases_in(name)
         table = table[table["plant"] < self.bound_plants].reset_index(drop=True)
         return self._cases(name, table), table
@@ -238,7 +238,7 @@ class Protocol(Group):
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the whole protocol with all that its files name, as sorted JSON."""
+        """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
@@ -276,7 +276,7 @@ def protocol_named(name: str) -> tuple[Protocol, Path]:
     """A protocol by its name in ``configs/protocols`` or by the path of a YAML file, and that file.
 
     Raises:
-        ConfigurationError: there is no such protocol, or it is wrong.
+        ConfigurationError: the protocol does not exist or is wrong.
     """
     file = config_file("protocols", name)
     return Protocol.from_yaml(file), file
@@ -286,7 +286,7 @@ def file_sha256(path: Path) -> str:
     """SHA-256 of a text file, as ``sha256sum`` prints it for a file of UTF-8 text.
 
     Raises:
-        ConfigurationError: it cannot be read.
+        ConfigurationError: the file cannot be read.
     """
     read_text(path)
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -31,7 +31,7 @@ BestFound = Callable[[TaskConfig, Cases], Rollout]
 
 @dataclass(frozen=True)
 class Job:
-    """A pure function of its fields: the same job gives the same numbers wherever and beside whatever it runs."""
+    """A pure function of its fields: the same job gives the same numbers on every machine and beside any other job."""
 
     name: str
     condition: str
@@ -40,7 +40,7 @@ class Job:
     cases: Cases
     families: NDArray[np.str_]
     kind: Kind = "tracking"
-    digest: str = ""  # of the controller; empty: its result is not used again
+    digest: str = ""  # of the controller; empty: its result is not reused
 
     def rollout(self) -> Rollout:
         """Run the cases.
@@ -65,12 +65,12 @@ class Job:
 
     @property
     def key(self) -> str:
-        """A text that jobs share if they give the same numbers."""
+        """A text that is equal for jobs with the same numbers."""
         return self.file if self.digest else f"{self.name}|{self.condition}|{self.file}"
 
     @cached_property
     def file(self) -> str:
-        """Name of the file of its result; another job, controller or version of the code has another name."""
+        """Name of the result file; it differs for every job, controller and version of the code."""
         parts = (
             FORMAT,
             digest_of_code(*_ROOMS),

@@ -1,4 +1,4 @@
-"""The controllers of a protocol: which one runs under which condition, and what each of them sees."""
+"""The controllers of a protocol, their conditions, and their inputs."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 
 CONDITION_MARK = "@"
-"""Between a name and the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
+"""Separates a name from the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
 
 
 class Sees(Group):
-    """What a controller reads or is told; a controller may declare it as its attribute ``sees``."""
+    """The inputs of a controller; a controller may declare them in its attribute ``sees``."""
 
     leak: str = "no"
     state: str = "measured signals"
@@ -43,7 +43,7 @@ NAMES = {"flow_linearising": "Flow linearisation"}
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
-    """Every controller that comes with gains or weights, by name; the PID is the first, the baseline."""
+    """Every controller with shipped gains or weights, by name; the first one, the PID, is the baseline."""
     folder = config_folder() / "agents"
     tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
     kinds = (*tuned, *SHIPPED_WEIGHTS)
@@ -57,7 +57,7 @@ def _name(kind: str) -> str:
 
 
 def _called(controller: Controller) -> str:
-    """The name of a controller that another one corrects."""
+    """The name of a corrected controller."""
     kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
     return _name(kinds[0]) if kinds else type(controller).__name__
 
@@ -72,7 +72,7 @@ class Participants:
     def of(self, name: str, condition: str, protocol: Protocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
 
-        Without one for this condition, the general one runs if it gets the observations that it knows.
+        Without a controller for this condition, the general one runs if the observations are those that it knows.
         """
         if (name, condition) in self.special:
             return self.special[name, condition]
@@ -82,7 +82,7 @@ class Participants:
         if here.control_period != known.control_period:
             return f"no controller of this name is tuned for a control period of {1e3 * here.control_period:g} ms"
         if here != known:
-            return "the observations are others than those that it knows"
+            return "the observations differ from those that it knows"
         return self.controllers[name]
 
 
@@ -100,15 +100,15 @@ def participants(
         special: more of these, by ``NAME@CONDITION``; they replace those of the protocol.
 
     Raises:
-        ConfigurationError: no controller, a wrong name, or a controller that cannot be made for its task.
+        ConfigurationError: there is no controller, a name is wrong, or a controller cannot be made for its task.
     """
     if not controllers:
-        raise ConfigurationError("protocol: at least one controller is needed")
+        raise ConfigurationError("protocol: needs at least one controller")
     known: dict[tuple[str, int], str] = {}
     for name in controllers:
         same = known.setdefault(split_name(name), name)
         if same != name:
-            raise ConfigurationError(f"controllers '{same}' and '{name}': are the same training seed of one controller")
+            raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
     ready = {name: opponent(what, protocol.task, name) for name, what in controllers.items()}
     made: dict[tuple[str, str], Controller] = {}
     for condition, entry in protocol.conditions.items():
@@ -141,7 +141,7 @@ def split_name(name: str) -> tuple[str, int]:
     """Controller and training seed of a name: ``PPO#3`` is seed 3 of PPO; a name without a mark is seed 0.
 
     Raises:
-        ConfigurationError: what follows the mark is no number.
+        ConfigurationError: the part after the mark is not a number.
     """
     controller, mark, seed = name.partition(SEED_MARK)
     if not controller or (mark and not seed.isdecimal()):
@@ -152,7 +152,7 @@ def split_name(name: str) -> tuple[str, int]:
 def fingerprint(controller: Any) -> str:
     """Digest of a controller's numbers and of the file of its class; empty if it cannot be pickled.
 
-    Finished work of a controller with another digest is not used again.
+    Finished work of a controller with another digest is not reused.
     """
     try:
         digest = str(joblib.hash(controller))
@@ -167,10 +167,10 @@ def fingerprint(controller: Any) -> str:
 
 
 def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
-    """What a controller sees: as it declares, else found by inspection.
+    """The inputs of a controller: as declared by itself, otherwise found by inspection.
 
     Raises:
-        ConfigurationError: its ``sees`` has unknown keys or no texts.
+        ConfigurationError: its ``sees`` has unknown keys or values that are not texts.
     """
     check_predict(controller)
     base = getattr(getattr(controller, "features", None), "base", None)
@@ -202,7 +202,7 @@ def _memory(controller: Controller) -> str:
 
 
 def sees_table(chosen: Participants, task: TaskConfig) -> pd.DataFrame:
-    """What each controller sees, one row each; training seeds of a controller share a row."""
+    """The inputs of each controller, one row each; training seeds of a controller share a row."""
     rows: dict[str, dict[str, str]] = {}
     for name, controller in chosen.controllers.items():
         rows.setdefault(split_name(name)[0], sees(name, controller, task).model_dump())

@@ -25,13 +25,13 @@ BEST_FOUND = "best found"
 
 @dataclass(frozen=True)
 class ProtocolRun:
-    """What a protocol gave, as tables."""
+    """Results of a protocol, as tables."""
 
     cases: pd.DataFrame  # one row per case with its metrics
     limit_cycles: pd.DataFrame  # one row per standstill; empty without a search
     bound: pd.DataFrame | None  # cases of the best found, if it was computed
     status: pd.DataFrame  # controller (with training seed), condition, status, message
-    reused: int  # jobs whose results were there already
+    reused: int  # jobs with results from an earlier run
 
     @property
     def working(self) -> set[str]:
@@ -54,15 +54,15 @@ def run_protocol(
     progress: Report | None = None,
     best_found: BestFound | None = None,
 ) -> ProtocolRun:
-    """Run all jobs of a protocol; finished ones in the folder are read instead.
+    """Run all jobs of a protocol; finished ones in the folder are read, not run.
 
-    Interrupted, it keeps the finished jobs (:mod:`agents.running.jobs`).
+    An interruption keeps the finished jobs (:mod:`agents.running.jobs`).
 
     Args:
         protocol: the conditions.
         chosen: the controllers.
         folder: for the results of the jobs, one file each; ``None`` keeps none.
-        jobs: number of jobs side by side; default: one per core, or as the active ``parallel_config`` says.
+        jobs: number of jobs side by side; default: one per core, or that of the active ``parallel_config``.
         progress: called with the name of the phase, the number of finished jobs, and their total.
         best_found: runs the cases of the bound; ``None`` leaves the bound out.
 
@@ -73,7 +73,7 @@ def run_protocol(
     cells, status = _plan(protocol, chosen)
     if best_found is not None:
         cells += _bound_plan(protocol, best_found)
-    # Conditions that differ in their references alone share the search for limit cycles.
+    # Conditions that differ only in their references share the search for limit cycles.
     listed = {job.key: job for _, _, parts in cells for job in parts}
     results, reused = run_jobs(listed, folder, jobs, progress)
     frames: dict[Kind, list[pd.DataFrame]] = {"tracking": [], "standstill": [], "bound": []}
@@ -86,7 +86,7 @@ def run_protocol(
             controller, seed = split_name(name)
             frames[parts[0].kind].append(table.assign(controller=controller, training_seed=seed, **metrics))
     statuses = pd.DataFrame(status, columns=["controller", "condition", "status", "message"])
-    # A pair has one row: its failure if it failed in any part.
+    # A pair has one row: a failure if any part failed.
     statuses = statuses.sort_values("message", ascending=False, kind="stable").drop_duplicates(
         ["controller", "condition"]
     )
@@ -104,7 +104,7 @@ _Cell = tuple[str, pd.DataFrame, list[Job]]
 
 
 def _plan(protocol: Protocol, chosen: Participants) -> tuple[list[_Cell], list[tuple[str, str, str, str]]]:
-    """Jobs of each controller and condition with the table of their cases; and the pairs that cannot run."""
+    """Jobs of each controller and condition with the table of their cases, and the pairs that cannot run."""
     cells, status = [], []
     digests: dict[int, str] = {}
     for condition in protocol.conditions:

@@ -67,7 +67,7 @@ def make_tables(
     Args:
         protocol: the protocol.
         chosen: its controllers; the first one that ran is the baseline.
-        run: what it gave.
+        run: its results.
         facts: more rows of the table ``protocol``: key and value.
     """
     grid = Grid(run.cases, run.bound)
@@ -168,7 +168,7 @@ def families_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
 
 
 def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.DataFrame:
-    """Controllers in the order of their equally weighted ratio, with what it costs."""
+    """Controllers in the order of their equally weighted ratio, with their costs."""
     baseline = grid.controllers[0]
     by_condition = run.cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
     best = by_condition.idxmin(axis=1)
@@ -203,9 +203,10 @@ def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.
 
 
 def profile_table(grid: Grid) -> pd.DataFrame:
-    """Share of cases whose error is at most τ times that of the best controller on the case, or of the baseline.
+    """Share of cases with an error of at most τ times that of the best controller in the case, or of the baseline.
 
-    Only conditions under which every controller ran count. Dolan & Moré (2002); intervals as Agarwal et al. (2021).
+    It includes only conditions under which every controller ran. Dolan & Moré (2002); intervals as Agarwal et al.
+    (2021).
     """
     errors = {name: grid.values(name, ERROR) for name in grid.controllers}
     expected = np.array([np.nanmean(np.where(np.isnan(v), np.inf, v), axis=0) for v in errors.values()])
@@ -232,7 +233,7 @@ def profile_table(grid: Grid) -> pd.DataFrame:
 
 
 def worst_table(cases: pd.DataFrame, baseline: str, count: int) -> pd.DataFrame:
-    """The cases in which each controller loses most against the baseline; those of the baseline by its error."""
+    """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
     where = ["condition", "family", "leakage_flow_lpm", "plant", "seed"]
     base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
     joined = cases.join(base, on=where)
@@ -251,7 +252,7 @@ def worst_table(cases: pd.DataFrame, baseline: str, count: int) -> pd.DataFrame:
     frames = []
     for name in cases["controller"].unique():
         own = joined[joined["controller"] == name]
-        # A case under several conditions that change nothing in it counts once.
+        # A case counts once if several conditions do not change it.
         order = own.sort_values(ERROR if name == baseline else "ratio", ascending=False, kind="stable")
         order = order.drop_duplicates(["training_seed", "leakage_flow_lpm", "seed", ERROR]).head(count)
         frames.append(order.assign(rank=np.arange(1, len(order) + 1))[shown])

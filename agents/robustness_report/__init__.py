@@ -1,1 +1,1 @@
-"""The page of the robustness protocol: who wins where, what it costs, and where each controller fails."""
+"""The page of the robustness protocol: comparison by condition, costs, and worst cases of each controller."""

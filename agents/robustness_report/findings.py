@@ -13,14 +13,14 @@ from agents.report.text import listed, number, setting, unbroken
 from agents.robustness_report.record import ALL, Record, interval
 
 MOST_NAMED = 6
-"""Number of conditions that a sentence names."""
+"""Largest number of conditions that a sentence names."""
 
 SAME = 0.02
-"""Costs that differ by less than this share are called the same."""
+"""Costs that differ by less than this share count as the same."""
 
 
 def findings(record: Record) -> list[Finding]:
-    """The findings, in the order of a reader's questions: who wins, where each loses, and what the leak costs."""
+    """The findings: best controller, weaknesses of each controller, and cost of the leak."""
     items: list[Finding] = []
     if not record.table("comparison").empty:
         items += [_winner(record), *(_controller(record, name) for name in record.names[1:])]
@@ -54,7 +54,7 @@ def _winner(record: Record) -> Finding:
     if verdict(value) != "better":
         return Finding(
             f"No controller is clearly better than {base}.",
-            f"The best of the others, {best}, makes {interval_text(value, decimals=2)} times its error.",
+            f"The error of the best other one, {best}, is {interval_text(value, decimals=2)} times as large.",
         )
     share = 100.0 * (1.0 - value.value)
     others = [f"{name} {interval_text(_ratio(record, name), decimals=2)}" for name in ranked[1:]]
@@ -65,7 +65,7 @@ def _winner(record: Record) -> Finding:
 
 
 def _best_in(record: Record) -> str:
-    """In how many conditions each controller is the best, as a sentence."""
+    """Number of conditions in which each controller is the best, as a sentence."""
     ranking = record.table("ranking")
     if ranking.empty or "best_in" not in ranking:
         return ""
@@ -77,11 +77,11 @@ def _best_in(record: Record) -> str:
 
 
 def _cost(record: Record, name: str) -> str:
-    """What a controller takes from valve and supply, as a sentence."""
+    """Cost of a controller for valve and supply, as a sentence."""
     row = record.against(name)
     words = {"travel_ratio": "valve travel", "reversals_ratio": "reversals", "energy_ratio": "energy from the supply"}
     parts = [f"{text} {number(float(row[key]), 2)}" for key, text in words.items() if np.isfinite(row.get(key, np.nan))]
-    return f"Its price against {record.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
+    return f"Its cost relative to {record.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
 
 
 def _controller(record: Record, name: str) -> Finding:
@@ -92,7 +92,7 @@ def _controller(record: Record, name: str) -> Finding:
     won, lost = len(kinds["better"]), len(kinds["worse"])
     lead = f"{name} beats {base} in {won} of {ran} conditions and loses in {lost or 'none'}."
     if won == 0:
-        lead = f"{name} nowhere beats {base}, and loses in {lost or 'none'} of {ran} conditions."
+        lead = f"{name} never beats {base}, and loses in {lost or 'none'} of {ran} conditions."
     text = f"Mean error {interval_text(interval(row, 'ratio'), decimals=2)}, "
     text += f"equal weights {interval_text(whole, decimals=2)}"
     better = interval(row, "share_better")
@@ -165,17 +165,17 @@ def _standstill(record: Record) -> Finding:
         if row:
             part += f" (up to {number(row['amplitude_um'], 0)} µm at {number(row['frequency_hz'], 1)} Hz)"
         parts.append(part)
-    return Finding(lead, f"Held positions with a limit cycle: {'; '.join(parts)}. Seen without sensor noise.")
+    return Finding(lead, f"Held positions with a limit cycle: {'; '.join(parts)}. The runs are without sensor noise.")
 
 
 def _price(record: Record) -> Finding:
     table = record.table("leak_price")
-    held = table[np.isfinite(table["holding_power_w"])]  # the largest leaks may leave no place to hold
+    held = table[np.isfinite(table["holding_power_w"])]  # the largest leaks may make holding impossible
     tight, leaking = held.iloc[0], held.iloc[-1]
     leak = setting(float(leaking["leakage_flow_lpm"]))
     lost = {name: 100.0 * (1.0 - leaking[name] / tight[name]) for name in ("speed_out_mm_s", "force_back_n")}
     power = leaking["holding_power_w"] / tight["holding_power_w"]
-    lead = f"Where the position holds, a leak of {leak} l/min still costs power and reserve."
+    lead = f"Even if the axis holds its position, a leak of {leak} l/min costs power and reserve."
     watts = [number(float(row["holding_power_w"])) for row in (tight, leaking)]
     text = (
         f"Power to hold {number(float(tight['place_mm']), 0)} mm: {watts[0]} W with a tight seal, {watts[1]} W "

@@ -33,7 +33,7 @@ GROUPS = {
 """Titles of the groups of conditions, in the order of the map."""
 
 FOLDED = ("parameter",)
-"""Groups with so many conditions that the page folds them away."""
+"""Groups that the page folds because they have many conditions."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,9 @@ class Cell:
     """One controller under one condition."""
 
     text: str
-    title: str  # the interval, or the reason why there is no number
-    meaning: str = ""  # better or worse, if that is certain
-    share: int = 0  # percent of the meaning's colour
+    title: str  # the interval, or the reason for a missing number
+    meaning: str = ""  # better or worse, if certain
+    share: int = 0  # percentage of the meaning's colour
     best: bool = False
 
 
@@ -125,7 +125,7 @@ def _cells(rows: dict[str, dict[str, Any]], column: str, missing: dict[str, str]
 
 
 def _reason(record: Record, controller: str, condition: str) -> str:
-    """Why a controller has no number under a condition; training seeds count together."""
+    """The reason for a controller's missing number under a condition, over all its training seeds."""
     status = record.table("status")
     if status.empty or condition == ALL:
         return ""
@@ -144,6 +144,6 @@ def _baseline_error(record: Record, condition: str) -> str:
 
 
 def colour_share(ratio: float) -> int:
-    """Percent of the colour of a ratio: 0 at 1; a factor has the same strength above and below."""
+    """Percentage of the colour of a ratio: 0 at 1, and symmetric in the logarithm of the ratio."""
     share = abs(float(np.log(max(ratio, 1e-9)))) / float(np.log(FULL_COLOUR))
     return round(STRONGEST * min(share, 1.0))

@@ -56,7 +56,7 @@ def write_robustness_report(
     jobs: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> None:
-    """Run the experiments, run the worst cases again, and write ``tables/*.csv`` of the experiments and the page.
+    """Run the experiments, repeat the worst cases, and write ``tables/*.csv`` of the experiments and the page.
 
     Args:
         folder: of the results; the page is :data:`PAGE_FILE` in it.
@@ -120,7 +120,7 @@ def render_page(record: Record) -> Page:
 
 
 def problems(record: Record) -> list[str]:
-    """Controllers that failed, or did not apply, under a condition, one line each."""
+    """Controllers that failed or were not applicable under a condition, one line each."""
     lines = [f"Experiments left out: {message}" for message in record.errors.values()]
     status = record.table("status")
     if status.empty:
@@ -138,7 +138,7 @@ def problems(record: Record) -> list[str]:
 
 
 def conditions_table(record: Record) -> list[Table]:
-    """What each condition changes."""
+    """Changes of each condition."""
     table = record.table("conditions")
     if table.empty:
         return []

@@ -1,4 +1,4 @@
-"""The figures of the page: performance profiles, normalised gap, Bode plots, stiffness, price of a leak."""
+"""The figures of the page: performance profiles, normalised gap, Bode plots, stiffness, cost of a leak."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def profile_plots(record: Record) -> list[Plot]:
     """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
     table = record.table("profiles")
     notes = {
-        "best": "Share of cases in which the error is at most τ times the smallest error of any controller on that "
+        "best": "Share of cases in which the error is at most τ times the smallest error of any controller in that "
         "case (Dolan and Moré). Higher is better; at τ = 1: share of cases won.",
-        "baseline": f"The same against {record.baseline}: the curve at τ = 1 is the share of cases better, its end on "
-        "the right shows how bad the worst cases are.",
+        "baseline": f"The same against {record.baseline}: the curve at τ = 1 is the share of cases with a smaller "
+        "error, and its right end shows the worst cases.",
     }
     titles = {
         "best": "Performance profile against the best",
@@ -81,7 +81,7 @@ def _profile(record: Record, table: pd.DataFrame, key: str, title: str, note: st
 
 
 def gap_plot(record: Record) -> list[Plot]:
-    """How much of the gap between the baseline and the best found each controller closes."""
+    """Share of the gap between the baseline and the best found that each controller closes."""
     rows = {name: interval(record.against(name), "gap") for name in record.names[1:]}
     rows = {name: value for name, value in rows.items() if np.isfinite(value.value)}
     if not rows:

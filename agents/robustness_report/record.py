@@ -1,4 +1,4 @@
-"""What the page shows: the tables of the protocol and of the experiments, and traces of the worst cases."""
+"""Content of the page: the tables of the protocol and of the experiments, and traces of the worst cases."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Trace:
 
 @dataclass(frozen=True)
 class Record:
-    """Tables by the name of their CSV file; a table that is missing or empty leaves its section out."""
+    """Tables by the name of their CSV file; the page omits the section of a missing or empty table."""
 
     tables: Mapping[str, pd.DataFrame]
     traces: Sequence[Trace] = ()
-    errors: Mapping[str, str] = field(default_factory=dict)  # controller to the reason why experiments have no rows
+    errors: Mapping[str, str] = field(default_factory=dict)  # controller → reason for missing experiments
 
     def table(self, name: str) -> pd.DataFrame:
         """A table, empty if there is none."""
@@ -46,7 +46,7 @@ class Record:
 
     @property
     def baseline(self) -> str:
-        """The controller against which the others are compared."""
+        """The controller to which the others are compared."""
         return self.names[0]
 
     def facts(self) -> dict[str, str]:
@@ -77,7 +77,7 @@ class Record:
 
 
 def interval(row: Mapping[str, Any], column: str) -> Interval:
-    """A column with its interval (``_low``, ``_high``); NaN where there is none."""
+    """A column with its interval (``_low``, ``_high``); NaN if there is none."""
     missing = float("nan")
     value, low, high = (float(row.get(column + end, missing)) for end in ("", "_low", "_high"))
     return Interval(value, low, high)

@@ -1,4 +1,4 @@
-"""The tables of the page: errors beside costs, bandwidth, stiffness, standstill, price of a leak, who sees what."""
+"""The tables of the page: errors and costs, bandwidth, stiffness, standstill, cost of a leak, inputs."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ COSTS: dict[str, str] = {
     "supply_energy_j": "Energy from the supply, J per run",
     "failed": "Failed runs, %",
 }
-"""What stands beside the error, by metric."""
+"""Costs beside the error, by metric."""
 
 
 def ranking_table(record: Record) -> list[Table]:
-    """Every controller against the baseline: errors, certainty, price."""
+    """Every controller relative to the baseline: errors, certainty, costs."""
     ranking = record.table("ranking")
     if ranking.empty or len(record.names) < 2:
         return []
@@ -46,12 +46,12 @@ def ranking_table(record: Record) -> list[Table]:
         )
     errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
     header = ("Controller", *errors, "valve travel", "reversals", "energy", "best in", "failed", "limit cycles")
-    groups = ((f"error ÷ error of {record.baseline}", 4), ("shares", 2), ("price ÷ baseline’s", 3), ("count", 3))
+    groups = ((f"error ÷ error of {record.baseline}", 4), ("shares", 2), ("cost ÷ baseline’s", 3), ("count", 3))
     return [Table("All conditions", header, rows, groups)]
 
 
 def absolute_table(record: Record) -> list[Table]:
-    """Mean, interquartile mean and worst error in mm beside what they cost, over all conditions."""
+    """Mean, interquartile mean and worst error in mm with costs, over all conditions."""
     summary = record.table("summary")
     summary = summary[summary["condition"] == ALL]
     rows = []
@@ -65,7 +65,7 @@ def absolute_table(record: Record) -> list[Table]:
             cells.append(number(factor * float(own.get(metric, {}).get("mean", np.nan))))
         rows.append((name, *cells))
     header = ("Controller", "mean error, mm", "interquartile mean, mm", "worst run, mm", *COSTS.values())
-    return [Table("Errors and what they cost, mean over all runs", header, rows)]
+    return [Table("Errors and costs, mean over all runs", header, rows)]
 
 
 def _share(row: Mapping[str, Any], column: str) -> str:
@@ -131,18 +131,18 @@ def stiffness_table(record: Record) -> list[Table]:
 
 
 def _recovery(part: pd.DataFrame) -> str:
-    """Median time of the plants that recovered, and their number if it is not all."""
+    """Median time of the plants that recovered, and their number if not all did."""
     times = part["recovery_s"].dropna()
     text = number(1e3 * float(times.median()), 0)
     return text if len(times) == len(part) else f"{text} ({len(times)} of {len(part)})" if len(times) else "never"
 
 
 LEAST_DEVIATION = 1e-3
-"""mm; a smaller deviation says only that the axis is stiffer than that."""
+"""mm; a smaller deviation gives only a lower limit of the stiffness."""
 
 
 def _stiffness(part: pd.DataFrame, column: str) -> str:
-    """Force over deviation, rounded to two digits, with ≥ where the deviation is too small to tell."""
+    """Force over deviation, rounded to two digits, with ≥ if the deviation is too small."""
     force, deviation = float(part["force_n"].iloc[0]), float(part[column].median())
     value = force / max(deviation, LEAST_DEVIATION)
     size = 10.0 ** (int(np.floor(np.log10(value))) - 1)
@@ -151,7 +151,7 @@ def _stiffness(part: pd.DataFrame, column: str) -> str:
 
 
 def standstill_tables(record: Record) -> list[Table]:
-    """Limit cycles by leak, and unrest, offset and valve travel under noise."""
+    """Limit cycles by leak, and residual motion, offset and valve travel with noise."""
     table = record.table("standstill")
     if table.empty:
         return []
@@ -163,7 +163,7 @@ def standstill_tables(record: Record) -> list[Table]:
         cycles.append((str(name), *(_cycles(part) for part in parts)))
         cells = [number(float(own[key].mean()), 1) for key in ("unrest_um", "offset_um")]
         rest.append((str(name), *cells, number(float(own["valve_travel_per_s"].mean()), 2)))
-    words = ("Controller", "unrest, µm RMS", "offset, µm", "valve travel, strokes per s")
+    words = ("Controller", "residual motion, µm RMS", "offset, µm", "valve travel, strokes per s")
     return [
         Table("Held positions with a limit cycle (largest amplitude, its frequency)", header, cycles),
         Table("At rest under sensor noise, mean over all leaks", words, rest),
@@ -220,11 +220,11 @@ PRICES = {
     "force_out_n": ("Force out, N", 0),
     "force_back_n": ("Force back, N", 0),
 }
-"""Columns of the price of a leak: name and decimals."""
+"""Columns of the cost of a leak: name and decimals."""
 
 
 def price_table(record: Record) -> list[Table]:
-    """Power, speed and force left at each leak."""
+    """Holding power, and reserve of speed and force, at each leak."""
     table = record.table("leak_price")
     if table.empty:
         return []
@@ -232,11 +232,11 @@ def price_table(record: Record) -> list[Table]:
     for row in table.to_dict("records"):
         values = {key: 100.0 * row[key] if key == "holding_command" else row[key] for key in PRICES}
         rows.append((setting(row["leakage_flow_lpm"]), *(number(values[key], PRICES[key][1]) for key in PRICES)))
-    return [Table("Price of a leak at steady state", ("Leak, l/min", *(name for name, _ in PRICES.values())), rows)]
+    return [Table("Cost of a leak at steady state", ("Leak, l/min", *(name for name, _ in PRICES.values())), rows)]
 
 
 def sees_table(record: Record) -> list[Table]:
-    """Who sees what."""
+    """Inputs of each controller."""
     table = record.table("sees")
     if table.empty:
         return []

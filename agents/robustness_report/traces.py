@@ -1,4 +1,4 @@
-"""The worst cases of every controller, run again with their traces."""
+"""Repeats the worst cases of every controller with their traces."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Replay = Callable[[Mapping[str, Any]], Rollout]
 """Runs one case again; its argument has the columns of ``cases``."""
 
 CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
-"""Columns that name a case."""
+"""Columns that identify a case."""
 
 
 def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFrame:
-    """The cases that every controller loses by the largest ratio of errors, from different conditions.
+    """The cases in which every controller has its largest ratio of errors, from different conditions.
 
-    The rival of a controller is the baseline; that of the baseline is the controller with the smallest error on the
-    case. With several training seeds, the worst seed counts.
+    The rival of a controller is the baseline; the rival of the baseline is the controller with the smallest error in
+    the case. With several training seeds, the worst seed counts.
 
     Args:
         cases: table ``cases`` of the protocol.
