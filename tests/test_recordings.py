@@ -40,7 +40,7 @@ def test_lines_are_those_of_the_file(tmp_path):
     ("text", "message"),
     [
         ("0,5\n1,000\n", r"line 1: '0,5' may be 2 columns or decimals with a comma"),
-        ("v\n0,5\n", r"line 2 has 2 columns, line 1 has 1; decimals need a point"),
+        ("v\n0,5\n", r"line 2 has 2 columns, line 1 has 1; if commas separate columns, decimals need a point"),
         ("0,001,1,5\n", r"line 1: '0,001,1,5' may be 4 columns"),
         ("0.5,1\n0.5\n", r"line 2 has 1 columns, line 1 has 2"),
         ("a;b\n1.5;2\n1,5;2\n", r"line 2: '1.5' has a decimal point, other lines have commas"),

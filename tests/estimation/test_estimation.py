@@ -312,7 +312,7 @@ def test_every_name_has_a_prior_and_scales_there_and_back():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"unknowns": ["leak"]}, "'leak' is no unknown"),
+        ({"unknowns": ["leak"]}, "'leak': unknown name"),
         ({"unknowns": [LEAKAGE, LEAKAGE]}, "occurs twice"),
         ({"unknowns": ["lines.wall_bulk_modulus"]}, "is infinite on this rig"),
         ({"priors": {"load.mas": Prior(1.0, 1.0)}}, "'load.mas' is not among the unknowns"),

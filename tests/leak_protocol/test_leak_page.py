@@ -33,7 +33,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
     assert early[0] == "A new leak of 1 l/min raises the alarm after 3 s."
     assert "0.1 l/min after 30 s, 2.0 % missed" in early[1]
     assert "2.0 per 100 h (0.2 to 7.2)" in early[1]
-    assert sure[0] == "The head alone raises 18 false alarms an hour: let an alarm sum up its windows."
+    assert sure[0] == "The head alone raises 18 false alarms per hour: let an alarm sum up its windows."
     assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
     assert "Under the worst motion or controller: head 4.0 % (1.6 to 9.8), ADRC" in sure[1]
     assert confused[0] == "Some other faults are taken for a worn seal."

@@ -102,7 +102,7 @@ def test_round_trip(head, tmp_path):
         ("window", -3, "window = -3: must be a whole number within 50"),
         ("window", 10**30, "window: must be a whole number within 50"),
         ("longest", 60, "longest = 60: must be at least window = 80"),
-        ("width", 8, "width = 8: its tensors are of another network"),
+        ("width", 8, "width = 8: its tensors belong to another network"),
         ("task", None, "task: must be a group of settings"),
         ("training", None, "training: must be a group of settings"),
     ],

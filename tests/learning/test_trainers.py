@@ -42,7 +42,7 @@ def test_ppo_is_a_trainer(tmp_path):
     assert (tmp_path / "checkpoint.safetensors").exists()
     with pytest.raises(ConfigurationError, match="needs a controller that the policy corrects"):
         ppo.train(CONFIG, settings, base=None, **options)
-    with pytest.raises(ConfigurationError, match="PolicyController: is no controller of CONTROLLERS"):
+    with pytest.raises(ConfigurationError, match="PolicyController: must be one of CONTROLLERS"):
         ppo.train(CONFIG, settings, base=policy, **options)
 
 

@@ -219,7 +219,7 @@ def saved(tmp_path):
 def test_foreign_and_damaged_weights_are_refused(saved):
     from agents.leakage.head import LeakageHead
 
-    with pytest.raises(ConfigurationError, match="holds 'hydro_env policy', not the 'hydro_env leakage head'"):
+    with pytest.raises(ConfigurationError, match="holds 'hydro_env policy': must be 'hydro_env leakage head'"):
         LeakageHead.load(saved)
     description = json.loads(saved.with_suffix(".json").read_text())
     good = saved.with_suffix(".safetensors").read_bytes()

@@ -165,7 +165,7 @@ def test_a_checkpoint_holds_what_was_put_in(tmp_path):
         np.testing.assert_array_equal(tensors[name], array)
         assert tensors[name].dtype == array.dtype
         assert tensors[name].shape == array.shape
-    with pytest.raises(ConfigurationError, match="holds 'hydro_env kind', not the 'hydro_env other' of format 1"):
+    with pytest.raises(ConfigurationError, match="holds 'hydro_env kind': must be 'hydro_env other' of format 1"):
         load_checkpoint(tmp_path / "c.safetensors", "other")
 
 
