@@ -39,7 +39,7 @@ CANDIDATES: tuple[tuple[Sum, ...], ...] = (
 )
 
 
-class Found(NamedTuple):
+class OnsetLooks(NamedTuple):
     """Looks at axes before and after an onset."""
 
     onset: Onset
@@ -48,7 +48,7 @@ class Found(NamedTuple):
     after: Looks
 
 
-class Tried(NamedTuple):
+class Candidate(NamedTuple):
     """A candidate with its thresholds and its delays on validation axes."""
 
     settings: AlarmSettings
@@ -73,7 +73,7 @@ def _medians(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
     return medians, enough
 
 
-def scale_of(healthy: Looks, design: Sequence[Found], activity: Activity, learning: int) -> Scale:
+def scale_of(healthy: Looks, design: Sequence[OnsetLooks], activity: Activity, learning: int) -> Scale:
     """The scale of one activity.
 
     The spread is the standard deviation of averages over blocks, times the square root of the looks in a block. Looks
@@ -128,7 +128,7 @@ def _threshold(settings: AlarmSettings, healthy: Looks, per_hour: float) -> floa
     return fit_tail(np.concatenate(peaks(alarm.total)), healthy.hours).threshold_at(per_hour)
 
 
-def delays(alarm: LeakAlarm, found: Found) -> tuple[Floats, NDArray[np.bool_]]:
+def delays(alarm: LeakAlarm, found: OnsetLooks) -> tuple[Floats, NDArray[np.bool_]]:
     """Time in s from the onset to the alarm (infinite: none), and which axes had an alarm before the onset, (N,)."""
     before, state = alarm.follow(found.before)
     raised = alarm.follow(found.after, state)[0].alarm
@@ -136,7 +136,7 @@ def delays(alarm: LeakAlarm, found: Found) -> tuple[Floats, NDArray[np.bool_]]:
     return np.where(raised.any(axis=1), delay, np.inf), before.alarm[:, -1]
 
 
-def delay_figures(alarm: LeakAlarm, found: Found) -> tuple[float, float]:
+def delay_figures(alarm: LeakAlarm, found: OnsetLooks) -> tuple[float, float]:
     """Median delay in s and share missed, over the axes without an alarm before the onset."""
     delay, early = delays(alarm, found)
     kept = delay[~early]
@@ -147,13 +147,13 @@ def delay_figures(alarm: LeakAlarm, found: Found) -> tuple[float, float]:
 
 def calibrate(
     healthy: Looks,
-    design: Sequence[Found],
-    onsets: Sequence[Found],
+    design: Sequence[OnsetLooks],
+    onsets: Sequence[OnsetLooks],
     rate: float,
     learning: int,
     detector: str,
     candidates: Sequence[tuple[Sum, ...]] = CANDIDATES,
-) -> list[Tried]:
+) -> list[Candidate]:
     """All candidates with their thresholds, the best first.
 
     Args:
@@ -179,7 +179,7 @@ def calibrate(
         raise ConfigurationError(
             f"alarms: the score of '{detector}' does not rise with the leak, whatever the axis does"
         )
-    tried: list[Tried] = []
+    tried: list[Candidate] = []
     refused: ConfigurationError | None = None
     for sums in candidates:
         try:
@@ -189,7 +189,7 @@ def calibrate(
             continue
         alarm = LeakAlarm(settings)
         reached = {each.onset.name: delay_figures(alarm, each) for each in onsets}
-        tried.append(Tried(settings, reached))
+        tried.append(Candidate(settings, reached))
     if not tried and refused is not None:
         raise refused
     return sorted(tried, key=lambda each: each.cost)

@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from agents.alarms.alarm import AlarmSettings
-from agents.alarms.calibration import Found, Tried, calibrate
+from agents.alarms.calibration import Candidate, OnsetLooks, calibrate
 from agents.alarms.detector import Activity
 from agents.alarms.proof import delay_table, false_alarms, fault_table, growth_summary, growth_table, share_table
 from agents.alarms.simulation import Onset, Operation
@@ -81,11 +81,11 @@ class _Simulated:
         count = max(int(np.ceil(self.job.hours * 3600.0 / self.job.shift)), 20)
         return Operation(self.first_seed, count, self.job.shift, self.job.interval)
 
-    def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float) -> list[Found]:
+    def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float) -> list[OnsetLooks]:
         past = self.job.past
         work = Operation(self.first_seed + offset, self.job.axes, past, self.job.interval, after=after)
         before, *each = self.bench.looks(f"{self.name}_{part}", work, onsets, self.progress)
-        return [Found(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
+        return [OnsetLooks(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
 
 
 def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:
@@ -128,7 +128,7 @@ def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Re
     return Result(settings, tables)
 
 
-def _candidates(tried: list[Tried]) -> pd.DataFrame:
+def _candidates(tried: list[Candidate]) -> pd.DataFrame:
     rows = []
     for each in tried:
         sums = " + ".join(f"{s.method} {s.memory:g} s" if s.memory else s.method for s in each.settings.sums)

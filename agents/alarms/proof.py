@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from agents.alarms.alarm import AlarmSettings, LeakAlarm
-from agents.alarms.calibration import PATIENCE, Found, delays
+from agents.alarms.calibration import PATIENCE, OnsetLooks, delays
 from agents.alarms.growth import growth
 from agents.alarms.looks import Looks
 from agents.alarms.rates import fit_tail, peaks, poisson_interval, rate_with_interval
@@ -40,7 +40,7 @@ def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def delay_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFrame:
+def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
     """Delay from the onset by size and activity: median and 90 % quantile in s, and the share missed after a minute."""
     alarm, rows = LeakAlarm(settings), []
     for found in onsets:
@@ -72,7 +72,7 @@ def share_table(settings: AlarmSettings, cases: Sequence[tuple[str, Looks]]) -> 
     return pd.DataFrame(rows)
 
 
-def fault_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFrame:
+def fault_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
     """Share of axes that raise an alarm after the onset of another fault with a healthy seal; see :func:`delays`."""
     alarm, rows = LeakAlarm(settings), []
     for found in onsets:
@@ -84,7 +84,7 @@ def fault_table(settings: AlarmSettings, onsets: Sequence[Found]) -> pd.DataFram
     return pd.DataFrame(rows)
 
 
-def growth_table(found: Found, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
+def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
     """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
 
     Args:

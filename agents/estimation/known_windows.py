@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.controllers.base import Controller
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
-from agents.running.cases import Cases, Insider, run_cases
+from agents.running.cases import Cases, TrueStateController, run_cases
 from agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
@@ -114,7 +114,7 @@ class _Watcher:
     def begin(self, axes: Axes) -> None:
         """Store the axes whose episodes begin."""
         self._axes = axes
-        if isinstance(self.controller, Insider):
+        if isinstance(self.controller, TrueStateController):
             self.controller.begin(axes)
 
     def predict(

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from agents.alarms.alarm import AlarmSettings, LeakAlarm
-from agents.alarms.calibration import PATIENCE, Found, delays
+from agents.alarms.calibration import PATIENCE, OnsetLooks, delays
 from agents.alarms.detector import Activity, Detector
 from agents.alarms.rates import peaks, poisson_interval
 from agents.alarms.simulation import Onset, Operation, simulate
@@ -101,7 +101,7 @@ class AlarmJob:
             return JobResult({"alarms": alarms, "hours": np.full(self.axes, before.hours / self.axes)})
         columns = {}
         for onset, looks in zip(onsets, each, strict=True):
-            delay, early = delays(alarm, Found(onset, PAST, before, looks))
+            delay, early = delays(alarm, OnsetLooks(onset, PAST, before, looks))
             assert onset.leak_lpm is not None
             columns[_name(onset.leak_lpm, onset.then)] = delay
         return JobResult({"early": early.astype(np.float64), **columns})

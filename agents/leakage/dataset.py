@@ -77,7 +77,7 @@ class Chunk(NamedTuple):
     """Runs that are simulated together."""
 
     row: int  # of OPERATIONS
-    doer: int  # index of the controller, −1: none
+    controller: int  # index of the controller, −1: none
     leak: str  # one of LEAKS
     axes: int
 
@@ -104,13 +104,13 @@ class Plan(NamedTuple):
         changing, orifice = 0.5 * self.changing_share, self.orifice_share
         shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
         for number, row in enumerate(OPERATIONS):
-            doers = range(len(self.controllers)) if row.manner is None else [-1]
-            for doer in doers:
+            acting = range(len(self.controllers)) if row.manner is None else [-1]
+            for controller in acting:
                 for leak, share in shares.items():
-                    count = round(episodes * share * row.share / total / len(doers))
+                    count = round(episodes * share * row.share / total / len(acting))
                     pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
                     sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
-                    parts += [Chunk(number, doer, leak, size) for size in sizes]
+                    parts += [Chunk(number, controller, leak, size) for size in sizes]
         return parts
 
     def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
@@ -158,7 +158,7 @@ class Plan(NamedTuple):
         acting: Any = (
             Operation(row.manner, task, count, int(seeds[0]))
             if row.manner is not None
-            else self.controllers[chunk.doer]
+            else self.controllers[chunk.controller]
         )
         run = run_cases(task, acting, Cases(seeds, flow, faults=faults), columns, states=False, chunk=count)
         assert run.signals is not None

@@ -29,7 +29,7 @@ class ControllerError(ConfigurationError):
 
 
 @runtime_checkable
-class Insider(Protocol):
+class TrueStateController(Protocol):
     """An object that acts on true states instead of observations, such as the best found; not a controller."""
 
     def begin(self, axes: Axes) -> None:
@@ -142,7 +142,7 @@ def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns
         options["faults"] = cases.faults
     observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
     axes, memory = env.axes, None
-    if isinstance(controller, Insider):
+    if isinstance(controller, TrueStateController):
         controller.begin(axes)
     kept = steps if keep_states else 0
     position, command, spool, power, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(5))
