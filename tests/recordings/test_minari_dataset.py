@@ -48,8 +48,8 @@ def test_its_task_needs_no_file(dataset):
     [
         (("--minari", "no version"), "must be NAME-v0"),
         (("--minari", "a-v0", "--episodes", 0), "--episodes = 0: must be within 1 to"),
-        (("--minari", "a-v0", "--output", "a.csv"), "one of them"),
-        ((), "one of them"),
+        (("--minari", "a-v0", "--output", "a.csv"), "either --output FILE or --minari NAME"),
+        ((), "either --output FILE or --minari NAME"),
     ],
 )
 def test_impossible_options_are_named(options, message, tmp_path, monkeypatch):
