@@ -52,7 +52,7 @@ _HOME = {
     "resistance_from_flow": "units",
     "simulate": "plant.simulate",
 }
-"""Module that defines each public name; the name is imported from there at its first use."""
+"""Module that defines each public name; the name is imported at its first use."""
 
 __all__ = [
     "ENVIRONMENT_ID",
@@ -80,7 +80,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'hydro_env' has no attribute '{name}'")
     value = getattr(importlib.import_module(f"hydro_env.{_HOME[name]}"), name)
-    globals()[name] = value  # found directly from now on
+    globals()[name] = value  # later uses find it directly
     return value
 
 

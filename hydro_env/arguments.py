@@ -22,7 +22,7 @@ def whole_number(name: str, value: Any, low: int, high: int | None = None) -> in
     """A whole number, of Python or NumPy, within its bounds.
 
     Raises:
-        ConfigurationError: it is no whole number (``True`` is none), too small or too large.
+        ConfigurationError: the value is not a whole number (``True`` is not one), too small or too large.
     """
     if isinstance(value, int | np.integer) and not isinstance(value, bool):
         number = int(value)
@@ -45,7 +45,7 @@ def info_kind(value: Any) -> bool | str:
     """The checked kind of ``info``.
 
     Raises:
-        ConfigurationError: it is none of :data:`INFO_KINDS`.
+        ConfigurationError: the value is not one of :data:`INFO_KINDS`.
     """
     if isinstance(value, bool | np.bool_):
         return bool(value)

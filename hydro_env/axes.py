@@ -44,18 +44,18 @@ from hydro_env.task.signals import POSITION, layout_of, observation_layout
 from hydro_env.units import resistance_from_flow
 
 AXES_PER_THREAD = 256
-"""Each thread gets at least this many axes; with fewer, waking it takes longer than its work."""
+"""Smallest number of axes per thread; with fewer, starting the thread takes longer than its work."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 COLUMN = {name: offset // 8 for name, (_, offset, *_) in (RECORD.fields or {}).items()}
-"""Column of :attr:`Axes.numbers` with the (first) number of each field of a record, up to ``noise_key``."""
+"""Column of :attr:`Axes.numbers` for the (first) number of each field of a record, up to ``noise_key``."""
 
 
 @dataclass(frozen=True)
 class AxesState:
-    """Complete state of some axes; it can be pickled, and set on any axes of the same task.
+    """Complete state of some axes; it can be pickled and set on any axes of the same task.
 
     ``arrays`` have one row per axis. A state of the whole environment also holds ``generator``, the state of
     ``np_random``, and ``history``, the past positions and references of the drawing.
@@ -126,7 +126,7 @@ class Axes:
         """Make views of the arrays.
 
         ``numbers`` holds the records as rows of plain numbers (:data:`COLUMN`), which Python reads faster than fields;
-        it ends before the fields that no step of an environment reads.
+        it ends before the fields that are not needed in a step of an environment.
         """
         self._fixed_arguments = (self._task, self._layout, *self.arrays)
         self.record, plant, self.reference, self.observation = self.arrays
@@ -139,7 +139,7 @@ class Axes:
     # Randomness -----------------------------------------------------------------------------------------------------
 
     def seed(self, axis: int, generator: np.random.Generator) -> None:
-        """Seed an axis from its generator; its episodes count from 0 again."""
+        """Seed an axis from its generator; its episode number restarts at 0."""
         self._chances.seeds["root"][axis] = generator.integers(0, 2**64, dtype=np.uint64)
         self._chances.seeds["episode"][axis] = -1
 
@@ -149,7 +149,7 @@ class Axes:
         """Begin new episodes on some axes.
 
         Raises:
-            ConfigurationError: no plant that was drawn can hold its initial position.
+            ConfigurationError: no drawn plant can hold its initial position.
         """
         self._chances.seeds["episode"][axes] += 1
         self.record[axes] = np.zeros((), RECORD)
@@ -179,8 +179,8 @@ class Axes:
             )
 
     def _unreachable(self, axis: int) -> str:
-        """Message about a reference that needs more force than the supply gives."""
-        from hydro_env.plant.analysis import force_limits  # loaded only to refuse
+        """Message about a reference that needs more force than the supply can give."""
+        from hydro_env.plant.analysis import force_limits  # imported only for the message
 
         plant = self.parameters(axis)
         stiffness = plant.load.spring_stiffness
@@ -249,11 +249,11 @@ class Axes:
         """Set states of :meth:`get_state` on some axes, one for each or the same one for all.
 
         Raises:
-            ConfigurationError: ``state`` is no such state, belongs to another task, or has another number of axes.
+            ConfigurationError: ``state`` is not a state, belongs to another task, or has another number of axes.
         """
         states = [state] if isinstance(state, AxesState) else state
         if not isinstance(states, list | tuple) or not states or not all(isinstance(s, AxesState) for s in states):
-            raise ConfigurationError("set_state: must be a state of get_state, or a list of such states")
+            raise ConfigurationError("set_state: must be a state from get_state, or a list of such states")
         if any(s.config != self.config for s in states):
             raise ConfigurationError("set_state: this is the state of another task")
         rows = {name: np.concatenate([s.arrays[name] for s in states]) for name in states[0].arrays}
@@ -279,14 +279,14 @@ class Axes:
         return exceeded
 
     def faults(self) -> dict[str, Floats]:
-        """Magnitude of each fault that some axis has now, by name; (N,) each, 0 for none."""
+        """Present magnitude of each fault that any axis has, by name; (N,) each, 0 for none."""
         if not self.column("faulty").any():
             return {}
         magnitudes = self.column("fault")
         return {FAULTS[index]: magnitudes[:, index].copy() for index in np.flatnonzero(magnitudes.any(axis=0))}
 
     def drawn_faults(self) -> dict[str, Floats]:
-        """Magnitude now, (N,), of each fault that the task may draw, by name."""
+        """Present magnitude, (N,), of each fault that the task may draw, by name."""
         magnitudes = self.column("fault")
         return {name: magnitudes[:, FAULTS.index(name)].copy() for name in self._drawn_faults}
 

@@ -26,17 +26,17 @@ PAPER, INK = (250, 250, 248), (38, 46, 56)
 
 
 class Canvas:
-    """Draws shapes enlarged and scales them down, which smooths their edges; text is added at its true size."""
+    """Draws enlarged shapes and scales them down for smooth edges; text is added at its true size."""
 
     def __init__(self) -> None:
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps pygame's greeting out of the output
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # suppresses pygame's greeting
         try:
             import pygame
             import pygame.freetype
         except ImportError as error:
             raise DependencyNotInstalled('pygame is not installed, run `pip install "hydro_env[render]"`') from error
         pygame.freetype.init()
-        with warnings.catch_warnings():  # without system fonts pygame takes its own
+        with warnings.catch_warnings():  # pygame warns if there are no system fonts, and uses its own
             warnings.simplefilter("ignore")
             self._font = pygame.freetype.SysFont(FONTS, 13)
         self._font.origin = True
@@ -109,7 +109,7 @@ class Canvas:
         self.polygon([(x + r * cosine - s * sine, y + r * sine + s * cosine) for r, s in shape], fill, INK)
 
     def pipe(self, points: Points, fill: Color) -> None:
-        """A pipe of straight runs along x or y; both ends reach 3 px further, under the parts that they join."""
+        """A pipe of straight runs along x or y; both ends extend by 3 px, under the connected parts."""
         for color, half in ((INK, 3.0), (fill, 2.0)):
             for (x, y), (x_end, y_end) in pairwise(points):
                 left, right, top, bottom = min(x, x_end), max(x, x_end), min(y, y_end), max(y, y_end)

@@ -1,4 +1,4 @@
-"""Compilation of the inner loops through numba's public interface, with a cache on disk that notices every change.
+"""Compilation of the inner loops through numba's public interface, with a disk cache that detects every change.
 
 :func:`inline` marks the functions that kernels call, :func:`compiled` marks the kernels. Numba compiles neither loops
 over the fields of a named tuple nor ``_replace``; this module generates the functions that replace them from the list
@@ -20,10 +20,10 @@ from typing import Any, TypeVar, cast
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-"""Division follows NumPy; a product and a sum may be one instruction; other Python threads may run.
+"""Division follows NumPy; a product and a sum may become one instruction; other Python threads may run.
 
-On one processor the same source gives the same bits, whatever other plants run beside it. Between processors with and
-without fused multiply–add the last digits differ: ``contract`` lets the compiler use that instruction if there is one.
+On one processor the same source gives the same bits, independent of other plants in the run. Between processors with
+and without fused multiply–add the last digits differ: ``contract`` allows the compiler to use that instruction.
 """
 
 SILENT_SECONDS = 2.0
@@ -38,9 +38,9 @@ def _digest_of_sources() -> int:
 
 
 SOURCES = _digest_of_sources()
-"""A number that changes with every source file of this package; kernels have it in their closure.
+"""A digest of all source files of this package; kernels have it in their closure.
 
-Numba keys its cache on the kernel's own file and closure; it would not notice a change in functions from other files.
+Numba keys its cache on the kernel's own file and closure, and would miss a change in functions from other files.
 """
 
 
@@ -116,13 +116,13 @@ class Kernel:
 
     @property
     def loaded(self) -> Callable[..., Any]:
-        """The machine code itself once there is some, for callers that count tenths of microseconds."""
+        """The compiled machine code, if available, for callers that save tenths of microseconds."""
         loaded: Callable[..., Any] = self.dispatcher if self._ready else self
         return loaded
 
     def _first(self, arguments: tuple[Any, ...]) -> Any:
         collecting = gc.isenabled()
-        gc.disable()  # it would search millions of the compiler's live objects repeatedly
+        gc.disable()  # otherwise it searches millions of live compiler objects repeatedly
         timer = threading.Timer(SILENT_SECONDS, _announce)
         timer.daemon = True
         timer.start()
@@ -170,7 +170,7 @@ def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -
     body = "\n".join(f"    {line}" for line in lines)
     source = f"def {name}({parameters}):\n{body}"
     exec(compile(source, f"<{name}>", "exec"), names)
-    names[name].source = source  # for those who translate it to another language
+    names[name].source = source  # for the translation to C
     return inline(names[name])
 
 
@@ -220,12 +220,12 @@ def lane_function(array: str, rows: int, lanes: int, *statements: str) -> Callab
 
 
 def function_of_number(functions: Sequence[Callable[..., Any]], parameters: str, number: str) -> Callable[..., Any]:
-    """A function of ``parameters`` that calls the one of ``functions`` with a number, and none beyond them.
+    """A function of ``parameters`` that calls ``functions[number]``, and nothing for other numbers.
 
     Args:
-        functions: each of the parameters without the number.
+        functions: functions of the parameters without the number.
         parameters: names, with commas between them.
-        number: the one of them that chooses.
+        number: name of the parameter with the number.
     """
     others = ", ".join(name for name in parameters.split(", ") if name != number)
     lines = [f"if {number} == {index}: function_{index}({others})" for index in range(len(functions))]
@@ -260,7 +260,7 @@ def tuple_map(kind: type, expression: str, parameters: str) -> Callable[..., Any
 
 
 def tuple_maximum(kind: type, expression: str, parameters: str) -> Callable[..., Any]:
-    """The largest value of an expression over ``{name}``, or NaN if one is."""
+    """The largest value of an expression over ``{name}``; NaN if any value is NaN."""
     values = [f"value_{index}" for index in range(len(_fields(kind)))]
     lines = [
         f"{value} = {expression.replace('{name}', name)}" for value, name in zip(values, _fields(kind), strict=True)

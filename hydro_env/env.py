@@ -41,7 +41,7 @@ _FIRST = np.zeros(1, dtype=np.int64)
 
 
 class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
-    """A hydraulic cylinder positions a load; its piston seal may leak, and the controller cannot see it.
+    """A hydraulic cylinder positions a load; its piston seal may leak, and the controller cannot see the leak.
 
     ## Description
 
@@ -57,7 +57,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     |---|---|---|---|---|
     | 0 | valve command; ±1 is ±10 V, + extends | −1 | 1 | 10 V |
 
-    Finite values outside are limited, as the valve drive limits them. NaN and other shapes are errors.
+    Finite values outside are clipped, like in the valve drive. NaN and other shapes are errors.
 
     ## Observation Space
 
@@ -86,7 +86,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     ## Starting State
 
     At rest at a random position inside the range of the references: pressures, spool and supply in equilibrium. The
-    position sensor reads the reference there, apart from noise; its bias (up to ±80 µm) is where the axis truly is.
+    position sensor reads the reference there, apart from noise; its bias (up to ±80 µm) shifts the true position.
     ``start="actual"`` puts the axis itself on the reference.
 
     ## Episode End
@@ -119,13 +119,13 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Version History
 
-    * v0: first version. Since 0.2: a plant that cannot hold its start is drawn again instead of refused; an episode
-      whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``, ``info="flat"``,
-      ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased sensor would
-      hold the axis. Before, the true position was on the reference, and the mean of the first errors told the bias:
-      subtracting it "improved" controllers by 7 to 20 %; ``start="actual"`` brings that back. Plants, leaks, references
-      and noise of a seed are the same as before. Since 0.4: ``faults`` of valve, sensors, return line and rod seal,
-      none by default.
+    * v0: first version. Since 0.2: a plant that cannot hold its initial position is drawn again, which was an error
+      before; an episode whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``,
+      ``info="flat"``, ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased
+      sensor would hold the axis. Before, the true position was on the reference, and the mean of the first errors
+      revealed the bias: subtracting it "improved" controllers by 7 to 20 %; ``start="actual"`` restores that.
+      Plants, leaks, references and noise of a seed are the same as before. Since 0.4: ``faults`` of valve, sensors,
+      return line and rod seal, none by default.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
@@ -154,7 +154,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         self._history: list[tuple[float, float]] = []  # position and reference, for drawing
         self._renderer: AxisRenderer | None = None
         self._pace = Pace()
-        # Wrappers that record or show each step take this rate: in real time, as the window is.
+        # Wrappers that record or show each step use this rate: real time, like the window.
         self.metadata = {**self.metadata, "render_fps": round(1.0 / self.config.control_period)}
 
     def reset(
@@ -221,7 +221,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         A state of one axis of the vector environment holds no generator; this environment then keeps its own.
 
         Raises:
-            ConfigurationError: ``state`` is no such state, has several axes, or belongs to another task.
+            ConfigurationError: ``state`` is not a state, has several axes, or belongs to another task.
         """
         self._axes.set_state(state, _FIRST)
         if isinstance(state, AxesState):
@@ -236,7 +236,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         return self._axes
 
     def __getstate__(self) -> dict[str, Any]:
-        """Content of a copy or a pickle: everything but the window or canvas, which the copy makes for itself."""
+        """Content of a copy or a pickle: everything except the window or canvas, which the copy creates again."""
         return {**self.__dict__, "_renderer": None}
 
     @property
@@ -251,7 +251,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             return {}
         flow, position, reference = row[_FLOW], row[_POSITION], row[_REFERENCE]
         terms = {}
-        for index, name in _TERMS:  # a comprehension takes three times as long
+        for index, name in _TERMS:  # three times as fast as a comprehension
             terms[name] = -row[index]
         info: dict[str, Any] = {
             "leakage_resistance": resistance_from_flow(flow),

@@ -1,4 +1,4 @@
-"""Arrays of the infos of a vector environment, as Gymnasium lays them out: values, and masks of those that exist."""
+"""Infos of a vector environment in Gymnasium's layout: arrays of values, and masks of existing values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Flags = NDArray[np.bool_]
 
 
 def names_of(codes: NDArray[np.int64], known: Sequence[str], present: Flags) -> NDArray[np.object_]:
-    """The name of each code, None where an axis is not present.
+    """The name of each code; None if an axis is not present.
 
     Filled code by code: NumPy 2.0 to 2.2.2 crash when two threads repeat an array of objects.
     """

@@ -1,4 +1,4 @@
-"""Lets a window follow the time of the simulation, however long drawing takes."""
+"""Synchronises a window with the simulated time, independent of the drawing time."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ BETWEEN_LATE_FRAMES = 1 / 10
 """s between two frames while the window lags behind."""
 
 FORGIVEN = 1.0
-"""s; a larger lag is a pause, such as training between two steps: the window goes on from there."""
+"""s; a larger lag counts as a pause, such as training between two steps: the window continues from there."""
 
 
 class Pace:
-    """Tells which samples a window draws, and waits until their time has come."""
+    """Decides which samples a window draws, and waits for their time."""
 
     def __init__(
         self, clock: Callable[[], float] = time.perf_counter, sleep: Callable[[float], None] = time.sleep
@@ -26,7 +26,7 @@ class Pace:
         self._next: float | None = None  # s, of the next frame
 
     def begin(self) -> None:
-        """Begin an episode: the next sample is drawn, and its time is now."""
+        """Begin an episode: the next sample is drawn immediately."""
         self._next = None
 
     def due(self, now: float) -> bool:

@@ -27,7 +27,7 @@ FAINT, ROD, STEEL, PISTON = (218, 222, 226), (238, 240, 242), (203, 208, 214), (
 POSITION, REFERENCE, REFERENCE_COMING, LEAK = (24, 78, 140), (205, 92, 0), (236, 184, 140), (255, 214, 60)
 OIL = ((178, 208, 236), (222, 178, 196), (212, 74, 70))  # from tank blue to pressure red
 
-# Places in pixels. Lengths along the axis are to scale; so are the diameters, on a scale of their own.
+# Places in pixels. Lengths along the axis are to scale; the diameters have their own scale.
 AXIS_Y, BORE_HALF, WALL, CAP, PISTON_HALF, STROKE_PIXELS = 132.0, 40.0, 8.0, 24.0, 12.0, 345.0
 BORE_TOP, BORE_BOTTOM = AXIS_Y - BORE_HALF, AXIS_Y + BORE_HALF
 BARREL_LEFT = 56.0
@@ -97,7 +97,7 @@ class _Picture(Canvas):
 
     def draw_view(self, view: View) -> pygame.Surface:
         self._view = view
-        # The scale only grows: colours do not flicker while the supply pressure moves about a limit.
+        # The scale only grows, so that colours do not flicker when the supply pressure moves around a limit.
         fitting = (scale for scale in PRESSURE_SCALES if scale >= 1.1 * view.supply_pressure / BAR)
         self._pressure_scale = max(self._pressure_scale, next(fitting, PRESSURE_SCALES[-1]))
         self.clear()
@@ -336,7 +336,7 @@ def _number(value: float, decimals: int = 1) -> str:
 
 
 def _nice_step(span: float, parts: int) -> float:
-    """The smallest 1, 2 or 5 times a power of ten that covers the span in no more than the wanted parts."""
+    """The smallest 1, 2 or 5 times a power of ten that covers the span in at most ``parts`` parts."""
     power = 10.0 ** math.floor(math.log10(span / parts))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power * parts >= span * (1 - 1e-9))
 

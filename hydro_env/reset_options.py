@@ -30,7 +30,7 @@ OPTION_NAMES = (
     "reset_mask",
 )
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
-"""Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is the critical one."""
+"""Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -40,7 +40,7 @@ def options_given(options: Any) -> dict[str, Any]:
     """A copy of the options of a reset as a dictionary.
 
     Raises:
-        ConfigurationError: the options are no mapping.
+        ConfigurationError: the options are not a mapping.
     """
     if options is None:
         return {}
@@ -104,7 +104,8 @@ class ResetOptions:
         """Fix parts of the next episode of some axes; see ``ServoHydraulicEnv.reset``.
 
         Raises:
-            ConfigurationError: unknown option, wrong shape, or an impossible value; nothing has changed then.
+            ConfigurationError: an option is unknown, a shape is wrong, or a value is impossible; then nothing is
+                changed.
         """
         options = options_given(options)
         for name in options:
@@ -128,7 +129,7 @@ class ResetOptions:
             self.set_user_reference(user, axes)
 
     def _per_axis(self, value: Any, name: str, axes: Indices) -> Floats:
-        """A number for all axes, or one for each."""
+        """One number for all axes, or one per axis."""
         array = numbers(value)
         if array is None:
             raise ConfigurationError(f"reset options: {name} = {shown(value)}: must be a number")
@@ -208,7 +209,7 @@ class ResetOptions:
             for field, value in fields.items():
                 path = f"{group}.{field}"
                 if path not in PARAMETER_PATHS:
-                    raise ConfigurationError(f"reset options: parameters.{path} is no parameter of the plant")
+                    raise ConfigurationError(f"reset options: parameters.{path} is not a parameter of the plant")
                 if path in LEAKAGE_OF_THE_TASK:
                     raise ConfigurationError(
                         f"reset options: parameters.{path}: give leakage_flow_lpm or leakage_resistance instead"
@@ -232,7 +233,7 @@ class ResetOptions:
         return override
 
     def _check_parameters(self, row: Floats, where: str) -> None:
-        """Check that the plant is valid for the least favourable draws while these parameters are fixed (not NaN)."""
+        """Check that the plant is valid for the least favourable draws with these parameters fixed (if not NaN)."""
         vector = np.where(np.isnan(row), self._base, row)
         for draw in self._draws:
             index, times = int(draw["parameter"]), int(draw["times"])

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 from hydro_env.task.configuration import TaskConfig
 
 NAMED = ("config", "task", "rig", "plant")
-"""Keywords that may name a file."""
+"""Keywords with possible file names."""
 
 
 class PlainSpec:

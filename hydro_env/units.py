@@ -1,4 +1,4 @@
-"""Units of practice, quantities written with their unit, and fields of a configuration with unit, origin and bounds."""
+"""Practical units, quantities written with a unit, and configuration fields with unit, origin and bounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LITRE_PER_MINUTE = 1e-3 / 60
 """One litre per minute in m³/s."""
 
 LEAKAGE_TEST_PRESSURE = 100e5
-"""Pressure difference (Pa) at which practice quotes a leak: 100 bar across the piston."""
+"""Pressure difference (Pa) for quoting a leak: 100 bar across the piston."""
 
 FULL_VOLTAGE = 10.0
 """Largest input of the valve's amplifier (V); a command of 1."""
@@ -40,14 +40,14 @@ _QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-
 
 
 def unit_factor(text: str, known: Mapping[str, float]) -> float:
-    """SI units per the unit that a text names, which may hold ``3`` or ``^3`` for ``³``, and either ``µ`` or ``μ``.
+    """SI units per unit of a text; it may contain ``3`` or ``^3`` for ``³``, and either ``µ`` or ``μ``.
 
     Args:
-        text: the name.
+        text: name of the unit.
         known: SI units per unit, as in :data:`UNITS`.
 
     Raises:
-        ValueError: an unknown unit.
+        ValueError: the unit is unknown.
     """
     names = {_plain(name): factor for name, factor in known.items()}
     if _plain(text) not in names:
@@ -61,11 +61,11 @@ def _plain(unit: str) -> str:
 
 
 def in_si(value: Any, unit: str) -> Any:
-    """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else as it is.
+    """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else unchanged.
 
     Args:
-        value: text, or a list of texts; a text without a unit stays as it is.
-        unit: SI unit of the result; one without entry in :data:`UNITS` has no other name.
+        value: text, or a list of texts; a text without a unit stays unchanged.
+        unit: SI unit of the result; a unit that is not in :data:`UNITS` accepts only its own name.
 
     Raises:
         ValueError: the text names a unit of another quantity.
@@ -111,6 +111,6 @@ Number = Annotated[float, BeforeValidator(_no_truth_value), AfterValidator(_no_n
 
 
 def quantity(default: float, unit: str, origin: str, low: float, high: float, *, above: bool = False) -> Any:
-    """A numeric field with its unit, its origin and its allowed range; a value outside must be a mistake."""
+    """A numeric field with its unit, its origin and its allowed range, beyond which a value must be a mistake."""
     bounds: dict[str, Any] = {"gt" if above else "ge": low, "le": high}
     return Field(default, description=origin, json_schema_extra={"unit": unit}, **bounds)

@@ -241,7 +241,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         """Complete state of some axes (all by default); see the single environment.
 
         Raises:
-            ConfigurationError: ``reset`` was not called, or there is no such axis.
+            ConfigurationError: ``reset`` was not called, or an axis does not exist.
         """
         if not self._begun:
             raise NotBegunError("get_state: call reset first")
@@ -257,7 +257,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
             axes: numbers of the chosen axes; the others continue undisturbed.
 
         Raises:
-            ConfigurationError: ``state`` is no such state, belongs to another task, or does not fit the axes.
+            ConfigurationError: ``state`` is not a state, belongs to another task, or does not fit the axes.
         """
         chosen = self._numbered(axes)
         if not self._begun and len(chosen) < self.num_envs:
@@ -300,7 +300,7 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
 
         flow, position, reference = column("leak_flow"), column("position"), column("reference")
         resistance = np.zeros(self.num_envs)
-        with np.errstate(divide="ignore"):  # no leak is an infinite resistance
+        with np.errstate(divide="ignore"):  # a leak of zero has an infinite resistance
             np.divide(LEAKAGE_TEST_PRESSURE, flow * LITRE_PER_MINUTE, out=resistance, where=present)
         family, failure = column("reference_family").astype(np.int64), column("failure").astype(np.int64)
         costs = column("costs")
@@ -335,6 +335,6 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
     def close_extras(self, **kwargs: Any) -> None:
         """Stop the worker threads."""
         del kwargs
-        axes = getattr(self, "_axes", None)  # absent if the constructor refused its arguments
+        axes = getattr(self, "_axes", None)  # absent if the constructor raised an error
         if axes is not None:
             axes.close()

@@ -167,7 +167,7 @@ def test_wrong_states_are_answered_with_one_line():
     envs.reset(seed=0)
     for wrong in (None, 3, "state", [], [None], {"arrays": 1}):
         for each in (env, envs):
-            with pytest.raises(ConfigurationError, match="set_state: must be a state of get_state"):
+            with pytest.raises(ConfigurationError, match="set_state: must be a state from get_state"):
                 each.set_state(wrong)
     with pytest.raises(ConfigurationError, match="set_state: this is the state of another task"):
         ServoHydraulicEnv().set_state(env.get_state())

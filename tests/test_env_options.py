@@ -126,8 +126,14 @@ WRONG = {
         },
         "reference of -150 mm cannot be reached, only -48.99 to 98.12 mm can",
     ),
-    "parameter unknown": ({"parameters": {"load": {"weight": 1.0}}}, "parameters.load.weight is no parameter of the"),
-    "group unknown": ({"parameters": {"loads": {"mass": 1.0}}}, "parameters.loads.mass is no parameter of the plant"),
+    "parameter unknown": (
+        {"parameters": {"load": {"weight": 1.0}}},
+        "parameters.load.weight is not a parameter of the",
+    ),
+    "group unknown": (
+        {"parameters": {"loads": {"mass": 1.0}}},
+        "parameters.loads.mass is not a parameter of the plant",
+    ),
     "parameters are a number": ({"parameters": 3}, "parameters must be groups of fields"),
     "group is a number": ({"parameters": {"load": 3}}, "parameters.load must be a mapping of fields"),
     "parameter negative": ({"parameters": {"load": {"mass": -5.0}}}, r"load\.mass = -5\.0: .*unit: kg"),

@@ -1,4 +1,4 @@
-"""Formulas for calculations by hand: natural frequency, stiffness, speed and force limits, the terms of dF/dt."""
+"""Formulas for hand calculations: natural frequency, stiffness, speed and force limits, the terms of dF/dt."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def softest_position(parameters: PlantParameters) -> float:
     """
     c = plant_coefficients(parameters)
     ratio = (c.area_a / c.area_b) ** 1.5
-    # A wall that gives way counts as a volume of oil.
+    # The compliance of a wall counts as additional volume of oil.
     volume_a = c.volume_a0 + c.bulk_modulus * c.wall_compliance_a
     volume_b = c.volume_b0 + c.bulk_modulus * c.wall_compliance_b
     position = (ratio * volume_b - volume_a) / (c.area_a + ratio * c.area_b)

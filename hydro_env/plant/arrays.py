@@ -1,4 +1,4 @@
-"""The compiled functions of one plant, on plain NumPy arrays: for simulation, linearisation, the reference solver."""
+"""The compiled functions of one plant on plain NumPy arrays, for simulation, linearisation and the reference solver."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def coefficient_array(parameters: PlantParameters) -> Array:
 def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dict[str, float], float]:
     """State at rest that holds ``position`` (m), and the voltage (V) that keeps it there.
 
-    Pressures balance the forces of (17); the spool stands a little off centre so that the flows of (12), (13) vanish.
+    The pressures balance the forces of (17); a small spool offset makes the flows of (12), (13) vanish.
 
     Raises:
         HydroError: ``parameters`` or ``position`` has the wrong type, or the supply cannot hold that position.
@@ -63,8 +63,8 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
     state, voltage, found = _equilibrium_of(place, to_vector(parameters))
     if not found:
         raise HydroError(
-            f"position = {place:g} m cannot be held: spring, leakage or external force ask for more than "
-            f"the supply of {parameters.supply.pressure / 1e5:g} bar gives"
+            f"position = {place:g} m cannot be held: spring, leakage or external force need more than "
+            f"the supply of {parameters.supply.pressure / 1e5:g} bar can give"
         )
     return dict(zip(STATE_NAMES, state.tolist(), strict=True)), voltage
 

@@ -17,7 +17,7 @@ from hydro_env.plant.parts.valve import edge_flows, holding_command
 from hydro_env.plant.states import State
 
 _SMALLEST_UNDERLAP_SQUARED = 1e-12
-"""A zero-lapped valve counts as open by a millionth at rest; without any flow the pressures would be undetermined."""
+"""Assumed opening of a zero-lapped valve at rest; without any flow the pressures would be undetermined."""
 
 _SUPPLY_ITERATIONS = 8
 _ITERATIONS = 100
@@ -28,7 +28,7 @@ _with_underlap = tuple_replacer(Coefficients, "underlap_squared")
 def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., Any]:
     """``find_root(low, high, arguments)`` of a monotone function: regula falsi (Illinois) with safeguarding bisection.
 
-    If the function does not change its sign, the result is the end where it is closer to zero. The search stops when
+    If the function does not change its sign, the result is the end with the value closer to zero. The search stops when
     it moves by no more than ``tolerance``; the flow law has errors of 4e-14, so a smaller change is noise.
     """
 
@@ -61,7 +61,7 @@ def _root_of(function: Callable[..., Any], tolerance: float) -> Callable[..., An
 
 @inline
 def _at_rest(position, pressure_a, spool_position, supply_pressure, c):
-    """State at rest whose pressures balance the forces; the states that no flow depends on are left at a constant."""
+    """State at rest whose pressures balance the forces; states without influence on the flows get a constant."""
     return State(
         position=position,
         velocity=0.0,
@@ -89,10 +89,10 @@ _balanced_spool = _root_of(_net_flow_a, tolerance=1e-15)
 
 @inline
 def _net_flow(pressure_a, arguments):
-    """Net flow into both chambers while chamber a is balanced, as far as the valve can; it falls as pressure a rises.
+    """Net flow into both chambers while the valve balances chamber a as far as possible; it falls as pressure a rises.
 
-    It is that into chamber b alone where the valve does balance chamber a. Oil that leaks between them cancels out, so
-    that the sign is right also where the fully open valve is too small for the leak.
+    If the valve can balance chamber a, it is the net flow into chamber b. The leak between the chambers cancels out;
+    the sign is therefore correct even if the fully open valve is too small for the leak.
     """
     position, supply_pressure, c = arguments
     spool = _balanced_spool(-1.0, 1.0, (position, pressure_a, supply_pressure, c))
@@ -145,7 +145,7 @@ def equilibrium_state(position, p, c):
         supply_pressure = regulated_pressure(edges.supply_to_a + edges.supply_to_b, c)
         if not balanced or supply_pressure < c.relief_pressure or abs(supply_pressure - before) < 1e-6:
             break
-    balanced = balanced and supply_pressure >= c.relief_pressure  # else the pump cannot feed even the null flow
+    balanced = balanced and supply_pressure >= c.relief_pressure  # else the pump cannot supply even the null flow
     coil_current, voltage = holding_command(spool, c)
     state = State(
         position=position,

@@ -1,4 +1,4 @@
-"""Integration of one or many plants with the right-hand side of ``equations``, compiled; each at its own step.
+"""Compiled integration of one or many plants with the right-hand side of ``equations``, each with its own step.
 
 The method is the Runge–Kutta pair of order 5(4) of Tsitouras (2011). Every step of every plant is as long as its
 error estimate allows (:data:`TOLERANCE`), and ends at the next kink of the solution if that comes first.
@@ -34,7 +34,7 @@ LANES = 8
 """Plants that one vector instruction works on (eight doubles fill an AVX-512 register)."""
 
 GROUPS = 2
-"""Groups of lanes that take turns: one calculates while another waits for its roots and divisions."""
+"""Groups of lanes in turn: one computes while another waits for its roots and divisions."""
 
 TOLERANCE = 1e-6
 """Largest estimated error of a step, relative to each state's size (the weights in ``states``)."""
@@ -43,7 +43,7 @@ MAXIMUM_STEP = 2e-3
 """s; no step is longer."""
 
 MOST_STEPS_PER_PERIOD = 50_000.0
-"""Budget of inner steps per call; a plant that exceeds it stays where it is, and ``peaks`` holds the number."""
+"""Largest number of inner steps per call; a plant that needs more stops, and ``peaks`` holds the number."""
 
 FIRST_STEP = 1e-3 / 3
 """s; tried first in each hold interval."""
@@ -52,7 +52,7 @@ STABLE_PRODUCT = 3.2
 """h·|λ| up to which the method is stable for rates with at least a quarter of their size as damping."""
 
 SHORTEST_STEP = 1e-8
-"""s; a step this short is accepted whatever its error: the integration always ends."""
+"""s; a step this short is accepted with any error, so that the integration always ends."""
 
 STAGES = (
     (0.161,),
@@ -92,7 +92,7 @@ class Plants(NamedTuple):
 
 
 class Accuracy(NamedTuple):
-    """How finely to integrate."""
+    """Accuracy of the integration."""
 
     maximum_step: float = MAXIMUM_STEP  # s, longest inner step
     tolerance: float = TOLERANCE  # largest estimated error of a step; infinity for steps of fixed length
@@ -161,7 +161,7 @@ def _choose_step(work):
     for lane in range(LANES):
         remaining = work[_REMAINING + lane]
         proposed = min(work[_PROPOSED + lane], remaining)
-        # Two equal last steps rather than a long and a very short one.
+        # Two equal last steps instead of a long and a very short one.
         halved = 0.5 * remaining if 2.0 * proposed > remaining and proposed < remaining else proposed
         c = _read_coefficients(work, lane)
         kink = time_to_kink(_read_state(work, lane), _read_derivative(work, lane), c)
@@ -185,11 +185,11 @@ def _accept_or_repeat(work, strictness, accuracy):
         within_tolerance = error <= 1.0
         moving = remaining > 0.0
         accepted = moving and (within_tolerance or step <= SHORTEST_STEP)
-        # err^(-3/16), near the -1/5 of theory, needs square roots alone.
+        # err^(-3/16), close to the theoretical -1/5, needs only square roots.
         root = math.sqrt(math.sqrt(math.sqrt(math.sqrt(max(error, 1e-12)))))
         factor = min(max(0.9 / (root * root * root), 0.2), 4.0) if error < 1e300 else 0.2
         grown = min(step * factor, accuracy.maximum_step)
-        # A step that a kink or the interval's end cut short is no reason to shorten the next one.
+        # A step that ends early at a kink or at the end of the interval does not shorten the next one.
         work[_PROPOSED + lane] = max(grown, proposed) if within_tolerance and step < proposed else grown
         left = remaining - step if accepted else remaining
         broken = accepted and not error < 1e300  # the caller detects the NaN

@@ -1,6 +1,6 @@
-"""Kinks of the solution: where a part meets or leaves a limit, its derivative jumps.
+"""Kinks of the solution: its derivative jumps where a part meets or leaves a limit.
 
-A Runge–Kutta step across such a point loses its order, and its error estimate does not always notice. Each part
+A Runge–Kutta step across such a point loses its order, and its error estimate does not always detect it. Each part
 predicts its next kink; the integrator ends a step there.
 """
 
@@ -14,7 +14,7 @@ FAR = 1e9
 """s; no kink ahead."""
 
 GRAZING = 0.3
-"""A motion that covers 1 / (1 + GRAZING) of the way to a limit before it turns may yet meet it."""
+"""A motion that covers 1 / (1 + GRAZING) of the distance to a limit before it reverses may still meet the limit."""
 
 
 @inline

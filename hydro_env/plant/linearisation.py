@@ -26,7 +26,7 @@ IDEAL_RATE = 1e5
 """1/s; an ideal part of the valve follows its command at this rate in a linearisation."""
 
 NO_RATE = 1e-6
-"""1/s; a smaller effect of one state on another, both relative to their typical sizes, counts as none."""
+"""1/s; a smaller effect of one state on another, both relative to their typical sizes, is ignored."""
 
 
 class Mode(NamedTuple):
@@ -59,7 +59,7 @@ class StateSpace(NamedTuple):
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Names of states, inputs and outputs, as python-control takes them."""
+        """Names of states, inputs and outputs, as keywords for python-control."""
         return {"states": list(self.states), "inputs": list(self.inputs), "outputs": list(self.outputs)}
 
 
@@ -92,7 +92,7 @@ class Linearisation:
         Inputs are ``voltage`` and ``external_force``.
 
         Raises:
-            HydroError: an unknown output or input, or a state that is not active.
+            HydroError: an output or input is unknown, or a state is not active.
         """
         active = self.active_states
         for kind, given, known in (("outputs", outputs, active), ("inputs", inputs, tuple(INPUT_UNITS))):
@@ -121,7 +121,7 @@ class Linearisation:
     def hydraulic_mode(self) -> Mode:
         """Oscillation of the mass on the oil columns: the fastest complex pair of position, velocity and pressures.
 
-        The axis does not act back on the valve; these states therefore have eigenvalues of their own. A linearisation
+        The axis does not act back on the valve; these states therefore have their own eigenvalues. A linearisation
         at standstill includes dry friction; use ``friction.model: none`` for the damping of a moving axis.
 
         Raises:
@@ -152,7 +152,7 @@ def linearise(
         position: m, used without ``state``.
 
     Raises:
-        HydroError: an incomplete state, a state of the wrong shape, or a position that cannot be held.
+        HydroError: the state is incomplete or has the wrong shape, or the position cannot be held.
     """
     holding = 0.0
     if state is None:

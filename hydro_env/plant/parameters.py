@@ -1,6 +1,6 @@
 """Physical parameters of one servo axis: frozen groups of numbers with unit, bounds and origin.
 
-The defaults are the rig of Table 1 of Kovari (2015). Each field says where its number comes from:
+The defaults are the rig of Table 1 of Kovari (2015). Each field gives the origin of its number:
 ``paper`` (printed there), ``derived`` (computed from printed figures) or ``assumed`` (published rigs of
 this class; these are the ones that the environment randomises). SI units, gauge pressures.
 """
@@ -35,7 +35,7 @@ class PlantParameters(Group):
 
     Groups: ``cylinder``, ``valve``, ``lines``, ``fluid``, ``load``, ``friction``, ``supply``, ``leakage``. Instances
     are frozen; ``replace`` gives a changed and validated copy. A wrong value raises
-    :class:`hydro_env.ConfigurationError` with one line: field, value, what is allowed.
+    :class:`hydro_env.ConfigurationError` with one line: field, value, allowed values.
     """
 
     model_config = ConfigDict(title="plant parameters")

@@ -1,4 +1,4 @@
-"""Inner steps and error of the integrator on one rig, from a short violent run at two tolerances."""
+"""Inner steps and error of the integrator on one rig, from a short run at full voltage with two tolerances."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HELD = (8, 8, 4, 4, 4, 4, 2, 2, 2, 2)
 """Numbers of periods for which +10 V and −10 V act in turn: 0.2 s in all."""
 
 EXACT_TOLERANCE = 1e-3
-"""Tolerance of the run that counts as exact, relative to that of the tested run."""
+"""Tolerance of the reference run, relative to that of the tested run."""
 
 ALLOWED_ERROR = 1e-4
 """Largest allowed error of any state, relative to its range."""

@@ -25,10 +25,10 @@ _PRESSURE_A, _PRESSURE_B, _SPOOL, _SPOOL_VELOCITY = (
     STATE_NAMES.index(name) for name in ("pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 _NEAR = 1e-12
-"""Relative distance from a limit that counts as being on it."""
+"""Relative distance from a limit within which a state counts as on it."""
 
 _OFF = 1e-10
-"""Relative distance to a limit that the solution has just left; it does not meet the limit again at once."""
+"""Relative distance from a limit that the solution has just left, so that it does not meet it again immediately."""
 
 _MOST_EVENTS = 100
 
@@ -52,7 +52,7 @@ def reference_states(
         coefficients: shape (N_COEFFICIENTS,).
         inputs: voltages, shape (n,), V.
         sample_time: s.
-        tolerance: relative; absolute in parts of the states' typical size.
+        tolerance: relative; the absolute tolerance is this fraction of the states' typical size.
 
     Raises:
         InvalidStateError: the solver failed.
@@ -96,7 +96,7 @@ class _Plant:
         self.free = np.array(self.limits._replace(slew_limit=1e30))
 
     def free_rate(self, y: Array, voltage: float) -> Array:
-        """The derivative as it would be without limits."""
+        """The derivative without limits."""
         rate: Array = derivative_array(y, self.free, voltage)
         if abs(y[_SPOOL]) >= 1.0:
             rate[_SPOOL] = y[_SPOOL_VELOCITY]
@@ -115,7 +115,7 @@ class _Plant:
             int(y[row] <= VAPOUR_PRESSURE * (1.0 - _NEAR) and rate[row] < 0.0) for row in (_PRESSURE_A, _PRESSURE_B)
         ]
         slew = stroke = 0
-        if self.limits.ideal_spool:  # it equals the command at all times
+        if self.limits.ideal_spool:  # it always equals the command
             return Held(slew, stroke, *vapour)
         if abs(y[_SPOOL_VELOCITY]) >= self.limits.slew_limit * (1.0 - _NEAR):
             side = int(np.sign(y[_SPOOL_VELOCITY]))
@@ -126,7 +126,7 @@ class _Plant:
         return Held(slew, stroke, *vapour)
 
     def rate(self, y: Array, voltage: float, held: Held) -> Array:
-        """The derivative with the limits that hold."""
+        """The derivative with the active limits."""
         rate = self.free_rate(y, voltage)
         if held.slew or self.limits.ideal_spool:
             rate[_SPOOL_VELOCITY] = 0.0

@@ -1,4 +1,4 @@
-"""Open-loop runs of one plant, with the fast integrator or the reference solver of tight tolerance."""
+"""Open-loop runs of one plant, with the fast integrator or the reference solver."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TRAJECTORY_NAMES = ("time", "voltage", *STATE_NAMES, *DERIVED_NAMES)
 TRAJECTORY_UNITS = dict(zip(TRAJECTORY_NAMES, ("s", "V", *STATE_UNITS, *DERIVED_UNITS), strict=True))
 
 LONGEST_PERIOD = 0.02
-"""s; a sample that is longer may take more inner steps."""
+"""s; a longer sample may take more inner steps."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,7 +119,7 @@ def simulate(
         :class:`Trajectory` with n + 1 samples.
 
     Raises:
-        HydroError: impossible input, unknown state name or method, or a start that cannot be held.
+        HydroError: the input is impossible, a state name or the method is unknown, or the start cannot be held.
         InvalidStateError: a state left the range in which the model is valid; the message gives state, time and value.
     """
     if not isinstance(parameters, PlantParameters):
@@ -137,7 +137,7 @@ def simulate(
     if method == "fast":
         states = _run(start, coefficients, inputs, sample_time, accuracy)
     elif method == "radau":
-        from hydro_env.plant.reference import reference_states  # SciPy's solvers are loaded when first needed
+        from hydro_env.plant.reference import reference_states  # SciPy's solvers are imported at first use
 
         states = reference_states(start, coefficients, inputs, sample_time, relative_tolerance)
     else:
@@ -149,7 +149,7 @@ def simulate(
 
 
 def valid_ranges(parameters: PlantParameters) -> tuple[Array, Array]:
-    """Lowest and highest value of each state for which the model holds, shapes (N_STATES,)."""
+    """Lowest and highest value of each state for which the model is valid, shapes (N_STATES,)."""
     lowest, highest = valid_range(plant_coefficients(parameters))
     return np.array(lowest), np.array(highest)
 

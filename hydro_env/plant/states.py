@@ -1,6 +1,6 @@
 """The states of one axis: this table alone lists their names, units, typical sizes and valid ranges.
 
-All else follows from the table: the layout of arrays, the error weights of the integrator, trajectories, tests.
+Everything else follows from the table: the layout of arrays, the error weights of the integrator, trajectories, tests.
 SI units, gauge pressures.
 """
 
@@ -19,14 +19,14 @@ ATMOSPHERIC_PRESSURE = 101_325.0
 """Pa; the zero of gauge pressures."""
 
 VAPOUR_PRESSURE = -0.9e5
-"""Pa, gauge; a chamber cavitates at this pressure, and its pressure falls no further."""
+"""Pa, gauge; a chamber cavitates at this pressure, which is the lowest possible."""
 
 
 class StateInfo(NamedTuple):
     """Unit, typical size and error weight of a state."""
 
     unit: str
-    typical: float  # size; absolute tolerances and finite differences are parts of it
+    typical: float  # size; absolute tolerances and finite differences are relative to it
     emphasis: float = 1.0  # weight of its error in the integrator, relative to its full scale
 
 
@@ -92,7 +92,7 @@ def error_weights(p, c):
 
 @inline
 def valid_range(c):
-    """Lowest and highest state for which the model holds, two :class:`State`.
+    """Lowest and highest state for which the model is valid, two :class:`State`.
 
     A steel cylinder withstands no more than 2000 bar; the accumulator must hold gas and oil; the piston may enter an
     end stop by half the depth that the dead volume allows.

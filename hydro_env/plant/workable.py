@@ -1,4 +1,4 @@
-"""Checks that a rig can work at all; each impossible figure is answered with one line."""
+"""Checks that a rig can work; an error of one line names each impossible figure."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ LUGRE_CAUSES = {
 """Causes that replace those above with LuGre friction."""
 
 PLACES = 5
-"""Number of positions tried over the reachable range; the axis must be able to hold one of them."""
+"""Number of positions over the reachable range; the axis must be able to hold one of them."""
 
 
 class InnerStep(NamedTuple):
-    """Inner step that keeps the integrator stable, whatever its accuracy."""
+    """Inner step that keeps the integrator stable, independent of its accuracy."""
 
     rate: float  # 1/s, upper estimate of the fastest |λ|
     cause: str  # field of :class:`~hydro_env.plant.rates.Rates`
@@ -90,10 +90,10 @@ def shortest_inner_step(parameters: PlantParameters) -> InnerStep:
 
 
 def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
-    """Refuse a rig that no command can move, that cannot rest anywhere, or that needs unreasonably short steps.
+    """Check that commands can move a rig, that it can rest somewhere, and that it does not need extremely short steps.
 
-    :class:`~hydro_env.plant.parameters.PlantParameters` itself refuses figures that contradict each other (a rod that
-    fills the bore, a supply below tank, an accumulator that stays empty).
+    :class:`~hydro_env.plant.parameters.PlantParameters` itself checks for figures that contradict each other (a rod
+    that fills the bore, a supply below tank, an accumulator that stays empty).
 
     Raises:
         ConfigurationError: one line with the impossible figure and its limit.
@@ -132,7 +132,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
     if shortest.steps > MOST_STEPS:
         causes = CAUSES | LUGRE_CAUSES if parameters.friction.model == FrictionModel.LUGRE else CAUSES
         raise ConfigurationError(
-            f"{source}: {causes[shortest.cause]} at {shortest.rate:.3g} 1/s, which asks for {shortest.steps:,} inner "
+            f"{source}: {causes[shortest.cause]} at {shortest.rate:.3g} 1/s, which requires {shortest.steps:,} inner "
             f"steps in {1e3 * STEPS_PERIOD:g} ms; the limit is {MOST_STEPS:,} "
             f"({MOST_STEPS * STABLE_PRODUCT / STEPS_PERIOD:.3g} 1/s)"
         )
@@ -141,7 +141,7 @@ def refuse_unworkable(parameters: PlantParameters, source: str = "rig") -> None:
 
 
 def _refuse_valve_and_pump(parameters: PlantParameters, source: str) -> None:
-    """Refuse a valve that 10 V hardly open, too large a coil current, and too flat a relief valve."""
+    """Check the opening of the valve at 10 V, the coil current, and the slope of the relief valve."""
     valve, supply = parameters.valve, parameters.supply
     current = FULL_VOLTAGE * valve.amplifier_gain / valve.coil_resistance
     limits = dict(zip(STATE_NAMES, zip(*valid_ranges(parameters), strict=True), strict=True))
@@ -181,7 +181,7 @@ def _can_rest(parameters: PlantParameters) -> bool:
 
 
 def _why_no_rest(parameters: PlantParameters) -> str:
-    """Message that names the figure because of which no position can be held, and its limit."""
+    """Message with the figure that prevents holding any position, and its limit."""
     supply, leakage = parameters.supply, parameters.leakage
     fed = _rest(parameters.replace(supply={"model": "constant"}))
     if fed is not None:
@@ -205,11 +205,11 @@ def _why_no_rest(parameters: PlantParameters) -> str:
             f"leakage.{name} = {getattr(leakage, name):.3g} {unit}: more oil leaks than the valve feeds from "
             f"{supply.pressure / 1e5:g} bar, and no position can be held; it must be {bound} {limit:.2g}"
         )
-    return "no position can be held: leaks, forces and supply pressure do not fit together"
+    return "no position can be held: leaks, forces and supply pressure contradict each other"
 
 
 def _leak_limit(parameters: PlantParameters, name: str, value: float) -> float:
-    """Value of a leak's parameter up to which a position can be held, to 1 %."""
+    """Limit of a leak's parameter for holding a position, with an accuracy of 1 %."""
     away = 0.1 if name == "orifice_gain" else 10.0
     good = value * away
     while not _can_rest(parameters.replace(leakage={name: good})):

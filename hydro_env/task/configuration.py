@@ -1,7 +1,7 @@
 """The task as data: timing, leakage, randomisation, references, sensors, reward, end of episode.
 
-The same classes validate a YAML file and the keywords of the environment. SI units, except leakage, which follows
-practice: litres per minute at 100 bar across the piston.
+The same classes validate a YAML file and the keywords of the environment. SI units, except leakage, which is in litres
+per minute at 100 bar across the piston, as usual in practice.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
 
 LEAKAGE_LIMIT = 20.0
-"""l/min at 100 bar; beyond this there is no seal at all."""
+"""l/min at 100 bar; a larger leak would mean that the seal is missing."""
 
 
 class LeakageDraw(TaskGroup):
@@ -76,7 +76,7 @@ class References(TaskGroup):
     frequency_range: Range = interval((0.3, 4.0), "Hz", "of sines", 1e-3, 1e3)
     step_range: Range = interval((0.002, 0.02), "m", "of steps", 1e-6, 10.0)
     preview_times: tuple[Number, ...] = Field(
-        (0.005, 0.010, 0.020, 0.040), description="s; the observation holds the reference this far ahead"
+        (0.005, 0.010, 0.020, 0.040), description="s; the observation contains the reference this far ahead"
     )
 
     @model_validator(mode="after")
@@ -109,9 +109,9 @@ class Reward(Group):
         default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
     )
     frame: Literal["axis", "sensor"] = Field(
-        "axis", description="whose position counts: the axis', or the biased sensor's without its noise"
+        "axis", description="position for the error: that of the axis, or that of the biased sensor without its noise"
     )
-    error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, in parts of error_scale", 1e-6, 1e6)
+    error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, as a multiple of error_scale", 1e-6, 1e6)
     effort: Number = quantity(0.05, "1", "weight of the change of command", 0.0, 1e6)
     failure: Number = quantity(250.0, "1", "cost of a failure", 0.0, 1e9)
 
@@ -131,7 +131,7 @@ class Failure(Group):
 
 
 class Disturbance(TaskGroup):
-    """External force in addition to the plant's own: a steady and a changing part; none by default."""
+    """External force in addition to the plant's own: a constant and a changing part; none by default."""
 
     kind: Literal["none", "step", "pulse", "sine", "mixed"] = Field(
         "none", description="of the changing force; mixed: step, pulse or sine, drawn per episode"
@@ -163,11 +163,11 @@ class TaskConfig(TaskGroup):
     command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)
     command_latency_range: tuple[Number, Number] | None = Field(
         None,
-        description="s; the latency is drawn from it in each episode, command_latency is then what the data sheet says",
+        description="s; each episode draws its latency from it; command_latency is then the value of the data sheet",
     )
     episode_duration: Number = quantity(2.0, "s", "then the episode is truncated", 0.01, 3600.0)
     tolerance: Number = quantity(
-        1e-6, "1", "largest estimated error of an inner step, in parts of each state's size", 1e-12, 1e-2
+        1e-6, "1", "largest estimated error of an inner step, relative to each state's size", 1e-12, 1e-2
     )
     maximum_step: Number = quantity(2e-3, "s", "longest inner step of the integration", 1e-6, 20e-3)
     plant: PlantParameters = Field(
@@ -181,8 +181,8 @@ class TaskConfig(TaskGroup):
     )
     start: Literal["measured", "actual"] = Field(
         "measured",
-        description="which position is on the reference when an episode begins: the one that the biased sensor "
-        "measures, where a controller would hold the axis; or the true one, and the first readings tell the bias",
+        description="position that is on the reference when an episode begins: the one that the biased sensor "
+        "measures, where a controller would hold the axis; or the true one, so that the first readings reveal the bias",
     )
     sensors: Sensors = Field(default_factory=Sensors)
     reward: Reward = Field(default_factory=Reward)
@@ -249,13 +249,13 @@ def task_config(
     Args:
         config: the task; a text is a name in ``configs/tasks`` or the path of a YAML file.
         task: the same, as a keyword.
-        rig: name in ``configs/rigs`` or path of a rig's YAML file, to which the task is moved: each setting that
-            followed from its own rig follows from the new one, and what the task sets otherwise stays.
-        folder: what relative paths are relative to; default: the current folder.
+        rig: name in ``configs/rigs`` or path of a rig's YAML file. The task is adapted to this rig: each setting that
+            followed from the old rig follows from the new one; all other settings stay.
+        folder: base of relative paths; default: the current folder.
         overrides: single fields; they come last.
 
     Raises:
-        ConfigurationError: no such name, unreadable file, unknown key, or an impossible value.
+        ConfigurationError: the name is unknown, the file is unreadable, a key is unknown, or a value is impossible.
     """
     if task is not None and config is not None:
         raise ConfigurationError("task: 'task' and 'config' are two names of one argument; give one of them")
@@ -274,5 +274,5 @@ def task_config(
         unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
         if unknown is None:
             raise
-        # Libraries leave a keyword out and try again where the message refuses it in Python's words.
+        # If the message has Python's wording, libraries omit the keyword and try again.
         raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None

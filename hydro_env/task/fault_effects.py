@@ -1,4 +1,4 @@
-"""What the faults of an episode do to plant, drive and sensors, in compiled code."""
+"""Effects of the faults of an episode on plant, drive and sensors, in compiled code."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ NULL_SHIFT, UNDERLAP, FLOW, HYSTERESIS, TANK, EXTERNAL_LEAK, OFFSET, GAIN, FREEZ
         f"{CHANNELS[0]}_dropout",
     )
 )
-"""Place of each fault in the record; those of the other sensors follow that of the first."""
+"""Index of each fault in the record; those of the other sensors follow the first sensor's."""
 
 _CONSTANT, _ONSET, _MIXED = (choice(Fault, "schedule", name) for name in ("constant", "onset", "mixed"))
 _SCHEDULES = 3.0  # constant, onset, growth come before "mixed"
 _NUMBERS = 6
-"""Random numbers of each kind of fault."""
+"""Number of random numbers per kind of fault."""
 
 _LOST_SAMPLES = 2_000_000_000
-"""Index of the first drop-out among the numbers of the noise key; beyond those of noise and biases."""
+"""Index of the first drop-out among the numbers of the noise key, beyond those of noise and biases."""
 
 FAULT_COLUMNS = tuple(
     Coefficients._fields.index(name)
@@ -84,7 +84,7 @@ def draw_faults(row, coefficient, key, fixed, settings):
 
 @inline
 def _part(schedule, time, begin, end, period):
-    """Part of its magnitude that a fault has reached at a time."""
+    """Fraction of its magnitude that a fault has reached at a time."""
     if schedule == _CONSTANT:
         return 1.0
     if time < begin:
@@ -121,19 +121,19 @@ def driven(command, before, row):
 
 @inline
 def misread(true, channel, row, sensor):
-    """What a sensor with wrong gain or offset makes of a true value; unit of the signal."""
+    """Value of a sensor with wrong gain or offset for a true value; unit of the signal."""
     return true * (1.0 + row.fault[GAIN + channel]) + row.fault[OFFSET + channel] * (sensor.high - sensor.low)
 
 
 @inline
 def read_truly(reading, channel, row, sensor):
-    """True value that such a sensor reads as ``reading``; the inverse of :func:`misread`."""
+    """True value for a reading of such a sensor; the inverse of :func:`misread`."""
     return (reading - row.fault[OFFSET + channel] * (sensor.high - sensor.low)) / (1.0 + row.fault[GAIN + channel])
 
 
 @inline
 def lost_or_frozen(value, channel, row, sensor):
-    """Reading of this sample: the one before if the sensor is frozen, the lower end of its range if it is lost."""
+    """Reading of this sample: the previous one if the sensor is frozen, the lower end of its range if lost."""
     if row.fault[FREEZE + channel] > 0.0 and row.step > 0.0:
         value = row.measured[channel]
     share = row.fault[DROPOUT + channel]

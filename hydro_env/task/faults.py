@@ -1,4 +1,4 @@
-"""Faults besides the leak past the piston: of valve, sensors, return line and rod seal.
+"""Faults other than the leak past the piston: of valve, sensors, return line and rod seal.
 
 Each kind occurs with a probability, has a magnitude within a range and a schedule; all are drawn per episode. The
 observation does not show them; ``info["faults"]`` does. To add a fault, add a class with its range, a field of
@@ -18,7 +18,7 @@ from hydro_env.units import Number
 
 
 class Fault(TaskGroup):
-    """One kind of fault: how often it occurs, and when; its subclasses say how large it is."""
+    """One kind of fault: probability and time; its subclasses define the magnitude."""
 
     probability: Number = Field(0.0, ge=0.0, le=1.0, description="share of episodes with this fault")
     schedule: Literal["constant", "onset", "growth", "mixed"] = Field(
@@ -30,9 +30,9 @@ class Fault(TaskGroup):
 
 
 class SensorFault(Fault):
-    """A fault of one sensor, which is drawn."""
+    """A fault of one randomly chosen sensor."""
 
-    sensors: tuple[str, ...] = Field(CHANNELS, description="those that it may hit, with equal probability")
+    sensors: tuple[str, ...] = Field(CHANNELS, description="sensors that may fail, with equal probability")
 
     @field_validator("sensors")
     @classmethod
@@ -44,7 +44,7 @@ class SensorFault(Fault):
 
 
 class ValveNullShift(Fault):
-    """The edges are centred beside the spool's zero; the spool's sensor does not see it."""
+    """The edges are not centred at the spool's zero; the spool's sensor does not show it."""
 
     range: Range = interval((0.005, 0.02), "1", "of full stroke; sign drawn", 0.0, 0.5)
 
@@ -64,7 +64,7 @@ class ValveFlow(Fault):
 class ValveHysteresis(Fault):
     """The drive follows a command only after it has moved by this much (play): hysteresis and threshold."""
 
-    range: Range = interval((0.005, 0.04), "1", "width, in parts of full command", 0.0, 1.0)
+    range: Range = interval((0.005, 0.04), "1", "width, as a fraction of full command", 0.0, 1.0)
 
 
 class TankPressure(Fault):
@@ -80,31 +80,31 @@ class ExternalLeak(Fault):
 
 
 class SensorOffset(SensorFault):
-    """The reading is beside the truth by a constant."""
+    """The reading differs from the true value by a constant."""
 
     range: Range = interval((0.005, 0.03), "1", "of the sensor's range; sign drawn", 0.0, 1.0)
 
 
 class SensorGain(SensorFault):
-    """The reading is a multiple of the truth."""
+    """The reading is a multiple of the true value."""
 
     range: Range = interval((0.01, 0.05), "1", "relative change; sign drawn", 0.0, 0.9)
 
 
 class SensorFreeze(SensorFault):
-    """The reading stays as it is."""
+    """The reading no longer changes."""
 
-    range: Range = interval((1.0, 1.0), "1", "1: the sensor stands still", 0.0, 1.0)
+    range: Range = interval((1.0, 1.0), "1", "1: the sensor is frozen", 0.0, 1.0)
 
 
 class SensorDropout(SensorFault):
-    """Some samples are lost: the sensor reads the lower end of its range, as a broken 4–20 mA loop does."""
+    """Some samples are lost: the sensor reads the lower end of its range, like a broken 4–20 mA loop."""
 
     range: Range = interval((0.02, 0.2), "1", "share of samples", 0.0, 1.0)
 
 
 class Faults(Group):
-    """The faults that an episode may have; none by default. Each is drawn by itself: several may meet."""
+    """The possible faults of an episode; none by default. Each is drawn independently: several may occur together."""
 
     valve_null_shift: ValveNullShift = Field(default_factory=ValveNullShift)
     valve_underlap: ValveUnderlap = Field(default_factory=ValveUnderlap)
@@ -132,14 +132,14 @@ def _faults_of(kind: str) -> list[str]:
 
 
 FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in _faults_of(kind))
-"""Every fault by itself; those of sensors by the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
+"""Every single fault; those of sensors with the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
 
 KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in _faults_of(kind)}
 """Kind of each fault."""
 
 
 def fault_limits(name: str) -> tuple[float, float]:
-    """Smallest and largest magnitude of a fault that may be asked for."""
+    """Smallest and largest allowed magnitude of a fault."""
     kind = KIND_OF_FAULT[name]
     extra: Any = type(getattr(Faults(), kind)).model_fields["range"].json_schema_extra
     return (-extra["high"] if kind in SIGNED_KINDS else 0.0), extra["high"]

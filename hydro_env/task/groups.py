@@ -13,7 +13,7 @@ Range = tuple[Number, Number]
 
 
 def interval(default: tuple[float, float], unit: str, description: str, low: float, high: float) -> Any:
-    """A pair of rising numbers with its unit and its allowed range; a value outside must be a mistake."""
+    """A pair of rising numbers with its unit and its allowed range, beyond which a value must be a mistake."""
     return Field(default, description=description, json_schema_extra={"unit": unit, "low": low, "high": high})
 
 

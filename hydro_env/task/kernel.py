@@ -1,6 +1,6 @@
 """Episodes of many axes in compiled code: their beginning, and one control period.
 
-All draws come from counter-based random numbers: an axis' episode depends only on its own root and episode number.
+All draws come from counter-based random numbers: an axis's episode depends only on its own root and episode number.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ from hydro_env.task.signals import POSITION, draw_biases, held_position, lagged,
 from hydro_env.units import FULL_VOLTAGE
 
 MOST_DRAWS = 200
-"""Largest number of draws of a plant, its leak and its initial position until an episode can begin."""
+"""Largest number of draws of plant, leak and initial position until an episode can begin."""
 
 PREVIOUS, NEW = range(COMMANDS)
 """Columns of the voltage: the previous command acts during the latency, the new one during the rest of the period."""
 
 _FAMILY_NUMBER = 1_000_000
-"""Index of the reference key's number that chooses the family; beyond those that shape a reference."""
+"""Index of the reference key's number for the family, beyond the numbers that shape a reference."""
 
 
 @inline
@@ -193,7 +193,7 @@ def _build(sources):
                         reference, family, reference_key, start, settings.control_period, f, settings.references
                     )
 
-                # The axis holds the position that its sensor reads as the start.
+                # The axis holds the position that its sensor reads as the initial position.
                 held = held_position(start, row, settings) if settings.start_bias_share > 0.0 else start
                 s, voltage, found = equilibrium_state(held, p, c)
                 write_state(states[axis], s)
@@ -266,7 +266,7 @@ def _build(sources):
                 row.costs[index] = cost
             write_observation(observation[axis], row, reference[axis], layout)
 
-        # By itself, so that a compiler that contracts products and sums cannot round the sum differently.
+        # Separate, so that a compiler that contracts products and sums cannot round the sum differently.
         for axis in range(first, last):
             row = record[axis]
             total = 0.0
@@ -280,8 +280,8 @@ def _build(sources):
 begin_episodes, step_axes = _build(SOURCES)
 begin_episodes.__doc__ = """Begin an episode on the axes ``chosen``, (M,); their records must be zero.
 
-A plant that cannot hold its start is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in the record says
-why the last one could not.
+A plant that cannot hold its initial position is drawn again, :data:`MOST_DRAWS` times at most; ``failure`` in the
+record gives the reason for the last one.
 
 Args:
     chosen: (M,), numbers of axes.

@@ -15,7 +15,7 @@ import numpy as np
 from hydro_env.compiling import inline
 
 PLANT, LEAKAGE, INITIAL_STATE, REFERENCE, NOISE, DISTURBANCE, LATENCY, FAULT = range(8)
-"""Sources of randomness; each has a key of its own in every episode."""
+"""Sources of randomness; each has its own key in every episode."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)

@@ -46,9 +46,9 @@ class Distribution(Group):
         if (self.logarithmic or self.relative) and low <= 0.0:
             raise ValueError(f"{given[0]} needs positive bounds")
         if self.times is not None and self.times not in PARAMETER_PATHS:
-            raise ValueError(f"times = {self.times!r} is no parameter of the plant")
+            raise ValueError(f"times = {self.times!r} is not a parameter of the plant")
         if self.times is not None and self.relative:
-            raise ValueError(f"{given[0]} multiplies the rig's own value already: leave 'times' out")
+            raise ValueError(f"{given[0]} already multiplies the rig's own value: leave out 'times'")
         if (self.otherwise is None) != (self.otherwise_probability == 0.0):
             raise ValueError("'otherwise' and 'otherwise_probability' belong together")
         return self
@@ -115,10 +115,10 @@ def own_value(plant: PlantParameters, path: str) -> float:
 def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Distribution]:
     """Distributions of the parameters that are not known exactly, relative to a rig.
 
-    The factors are those between the published ranges and the paper's rig. Two entries are no factors. The leak past
-    the rod seal is in l/min at 100 bar on every rig, as the leak past the piston is: a tight rod seal has no value to
-    multiply. Breakaway friction exceeds Coulomb friction by 40 to 160 % of the rig's own excess, so that it never falls
-    below.
+    The factors are the ratios of the published ranges to the paper's rig. Two entries are not factors. The leak past
+    the rod seal is in l/min at 100 bar on every rig, like the leak past the piston: a tight rod seal has no value to
+    multiply. Breakaway friction exceeds Coulomb friction by 40 to 160 % of the rig's own excess, so that it is never
+    smaller.
 
     Args:
         plant: the rig; ``None`` is the paper's.
@@ -146,11 +146,11 @@ def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameter
     """Check that every possible draw is a valid parameter.
 
     Raises:
-        ValueError: a path is no number of the plant, or a draw may lie outside its bounds.
+        ValueError: a path is not a number of the plant, or a draw may lie outside its bounds.
     """
     for path, distribution in randomisation.items():
         if path not in PARAMETER_PATHS or path in MODEL_CODES:
-            raise ValueError(f"randomisation: '{path}' is no number of the plant; see PlantParameters")
+            raise ValueError(f"randomisation: '{path}' is not a number of the plant; see PlantParameters")
         if path in LEAKAGE_OF_THE_TASK:
             raise ValueError(f"randomisation: '{path}' is drawn by the group 'leakage'")
         own = own_value(plant, path)

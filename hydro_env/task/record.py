@@ -18,10 +18,10 @@ RECORD = np.dtype(
     [
         ("step", "f8"),  # control periods since the start of the episode
         ("command", "f8"),  # −1…1, last one given
-        ("change", "f8"),  # of the command since the period before
+        ("change", "f8"),  # of the command since the previous period
         ("reference_family", "f8"),  # index into REFERENCE_FAMILIES
         ("latency", "f8"),  # s, from sampling to the new command
-        ("redraws", "f8"),  # draws of this episode that could not be held
+        ("redraws", "f8"),  # rejected draws of this episode
         ("leak_flow", "f8"),  # l/min at 100 bar, now
         ("leak_class", "f8"),  # index into LEAKAGE_CLASSES
         ("leak_schedule", "f8"),  # index of the schedule
@@ -57,7 +57,7 @@ RECORD = np.dtype(
         ("sound", "f8", (5,)),  # coefficients of the plant without faults
     ]
 )
-"""State of an axis during its episode, besides the state of its plant."""
+"""State of an axis during its episode, except the state of its plant."""
 
 SEEDS = np.dtype([("root", "u8"), ("episode", "i8")])
 """Source of an axis' random numbers: its root, and the number of its episode."""
@@ -73,7 +73,7 @@ FIRST_PEAK = FIRST_DURATION + COMMANDS
 PLANT_COLUMNS = FIRST_PEAK + N_PEAKS
 """Columns of the integrator's array: state, coefficients, voltages, durations and peaks of an axis, in one row.
 
-It is one array rather than four because passing an array to compiled code takes a tenth of a microsecond.
+It is one array instead of four, because passing an array to compiled code takes a tenth of a microsecond.
 """
 
 
@@ -115,13 +115,13 @@ FAILURES = (
     "initial position cannot be held",
     "reference beyond the force of the supply",
 )
-"""Reasons that end an episode; the last two prevent its beginning."""
+"""Reasons for the end of an episode; the last two prevent its start."""
 
 NO_FAILURE, HIT_END_STOP, OVERPRESSURE, FIRST_INVALID_STATE = range(4)
 OVER_BUDGET, CANNOT_BE_HELD, CANNOT_BE_REACHED = range(len(FAILURES) - 3, len(FAILURES))
 
 
 def table(count: int, kind: np.dtype[Any]) -> NDArray[Any]:
-    """Rows of zeros with fields that kernels access by name, also when numba's compiler is switched off."""
+    """Rows of zeros with fields that kernels access by name, even with numba's compiler switched off."""
     rows = np.zeros(count, kind)
     return rows.view(np.recarray) if numba().config.DISABLE_JIT else rows

@@ -1,6 +1,6 @@
 """The references of the axis, one row of samples per episode.
 
-Every family starts at the axis' initial position and stays inside the range, speed and acceleration of the healthy
+Every family starts at the axis's initial position and stays inside the range, speed and acceleration of the healthy
 plant (:class:`Feasible`). There are two intended exceptions: steps exceed the speed, and ramps and start–stop runs
 change their speed abruptly.
 """
@@ -15,12 +15,12 @@ from hydro_env.task.random_numbers import between, log_between, uniform
 
 
 class Feasible(NamedTuple):
-    """Limits that a plant sets to references."""
+    """Limits of a plant for references."""
 
     low: float  # m
     high: float  # m
-    force_out: float  # N that full pressure gives outwards
-    force_in: float  # N that full pressure gives inwards
+    force_out: float  # N, at full pressure, outwards
+    force_in: float  # N, at full pressure, inwards
     speed_per_root_force: float  # (m/s)/√N: K/√(A_a³ + A_b³)
     stiffness: float  # N/m, spring
     external_force: float  # N
@@ -28,7 +28,7 @@ class Feasible(NamedTuple):
 
 @inline
 def supply_forces(c):
-    """Force in N that the full supply gives outwards, and inwards."""
+    """Force in N at full supply pressure, outwards and inwards."""
     force_out = c.area_a * c.relief_pressure - c.area_b * c.tank_pressure
     force_in = c.area_b * c.relief_pressure - c.area_a * c.tank_pressure
     return force_out, force_in
@@ -151,7 +151,7 @@ def _inwards(start, f):
 
 @inline
 def _largest_sine(start, inwards, frequency, f, limits):
-    """Amplitude that range, speed and acceleration allow for a sine from ``start``."""
+    """Largest amplitude within range, speed and acceleration of a sine from ``start``."""
     omega = 2.0 * math.pi * frequency
     room = min(f.high - start, start - f.low) if inwards == 0.0 else 0.1 * (f.high - f.low)
     centre = start + inwards * room
@@ -198,7 +198,7 @@ def fill_multi_sine(row, key, start, period, f, limits):
 
 @inline
 def fill_start_stop(row, key, start, period, f, limits):
-    """Start–stop: short runs at constant speed that end abruptly, one after another towards a far target, and back."""
+    """Start–stop: consecutive short runs at constant speed with abrupt ends, towards a far target and back."""
     value = start
     target = f.high if f.high - start > start - f.low else f.low
     speed = _speed_limit(f.low, f.high, f, limits) * between(key, 0, 0.5, 1.0)
@@ -240,7 +240,7 @@ fill_reference = function_of_number(tuple(FAMILIES.values()), "row, family, key,
 
 Args:
     row: (samples,), m, written.
-    family: index into :data:`REFERENCE_FAMILIES`; ``user`` leaves the row alone.
+    family: index into :data:`REFERENCE_FAMILIES`; ``user`` leaves the row unchanged.
     key: of the source REFERENCE of this episode.
     start: initial position, m.
     period: control period, s.

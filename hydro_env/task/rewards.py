@@ -1,4 +1,4 @@
-"""The terms of the reward: each is a cost of at least zero, and the reward is minus their sum.
+"""The terms of the reward: each is a non-negative cost, and the reward is minus their sum.
 
 To add a term, add a field to :class:`Costs`, its expression to :func:`costs`, and a weight to
 :class:`~hydro_env.task.configuration.Reward`.

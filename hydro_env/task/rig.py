@@ -1,4 +1,4 @@
-"""A task on another rig: what a rig's file holds, and the settings of a task that follow from a rig."""
+"""A task on another rig: content of a rig's file, and settings of a task that follow from a rig."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hydro_env.task.randomisation import Distribution, Randomisation, check_draw
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
 
 SHARE_OF_ACCELERATION = 0.25
-"""Smooth references need at most this share of the acceleration that the supply can give."""
+"""Largest acceleration of smooth references, as a share of the acceleration that the supply can give."""
 
 
 class Rig(NamedTuple):
-    """A rig: the numbers of its data sheet, the ranges of those that its owner does not know exactly, its sensors."""
+    """A rig: the parameters of its data sheet, ranges for the uncertain ones, and its sensors."""
 
     plant: PlantParameters
     randomisation: dict[str, Distribution]
-    sensors: dict[str, Any]  # what its file says of them, by path: ``sensors.pressure_a.high``
+    sensors: dict[str, Any]  # settings in its file, by path: ``sensors.pressure_a.high``
     source: str  # for messages
 
 
@@ -37,10 +37,11 @@ def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
 
     Args:
         given: name or path.
-        folder: what a relative path is relative to; default: the current folder.
+        folder: base of a relative path; default: the current folder.
 
     Raises:
-        ConfigurationError: no such rig, unreadable file, unknown key, an impossible value, or a rig that cannot work.
+        ConfigurationError: the rig does not exist, the file is unreadable, a key is unknown, a value is impossible, or
+            the rig cannot work.
     """
     file = config_file("rigs", given, folder)
     return rig_from(read_yaml(file), str(file))
@@ -50,9 +51,10 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     """A rig from the groups of its file.
 
     Raises:
-        ConfigurationError: unknown key, an impossible value, or a rig that cannot work; the message names ``source``.
+        ConfigurationError: a key is unknown, a value is impossible, or the rig cannot work; the message names
+            ``source``.
     """
-    from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed for a rig from a file alone
+    from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed only for a rig from a file
 
     own = {name: values[name] for name in OF_THE_TASK if name in values}
     checked = validate(_OfTheTask, own, source)
@@ -91,18 +93,18 @@ def task_from(
     rig: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> ModelType:
-    """A task from its settings, on its own rig or moved to another one.
+    """A task from its settings, on its own rig or adapted to another one.
 
     Args:
         model: ``TaskConfig``, which imports this function.
         values: settings by group; ``plant`` may be the name or the path of a rig.
         source: for messages.
-        folder: what paths in ``values`` are relative to; default: the current folder.
-        rig: name or path of the rig to which the task is moved.
+        folder: base of relative paths in ``values``; default: the current folder.
+        rig: name or path of another rig for the task.
         overrides: settings that come last.
 
     Raises:
-        ConfigurationError: unknown key, impossible value, or a rig that does not fit.
+        ConfigurationError: a key is unknown, a value is impossible, or the rig does not fit.
     """
     defaults, overrides = model().model_dump(), dict(overrides or {})
     own = values.get("plant")
@@ -123,9 +125,9 @@ def task_from(
 
 
 def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:
-    """A task on another rig: what followed from the old rig follows from the new one; what the user set stays.
+    """A task on another rig: settings that followed from the old rig follow from the new one; the user's settings stay.
 
-    What the file of the new rig says of its sensors counts more than what follows from its size.
+    Sensor settings in the file of the new rig take precedence over those that follow from its size.
 
     Args:
         task: all settings of the task, by group.
@@ -133,7 +135,7 @@ def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dic
         rig: the new rig.
 
     Raises:
-        ConfigurationError: the task draws a parameter from a range in which the rig's own value does not lie.
+        ConfigurationError: the task draws a parameter from a range that does not contain the rig's own value.
     """
     old = PlantParameters.from_dict(task["plant"])
     result = deepcopy(dict(task))
@@ -173,7 +175,7 @@ def _following(plant: PlantParameters, defaults: Mapping[str, Any]) -> dict[str,
 
 
 class _Scales(NamedTuple):
-    """A rig in parts of the paper's."""
+    """A rig relative to the paper's."""
 
     reach: float  # stroke
     speed: float  # at full opening, against the external force
@@ -206,7 +208,7 @@ def _scales(plant: PlantParameters) -> _Scales:
 
 
 def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> dict[str, Any]:
-    """Randomisation of a task on another rig; refuses a range of the user that the new rig lies outside."""
+    """Randomisation of a task on another rig; a user's range must contain the new rig's value."""
     given = validate(_OfTheTask, {"randomisation": ranges}, "task").randomisation
     before = default_randomisation(old)
     after = default_randomisation(rig.plant) | rig.randomisation
@@ -221,7 +223,7 @@ def _moved_ranges(ranges: Mapping[str, Any], old: PlantParameters, rig: Rig) -> 
                 f"{rig.source}: {path} = {value:g}: the task draws it from {low:g} to {high:g}, the range of another "
                 f"rig; give randomisation.{path} a 'factor' there, or leave it out"
             )
-    # A task that leaves parameters of its rig alone leaves them alone on the new one.
+    # A task that does not draw parameters of its rig does not draw them on the new one.
     result = after | own if before.keys() <= given.keys() else {p: own.get(p, after.get(p, given[p])) for p in given}
     return {path: draw.model_dump() for path, draw in result.items()}
 

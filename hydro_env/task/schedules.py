@@ -58,7 +58,7 @@ def _leak_flow(row, time, settings):
         return target
     if time < begin:
         return start
-    if row.leak_schedule == _ONSET or target == start:  # which may both be 0
+    if row.leak_schedule == _ONSET or target == start:  # both may be 0
         return target
     end = settings.steps * settings.control_period
     share = min((time - begin) / max(end - begin, settings.control_period), 1.0)
@@ -67,7 +67,7 @@ def _leak_flow(row, time, settings):
 
 @inline
 def set_leak(row, coefficient, time, settings):
-    """Write the leak at a time, s, into the record and the coefficients of the plant."""
+    """Write the leak at a time, s, to the record and to the coefficients of the plant."""
     flow = _leak_flow(row, time, settings)
     row.leak_flow = flow
     row.leak_class = 0.0
@@ -80,7 +80,7 @@ def set_leak(row, coefficient, time, settings):
 
 @inline
 def draw_steady_force(row, coefficient, key, settings):
-    """Add the steady part of the disturbance to the plant's own external force."""
+    """Add the constant part of the disturbance to the plant's own external force."""
     share = settings.disturbance.steady_share
     c = read_coefficients(coefficient)
     out, back = supply_forces(c)

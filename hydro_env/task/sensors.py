@@ -16,10 +16,10 @@ class Sensor(Group):
 
     noise: Number = Field(ge=0.0, le=1e9, description="standard deviation, unit of the signal")
     bias: Number = Field(ge=0.0, le=1e9, description="largest constant error of an episode, unit of the signal")
-    resolution: Number = Field(ge=0.0, le=1e9, description="step of the 16-bit acquisition, unit; 0 = none")
+    resolution: Number = Field(ge=0.0, le=1e9, description="step of the 16-bit acquisition, in that unit; 0 = none")
     low: Number = Field(ge=-1e9, le=1e9, description="lower end of the range, unit of the signal")
     high: Number = Field(ge=-1e9, le=1e9, description="upper end of the range, unit of the signal")
-    fitted: bool = Field(True, description="false: the rig lacks this sensor, and the observation its signal")
+    fitted: bool = Field(True, description="false: rig and observation lack this sensor")
 
     @model_validator(mode="after")
     def _range_rises(self) -> Sensor:

@@ -68,7 +68,7 @@ FAULT_TABLE = np.dtype(
         ("start_high", "f8"),
         ("first", "i8"),  # indices of FAULTS: from the first of this kind to before the last
         ("last", "i8"),
-        ("sensors", "f8"),  # number of sensors that it may hit, 1 for faults of no sensor
+        ("sensors", "f8"),  # number of sensors that may fail, 1 for other faults
         ("allowed", "f8", (len(CHANNELS),)),
     ]
 )
@@ -80,8 +80,8 @@ _DERIVED = np.dtype(
         ("steps", "f8"),
         ("class_limits", "f8", (3,)),  # l/min at 100 bar; a leak's class is the number of limits that it exceeds
         ("latency_range", "f8", (2,)),  # s
-        ("start_bias_share", "f8"),  # part of the position sensor's bias by which the axis begins beside its reference
-        ("reward_bias_share", "f8"),  # part of that bias that the reward does not count as error
+        ("start_bias_share", "f8"),  # fraction of the position sensor's bias as initial offset from the reference
+        ("reward_bias_share", "f8"),  # fraction of that bias that the reward does not count as error
         ("error_scales", "f8", (len(REFERENCE_FAMILIES),)),  # m, error that costs 1, of each family
         ("channels", _SENSOR, (len(CHANNELS),)),  # the sensors in the order of CHANNELS
         ("fault_table", FAULT_TABLE, (len(FAULT_KINDS),)),
@@ -103,7 +103,7 @@ def settings_of(config: TaskConfig) -> NDArray[Any]:
     rise = sensors.pressure_rise_time / math.log(9.0) if sensors.enabled else 0.0
     derived = {
         "steps": config.steps,
-        # Conversion from a resistance rounds a flow; it may exceed the bound of its class by that.
+        # Conversion from a resistance rounds a flow, which may then exceed the bound of its class slightly.
         "class_limits": np.array(config.leakage.class_bounds) * (1 + 1e-9),
         "latency_range": config.command_latency_range or (config.command_latency,) * 2,
         "start_bias_share": float(config.start == "measured"),

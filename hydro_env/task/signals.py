@@ -1,4 +1,4 @@
-"""The measured signals, and the observation made of them.
+"""The measured signals, and the observation.
 
 To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.sensors.Sensors`, its true value to
 :func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`.
@@ -25,14 +25,14 @@ POSITION, PRESSURE_A, PRESSURE_B, SPOOL_POSITION = (
 )
 
 FIRST_BIAS = 1_000_000_000
-"""Index of the first bias among the numbers of the noise key; far beyond those of the steps."""
+"""Index of the first bias among the numbers of the noise key, far beyond those of the steps."""
 
 Signals = named_tuple("Signals", CHANNELS, __name__)
 """One value per measured signal."""
 
 
 def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
-    """Name, unit, scale and largest absolute value of each entry besides the previews; ``half`` the stroke in m."""
+    """Name, unit, scale and largest absolute value of each entry except the previews; ``half``: half stroke, m."""
     return (
         ("reference", "m", 0.1, 1.5 * half),
         ("position", "m", 0.1, 1.5 * half),
@@ -47,7 +47,7 @@ def _entries(half: float) -> tuple[tuple[str, str, float, float], ...]:
 
 
 Entries = named_tuple("Entries", [name for name, *_ in _entries(1.0)], __name__)
-"""One value per entry of the observation besides the previews, which follow the first."""
+"""One value per entry of the observation except the previews, which follow the first entry."""
 
 LAYOUT = np.dtype([("scale", "f8"), ("limit", "f8"), ("preview", "i8"), ("entry", "i8")])
 """One entry: SI units per 1, largest absolute value in the observation, for a preview the periods ahead (else 0), and
@@ -91,7 +91,7 @@ def _quantised(value, resolution):
 
 @inline
 def sensor_reading(true, bias, noise, sensor):
-    """Value that the acquisition reads: bias and noise added, limited to the range, in 16-bit steps."""
+    """Value from the acquisition: true value plus bias and noise, limited to the range, in 16-bit steps."""
     value = min(max(true + bias + sensor.noise * noise, sensor.low), sensor.high)
     return min(max(sensor.low + _quantised(value - sensor.low, sensor.resolution), sensor.low), sensor.high)
 

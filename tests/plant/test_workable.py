@@ -167,7 +167,7 @@ IMPOSSIBLE = {
     ),
     "chamber": (
         {"cylinder": {"dead_volume": 1e-7}, "valve": {"transition_pressure": 1.0}},
-        r"cylinder\.dead_volume.* asks for .* inner steps in 5 ms; the limit is 4,000 \(2\.56e\+06 1/s\)",
+        r"cylinder\.dead_volume.* requires .* inner steps in 5 ms; the limit is 4,000 \(2\.56e\+06 1/s\)",
     ),
     "friction": ({"friction": {"transition_velocity": 1e-6}}, r"friction\.transition_velocity .* 2\.86e\+06 1/s"),
     "end stop": ({"cylinder": {"end_stop_damping": 1e7}, "load": {"mass": 0.1}}, r"cylinder\.end_stop_damping"),

@@ -155,7 +155,10 @@ def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
         ({"conditions": {"a": {"families": ["user", "step"]}}}, "'user' must stand alone"),
         ({"conditions": {"a": {"factors": {"load.weight": 2.0}}}}, "'load.weight' is not a parameter"),
         ({"conditions": {"a": {"factors": {"supply.model": 2.0}}}}, "a name, not a number"),
-        ({"conditions": {"a": {"factors": {"load.mass": 2.0}, "parameters": {"load.mass": 9.0}}}}, "also in parameters"),
+        (
+            {"conditions": {"a": {"factors": {"load.mass": 2.0}, "parameters": {"load.mass": 9.0}}}},
+            "also in parameters",
+        ),
         ({"conditions": {"a": {"parameters": {"leakage.internal_resistance": 1e12}}}}, "not a parameter"),
         ({"conditions": {"a": {"task": {"latency": 0.0}}}}, r"conditions\.a: task: latency.*unknown key"),
         ({"conditions": {"a": {"task": {"command_latency": 0.1}}}}, r"conditions\.a: task.*0\.02"),

@@ -221,7 +221,7 @@ WRONG = {
     ),
     "factor times": (
         {"randomisation": {"load.mass": {"factor": [1.0, 2.0], "times": "supply.pressure"}}},
-        "task: randomisation.load.mass: factor multiplies the rig's own value already: leave 'times' out",
+        "task: randomisation.load.mass: factor already multiplies the rig's own value: leave out 'times'",
     ),
 }
 
@@ -238,7 +238,10 @@ def test_what_does_not_fit_is_answered_with_one_line(arguments, message):
 RIG_FILES = {
     "unknown key": ("load: {weight: 3}", "load.weight = 3: unknown key; known here: mass"),
     "unknown group": ("lode: {mass: 3}", "lode: unknown key; did you mean load?"),
-    "a range of nothing": ("randomisation: {load.weight: {factor: [1, 2]}}", "'load.weight' is no number of the plant"),
+    "a range of nothing": (
+        "randomisation: {load.weight: {factor: [1, 2]}}",
+        "'load.weight' is not a number of the plant",
+    ),
     "a wrong range": ("randomisation: {load.mass: {factor: [2, 1]}}", "randomisation.load.mass: bounds = [2, 1]"),
     "beyond a limit": (
         "randomisation: {load.mass: {uniform: [0, 1]}}",

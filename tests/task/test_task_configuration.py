@@ -150,9 +150,12 @@ WRONG = {
     "group is a number": ({"leakage": 3}, "leakage = 3: "),
     "no such parameter": (
         {"randomisation": {"load.weight": {"uniform": [1, 2]}}},
-        "'load.weight' is no number of the plant",
+        "'load.weight' is not a number of the plant",
     ),
-    "a choice": ({"randomisation": {"supply.model": {"uniform": [0, 1]}}}, "'supply.model' is no number of the plant"),
+    "a choice": (
+        {"randomisation": {"supply.model": {"uniform": [0, 1]}}},
+        "'supply.model' is not a number of the plant",
+    ),
     "leak": (
         {"randomisation": {"leakage.internal_resistance": {"uniform": [1e12, 2e12]}}},
         "'leakage.internal_resistance' is drawn by the group 'leakage'",
@@ -178,7 +181,7 @@ WRONG = {
     ),
     "times nothing": (
         {"randomisation": {"load.mass": {"uniform": [1, 2], "times": "load.weight"}}},
-        "times = 'load.weight' is no parameter",
+        "times = 'load.weight' is not a parameter",
     ),
     "otherwise alone": ({"randomisation": {"load.mass": {"uniform": [50, 60], "otherwise": 55}}}, "belong together"),
     "probability": (

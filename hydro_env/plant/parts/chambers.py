@@ -41,7 +41,7 @@ class Cylinder(Group):
 
 
 class Lines(Group):
-    """Pipes or hoses between valve and cylinder: oil that is compressed too, and walls that give way."""
+    """Pipes or hoses between valve and cylinder: additional compressible oil, and elastic walls."""
 
     volume_a: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber a", 0.0, 0.1)
     volume_b: Number = quantity(0.0, "m³", "assumed; oil between valve and chamber b", 0.0, 0.1)

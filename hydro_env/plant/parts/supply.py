@@ -14,7 +14,7 @@ from hydro_env.units import Number, quantity
 
 
 class SupplyModel(StrEnum):
-    """What maintains the supply pressure."""
+    """Source of the supply pressure."""
 
     CONSTANT = "constant"
     ACCUMULATOR = "accumulator"  # pump, relief valve and accumulator
@@ -24,7 +24,7 @@ class SupplyModel(StrEnum):
 class Supply(Group):
     """Pump, relief valve and accumulator (``accumulator``), the same without it (``pump``), or a constant pressure.
 
-    ``pump_flow`` 0 means that the pump stands still, ``relief_slope`` 0 that there is no relief valve.
+    ``pump_flow`` 0 means that the pump does not run, ``relief_slope`` 0 that there is no relief valve.
     """
 
     model: SupplyModel = Field(SupplyModel.ACCUMULATOR, description="paper, Figs 3 and 11")
@@ -44,7 +44,7 @@ class Supply(Group):
         if self.model != SupplyModel.CONSTANT and self.relief_slope == 0.0 and self.pump_flow > 0.0:
             raise ValueError(
                 f"relief_slope = 0 with pump_flow = {self.pump_flow:g} m³/s: nothing limits the pressure; without a "
-                f"relief valve pump_flow must be 0 (a pump that stands still) or model constant"
+                f"relief valve pump_flow must be 0 (the pump does not run) or model constant"
             )
         if self.model == SupplyModel.ACCUMULATOR and self.precharge_pressure >= self.pressure:
             raise ValueError(

@@ -129,7 +129,7 @@ def smooth_root(pressure_drop, transition_squared):
 
 @inline
 def _inverse_fourth_root(x):
-    """x^(−1/4), to 4e-14: roots in single precision, made exact by one Newton step (a third faster than in double)."""
+    """x^(−1/4), error 4e-14: roots in single precision plus one Newton step (a third faster than in double)."""
     y = np.float64(np.float32(1.0) / math.sqrt(math.sqrt(np.float32(x))))
     squared = y * y
     return y * (1.25 - 0.25 * x * (squared * squared))
@@ -240,7 +240,7 @@ def time_to_spool_kink(s, rate, c):
         -direction * fading if slewing else direction * jerk,
     )
     slew = FAR if slewing and direction * pull <= 0.0 else slew
-    # Likewise the stroke: the spool leaves its end when the speed reverses, and meets it at the end of the way.
+    # Likewise the stroke: the spool leaves its end when the speed reverses, and meets it after the remaining distance.
     to_end = 1.0 - direction * s.spool_position
     ended = to_end <= 0.0
     stroke = time_to_cover(
