@@ -176,9 +176,7 @@ def calibrate(
         sums=candidates[0],
     )
     if not base.table("shift").any():
-        raise ConfigurationError(
-            f"alarms: the score of '{detector}' does not rise with the leak, whatever the axis does"
-        )
+        raise ConfigurationError(f"alarms: the score of '{detector}' does not rise with the leak in any activity")
     tried: list[Candidate] = []
     refused: ConfigurationError | None = None
     for sums in candidates:

@@ -97,7 +97,7 @@ def start_cases(extent: Extent) -> list[Case]:
         return first_step(folder.name)
 
     own, note = "import hydro_env", "with its imports, without the start of the interpreter"
-    filled, anew = "first step, warm cache", "everything compiled anew"
+    filled, anew = "first step, warm cache", "everything compiled again"
     return [
         process("python, nothing imported", "pass"),
         process("import gymnasium", "import gymnasium", "python, nothing imported"),

@@ -65,7 +65,7 @@ def parts_of(samples: Sampled, source: str) -> Parts:
     full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
     if full > MOST_SATURATED:
         raise ConfigurationError(
-            f"{source}: command stands at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
+            f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
             "which hides its flow, edges and dynamics: record the axis while it follows a reference"
         )
     duration = len(samples.time) * samples.period

@@ -123,8 +123,8 @@ def _confused(record: Record) -> Finding:
             parts.append(f"{name}: {', '.join(named)}{more}")
         elif shares:
             clean.append(name)
-    lead = "Some other faults are taken for a worn seal." if parts else "No other fault is taken for a worn seal."
-    text = f"Taken for a leak in more than {TOO_OFTEN:.0f} % of the windows: {'; '.join(parts)}." if parts else ""
+    lead = "Some other faults look like a worn seal." if parts else "No other fault looks like a worn seal."
+    text = f"Mistaken for a leak in more than {TOO_OFTEN:.0f} % of the windows: {'; '.join(parts)}." if parts else ""
     if clean:
         text += f" {listed(clean)}: none in more than {TOO_OFTEN:.0f} % of the windows."
     return Finding(lead, text.strip())

@@ -157,7 +157,7 @@ def _saturated(values: Floats, samples: Sampled, signal: str, config: TaskConfig
     """Readings at the end of the sensor's range."""
     sensor = getattr(config.sensors, signal)
     at_end = _at_end(values, sensor) & ~_under_full_command(samples, signal)
-    what = f"stands at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
+    what = f"is at the end of the sensor's range ({_shown(signal, sensor.low)} to {_shown(signal, sensor.high)})"
     return at_end, what, severe_if(at_end.mean() > MOST_SATURATED)
 
 

@@ -93,7 +93,7 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
 
 
 def _row_distance(time: Floats, period: float) -> float:
-    """Usual distance of two rows in s: the median, or the mean over many rows if the jitter is large."""
+    """Usual distance of two rows in s: the median, or that over many rows if only this fits the period."""
     distance = float(np.median(np.diff(time)))
     many = min(ROWS_TOGETHER, len(time) - 1)
     together = float(np.median(time[many:] - time[:-many])) / many

@@ -50,7 +50,7 @@ LEAST_SHARE = 0.05
 FITS, FAILS = 0.6, 0.75
 """Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
 
-On the three shipped rigs it leaves 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a turned position.
+On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position.
 """
 
 SLOPES = (0.15, 6.0)

@@ -104,7 +104,7 @@ def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):
         (("position [mm]", -1.0), "other sign of the position"),
         (("pressure_a [bar]", 0.1), "reads? at most|do not fit|times"),
         (("command [V]", -1.0), "moves against the command"),
-        (("command [V]", None), "command stands at its limit"),
+        (("command [V]", None), "command is at its limit"),
     ],
 )
 def test_a_recording_that_contradicts_the_rig_is_named_in_one_line(folder, tmp_path, change, words):

@@ -94,7 +94,7 @@ def test_windows_with_a_long_gap_are_left_out():
     ("row", "columns", "value", "words"),
     [
         (POSITION, slice(None), np.nan, "position was not recorded"),
-        (COMMAND, slice(None), -1.0, "command stands at its limit for 100 %"),
+        (COMMAND, slice(None), -1.0, "command is at its limit for 100 %"),
         (COMMAND, slice(0, None, 400), np.nan, "only 0 windows of 2 s have all commands"),
     ],
 )

@@ -36,7 +36,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
     assert sure[0] == "The head alone raises 18 false alarms per hour: let an alarm sum up its windows."
     assert "head 1.0 % (0.2 to 5.4), which is 18 per hour" in sure[1]
     assert "Under the worst motion or controller: head 4.0 % (1.6 to 9.8), ADRC" in sure[1]
-    assert confused[0] == "Some other faults are taken for a worn seal."
+    assert confused[0] == "Some other faults look like a worn seal."
     assert "head: valve null −1 % 60 %" in confused[1]
     assert "estimator: none" in confused[1]
     assert "estimator: valve null −1 %" in silent[1]
@@ -46,7 +46,7 @@ def test_without_confusions_and_silence_the_findings_say_so():
     made = tables().by_name()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
     leads = [item.lead for item in findings(Record(made, "plain"))]
-    assert "No other fault is taken for a worn seal." in leads
+    assert "No other fault looks like a worn seal." in leads
     assert "No detector stays silent." in leads
     assert not any("alarm after" in lead for lead in leads)
 
