@@ -154,7 +154,7 @@ FILES = {
         ("simulate --rig absent.yaml", ["absent.yaml: cannot be read: No such file"]),
         ("simulate --input-file ragged.csv", ["ragged.csv: line 2 has 4 columns", "decimals need a point"]),
         ("simulate --input-file high.csv", ["high.csv: line 3: 12 V", "-10 to 10 V"]),
-        ("evaluate --agent PPO=foreign", ["foreign.json", "not the"]),
+        ("evaluate --agent PPO=foreign", ["foreign.json", "must be 'hydro_env policy'"]),
         ("evaluate --head absent", ["absent.json: cannot be read"]),
         ("study --config study.yaml", ["study.yaml", "pdi", "unknown key"]),
         ("study --config levels.yaml", ["levels.yaml", "leak_levels"]),
