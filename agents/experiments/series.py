@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import Any
 
 import pandas as pd
@@ -15,6 +16,7 @@ from agents.experiments.runs import FIRST_SEED
 from agents.experiments.standstill import standstill
 from agents.experiments.stiffness import force_sine, force_step
 from agents.running.cases import ControllerError
+from agents.running.jobs import side_by_side
 from hydro_env import TaskConfig
 
 EXPERIMENTS: dict[str, Callable[..., pd.DataFrame]] = {
@@ -55,14 +57,16 @@ def run_experiments(
     calls = [delayed(_run)(experiment, config, name, controllers[name], size) for experiment, name in pairs]
     parts: dict[str, list[pd.DataFrame]] = {name: [] for name in EXPERIMENTS}
     errors: dict[str, str] = {}
-    answers = Parallel(n_jobs=jobs, return_as="generator")(calls)
-    for done, ((experiment, name), (table, error)) in enumerate(zip(pairs, answers, strict=True), 1):
-        if error:
-            errors.setdefault(name, f"{name}: {experiment}: {error}")
-        else:
-            parts[experiment].append(table)
-        if progress is not None:
-            progress("experiments", done, len(pairs))
+    if progress is not None:
+        progress("experiments", 0, len(pairs))
+    with closing(side_by_side(Parallel(n_jobs=jobs, return_as="generator"), calls)) as answers:
+        for done, ((experiment, name), (table, error)) in enumerate(zip(pairs, answers, strict=True), 1):
+            if error:
+                errors.setdefault(name, f"{name}: {experiment}: {error}")
+            else:
+                parts[experiment].append(table)
+            if progress is not None:
+                progress("experiments", done, len(pairs))
     tables = {name: pd.concat(frames, ignore_index=True) for name, frames in parts.items() if frames}
     return {**tables, "leak_price": leak_price(config)}, errors
 

@@ -10,8 +10,10 @@ import hashlib
 import io
 import os
 import sys
+import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import parent_process
@@ -99,12 +101,13 @@ def run_jobs(
             progress("jobs", len(results), len(listed))
 
     report()
-    for key, result in _answers({key: job for key, job in listed.items() if key not in results}, jobs):
-        results[key] = result
-        job = listed[key]
-        if folder is not None and job.digest and not result.error:
-            save_result(folder / JOBS_FOLDER / job.file, result)
-        report()
+    with closing(_answers({key: job for key, job in listed.items() if key not in results}, jobs)) as answers:
+        for key, result in answers:
+            results[key] = result
+            job = listed[key]
+            if folder is not None and job.digest and not result.error:
+                save_result(folder / JOBS_FOLDER / job.file, result)
+            report()
     return results, reused
 
 
@@ -147,6 +150,18 @@ def default_jobs() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
+    """Answers of a pool of joblib that gives them one by one; closed early, it cancels the others without a warning."""
+    answers = pool(calls)
+    try:
+        for answer in answers:  # `yield from` would close the answers before the warning is off
+            yield answer
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # joblib counts the calls that it cancels
+            answers.close()
+
+
 def _named(key: str, job: Job) -> tuple[str, JobResult]:
     if "torch" in sys.modules:  # as many jobs as cores run side by side
         sys.modules["torch"].set_num_threads(1)
@@ -160,7 +175,7 @@ def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:
     return _named(key, job)
 
 
-def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str, JobResult]]:
+def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Generator[tuple[str, JobResult], None, None]:
     """Results of jobs in the order of completion, each with its key."""
     if not waiting:
         return
@@ -176,4 +191,4 @@ def _answers(waiting: Mapping[str, Job], jobs: int | None) -> Iterator[tuple[str
         for start in range(0, len(calls), size):
             yield from pool(calls[start : start + size])
         return
-    yield from pool(calls)
+    yield from side_by_side(pool, calls)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from agents.report.training_plots import ERROR, learning_plots
 from agents.running.cases import Cases, run_cases
 from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
+from agents.running.jobs import side_by_side
 from agents.running.seeds import SEED_MARK, TEST_SEEDS, VALIDATION_SEEDS
 from agents.running.settings_files import read_settings, read_task
 from agents.study.ladder_table import ladder_table, rung_scores
@@ -185,13 +187,14 @@ def run_ladder(
         scores: list[pd.DataFrame] = []
         errors: list[str] = []
         display.update("ladder", 0, len(todo))
-        for name, seed, result in _results(ladder, folder, todo, jobs, test):
-            if isinstance(result, str):
-                errors.append(f"rung {name}, seed {seed}: {result}")
-            else:
-                scores.append(rung_scores(name, seed, ladder.resolved(name).corrects, result, classical))
-            display.update("ladder", len(scores) + len(errors), len(todo), f"{name}, seed {seed}")
-            write_tables(ladder, folder, classical, scores)
+        with closing(_results(ladder, folder, todo, jobs, test)) as results:
+            for name, seed, result in results:
+                if isinstance(result, str):
+                    errors.append(f"rung {name}, seed {seed}: {result}")
+                else:
+                    scores.append(rung_scores(name, seed, ladder.resolved(name).corrects, result, classical))
+                display.update("ladder", len(scores) + len(errors), len(todo), f"{name}, seed {seed}")
+                write_tables(ladder, folder, classical, scores)
         for name in chosen:
             write_curve(ladder, folder, name)
     if errors:
@@ -215,10 +218,10 @@ def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
 
 def _results(
     ladder: LadderSettings, folder: Path, todo: list[tuple[str, int]], jobs: int, test: bool
-) -> Iterator[tuple[str, int, pd.DataFrame | str]]:
+) -> Generator[tuple[str, int, pd.DataFrame | str], None, None]:
     """Results of the jobs in the order of completion."""
     parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    yield from parallel(delayed(run_rung)(ladder, name, seed, folder, test) for name, seed in todo)
+    yield from side_by_side(parallel, [delayed(run_rung)(ladder, name, seed, folder, test) for name, seed in todo])
 
 
 def run_rung(
