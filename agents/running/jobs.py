@@ -154,7 +154,7 @@ def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
     """Answers of a pool of joblib that gives them one by one; closed early, it cancels the others without a warning."""
     answers = pool(calls)
     try:
-        for answer in answers:  # `yield from` would close the answers before the warning is off
+        for answer in answers:  # noqa: UP028 (`yield from` would close the answers before the warning is off)
             yield answer
     finally:
         with warnings.catch_warnings():

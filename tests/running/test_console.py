@@ -1,35 +1,132 @@
-"""What is seen while work runs: bars that keep their length, lines elsewhere, and no output that ends the work."""
+"""What is seen while work runs: lines that fit, the time that is left, and no output that ends the work."""
 
 import io
+import re
 
-from agents.running.console import PlainConsole, ProgressDisplay
+import pytest
+
+from agents.running.console import IN_ALL, PlainConsole, ProgressDisplay
 
 NOTE = "12,345 steps/s, mean reward -0.1234 [v2]"
+PHASE = "leakage head, training"
+LONG = "tracking, Flow linearisation with the mended PID and a name that is too long for any line at all"
 
 
-def shown(width=None):
-    text = io.StringIO()
-    console = PlainConsole(file=text, force_terminal=width is not None, width=width or 80, color_system=None)
-    with ProgressDisplay(console) as display:
-        display.update("leakage head, training", 0, 2_000_000)
-        display.update("leakage head, training", 2_000_000, 2_000_000, NOTE)
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+@pytest.fixture(autouse=True)
+def variables(monkeypatch):
+    """The variables that tell a program what its terminal can do."""
+    for name in ("FORCE_COLOR", "COLUMNS", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+
+
+def display_on(file, width=80, clock=None):
+    console = PlainConsole(file=file, width=width, color_system=None)
+    return ProgressDisplay(console, clock=clock or Clock())
+
+
+def shown(file, width=80):
+    with display_on(file, width) as display:
+        display.update(PHASE, 0, 2_000_000)
+        display.update(PHASE, 2_000_000, 2_000_000, NOTE)
         display.say("written: a[/b]c/results[v2]/:smile:")
-    return text.getvalue()
+    return file.getvalue()
+
+
+def visible(text):
+    """Lines as a terminal shows them, without what moves the cursor."""
+    return [line for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)) if line.strip()]
 
 
 def test_the_bar_keeps_its_length_at_80_columns():
-    last = [line for line in shown(80).splitlines() if "100 %" in line][-1]
+    last = [line for line in visible(shown(Terminal())) if "100 %" in line][-1]
     assert last.count("━") == 20
     assert NOTE not in last
     assert NOTE[:12] in last
-    assert NOTE in [line for line in shown(140).splitlines() if "100 %" in line][-1]
+    assert NOTE in [line for line in visible(shown(Terminal(), 140)) if "100 %" in line][-1]
+
+
+@pytest.mark.parametrize("width", [60, 80])
+@pytest.mark.parametrize("file", [Terminal, io.StringIO])
+def test_every_line_fits_and_shows_share_and_time(file, width):
+    written, clock = file(), Clock()
+    with display_on(written, width, clock) as display:
+        display.expect({LONG: 3.0, "report": 1.0})
+        for done in range(7):
+            display.update(LONG, done, 12, NOTE)
+            clock.now += 60.0
+    lines = visible(written.getvalue())
+    assert max(map(len, lines)) <= width
+    last = [line for line in lines if line.startswith(LONG[:15])][-1]
+    if file is Terminal:
+        assert "50 %" in last
+        assert "6 min left" in last
+        assert last.count("━") + last.count("╸") == (10 if width == 80 else 5)
+        assert [line for line in lines if line.startswith(IN_ALL)][-1].rstrip().endswith("10 min left")
 
 
 def test_off_a_terminal_lines_come_at_once_and_as_they_are():
-    lines = shown().splitlines()
-    assert lines[0] == "leakage head, training:   0 % (0 of 2,000,000)"
-    assert lines[1] == f"leakage head, training: 100 % (2,000,000 of 2,000,000) {NOTE}"
-    assert lines[2] == "written: a[/b]c/results[v2]/:smile:"
+    assert visible(shown(io.StringIO())) == [
+        f"{PHASE}:   0 %, 0 of 2,000,000",
+        f"{PHASE}: 100 %, {NOTE}",
+        "written: a[/b]c/results[v2]/:smile:",
+    ]
+
+
+@pytest.mark.parametrize(("name", "value"), [("TERM", "dumb"), ("FORCE_COLOR", "1")])
+def test_no_bars_where_the_cursor_cannot_move(name, value, monkeypatch):
+    monkeypatch.setenv(name, value)
+    text = shown(Terminal() if name == "TERM" else io.StringIO())
+    assert "\x1b" not in text
+    assert f"{PHASE}: 100 %, {NOTE}" in text
+
+
+def test_off_a_terminal_a_slow_piece_of_work_is_no_silence():
+    written, clock = io.StringIO(), Clock()
+    display = display_on(written, clock=clock)
+    display.remind()
+    display.update("ladder", 0, 15)
+    for _ in range(9):
+        clock.now += 10.0
+        display.remind()
+    display.update("report", 1, 1)
+    assert visible(written.getvalue()) == [
+        "ladder:   0 %, 0 of 15",
+        "ladder:   0 %, at work for 20 s, 0 of 15",
+        "ladder:   0 %, at work for 40 s, 0 of 15",
+        "ladder:   0 %, at work for 1 min, 0 of 15",
+        "ladder:   0 %, at work for 1 min, 0 of 15",
+        "report: done",
+    ]
+
+
+def test_the_duration_is_told_once_as_measured():
+    written, clock = io.StringIO(), Clock()
+    display = display_on(written, clock=clock)
+    display.expect({"train": 300.0, "evaluate": 100.0})
+    display.update("train", 0, 100)
+    clock.now += 17.0  # imports and compilation: no part of the rate
+    for done in range(1, 20):
+        display.update("train", done, 100)
+        clock.now += 2.0
+    assert visible(written.getvalue())[1] == "train:   1 %, 1 of 100"
+    # 17 s, then 99 % of 200 s; the second phase is a third of the first: 67 s.
+    assert visible(written.getvalue())[2] == "in all: about 5 min on this machine, as measured just now"
+    assert written.getvalue().count("measured just now") == 1
+    assert visible(written.getvalue())[-1] == "train:  16 %, 3 min left, in all 4 min left, 16 of 100"
 
 
 class Full(io.StringIO):
