@@ -71,7 +71,7 @@ def evaluate(
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
-    from agents.study.results import REPORT_FILES, evaluate_study, print_summary
+    from agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
     from agents.study.settings import default_study
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_yaml
@@ -113,6 +113,7 @@ def evaluate(
                 study, controllers, watching, output, display, configuration=text, command=command_line()
             )
             print_summary(evaluation, display)
+            display.say(f"report: {(output / REPORT_FILE).resolve()}")
     if evaluation.errors:
         raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")
 

@@ -178,4 +178,7 @@ def evaluate(
 
 
 def _reporter(progress: Callable[[str, int, int], None] | None, phase: str, total: int) -> Callable[[int], None] | None:
-    return None if progress is None else lambda done: progress(phase, done, total)
+    if progress is None:
+        return None
+    progress(phase, 0, total)
+    return lambda done: progress(phase, done, total)

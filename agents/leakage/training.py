@@ -292,6 +292,8 @@ class _Job:
         parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
         if not parts:
             self.save()
+        if self.progress is not None:
+            self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
         for part in self.plan.windows(episodes, first_seed, skip=len(parts)):
             parts.append(part)
             if self.progress is not None:

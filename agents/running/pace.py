@@ -13,6 +13,7 @@ class _Phase:
     total: int
     done: int
     changed: float  # s, time of the latest change of `done`
+    began: float
     start: int  # `done` at the first update: a phase that is resumed does not begin at 0
     first: tuple[float, int] | None = None  # time and `done` when the first piece was finished
 
@@ -32,8 +33,11 @@ class _Phase:
     @property
     def seconds(self) -> float | None:
         """Duration of the whole phase at its rate so far; ``None`` as long as the rate is unknown."""
-        if self.first is None or self.done <= self.first[1]:
+        if self.first is None:
             return None
+        if self.done <= self.first[1]:  # one piece: its rate is known when the phase is finished
+            share = (self.done - self.start) / self.total
+            return (self.changed - self.began) / share if self.done >= self.total else None
         return self.total * self.measured / (self.done - self.first[1])
 
     def left(self, now: float) -> float | None:
@@ -59,7 +63,7 @@ class Pace:
     def update(self, phase: str, done: int, total: int, now: float) -> None:
         """Note how far a phase is at a time in s."""
         if phase not in self._phases:
-            self._phases[phase] = _Phase(total, done, now, done)
+            self._phases[phase] = _Phase(total, done, now, now, done)
         self._phases[phase].update(done, total, now)
 
     def left(self, phase: str, now: float) -> float | None:

@@ -31,8 +31,9 @@ from hydro_env.files import write_text, write_whole
 REPORT_FILE = "report.html"
 CARDS = "model_cards"
 REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
-MOST_COLUMNS = 3
-"""Largest number of controllers side by side in a table on the console; more controllers get a row each."""
+MOST_COLUMNS = 4
+"""Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
+
 
 EXAMPLE_SEED = TEST_SEEDS.start + 900_000
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
@@ -62,6 +63,7 @@ def evaluate_study(
             return evaluate(study.task, controllers, head, study.evaluation, display.update)
 
     evaluation = phases.run("evaluate", work) if phases is not None else work()
+    display.update("report", 0, 1)
     working = {name: controller for name, controller in controllers.items() if name not in evaluation.errors}
     levels = sorted(study.evaluation.leak_levels)
     price = leak_price(study.task, levels)
@@ -91,7 +93,7 @@ def evaluate_study(
     for name, card in cards.items():
         if card is not None:
             write_text(folder / CARDS / card_file(name), card)
-    display.say(f"report: {(folder / REPORT_FILE).resolve()}")
+    display.update("report", 1, 1)
     for error in evaluation.errors.values():
         print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)
     return evaluation
@@ -125,26 +127,26 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     """Print the main figures as tables on the console."""
-    display.console.lines(
-        _errors_of_many(evaluation) if len(evaluation.controllers) > MOST_COLUMNS else _errors_by_leak(evaluation)
-    )
+    if len(evaluation.controllers) <= MOST_COLUMNS:
+        display.console.lines(_errors_by_leak(evaluation))
+    display.console.lines(_errors_in_all(evaluation))
     if not evaluation.detection_summary.empty:
         display.console.lines(_detection(evaluation))
 
 
-def _ratio_to_first(evaluation: Evaluation, name: str, group: str, value: str | None = None) -> str:
+def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
     ratios = evaluation.ratios
-    chosen = (ratios["controller"] == name) & (ratios["group"] == group)
-    row = ratios[chosen & (ratios["value"] == value)].iloc[0] if value is not None else ratios[chosen].iloc[0]
+    row = ratios[(ratios["controller"] == name) & (ratios["group"] == group)].iloc[0]
     return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
 
 
-def _errors_of_many(evaluation: Evaluation) -> Table:
-    """One row per controller, for too many controllers to show side by side."""
+def _errors_in_all(evaluation: Evaluation) -> Table:
+    """One row per controller, with its ratio to the first."""
     first, *others = evaluation.controllers
     table = Table(title="Mean absolute tracking error (test plants)")
-    for heading in ("controller", "mm", f"/ {first} [95 %]", "equal weights of references [95 %]"):
-        table.add_column(heading, justify="left" if heading == "controller" else "right")
+    table.add_column("controller")
+    for heading in ("mm", f"÷ {first} [95 %]", "references weigh the same"):
+        table.add_column(heading, justify="right", no_wrap=heading == "mm")
     means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
     table.add_row(first, f"{means[first]:.4f}", "", "")
     for name in others:
@@ -154,22 +156,13 @@ def _errors_of_many(evaluation: Evaluation) -> Table:
 
 
 def _errors_by_leak(evaluation: Evaluation) -> Table:
-    names = evaluation.controllers
-
+    """One row per leak, one column per controller."""
     table = Table(title="Mean absolute tracking error, mm (test plants)")
-    for heading in ("leakage, l/min at 100 bar", *names, *(f"{name} / {names[0]} [95 %]" for name in names[1:])):
+    for heading in ("leak, l/min", *evaluation.controllers):
         table.add_column(heading, justify="right")
     errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
     for level in evaluation.cases["leakage_flow_lpm"].unique():
-        means = [f"{errors[name, level]:.4f}" for name in names]
-        table.add_row(
-            f"{level:g}", *means, *(_ratio_to_first(evaluation, name, "level", str(level)) for name in names[1:])
-        )
-    means = [f"{evaluation.cases.loc[evaluation.cases['controller'] == n, 'mean_error_mm'].mean():.4f}" for n in names]
-    table.add_row("all", *means, *(_ratio_to_first(evaluation, name, "all") for name in names[1:]))
-    if len(names) > 1:
-        equal = (_ratio_to_first(evaluation, name, "equal_weight") for name in names[1:])
-        table.add_row("all, equal weights of references", *[""] * len(names), *equal)
+        table.add_row(f"{level:g}", *(f"{errors[name, level]:.4f}" for name in evaluation.controllers))
     return table
 
 
@@ -178,7 +171,7 @@ def _detection(evaluation: Evaluation) -> Table:
     table = Table(title="Leakage head, one episode of observations (test plants)")
     auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
     for heading in ("controller", auroc, "false alarms", moderate, "size error, median"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="left" if heading == "controller" else "right")
     for _, entry in evaluation.detection_summary.iterrows():
         table.add_row(
             str(entry["controller"]),

@@ -23,7 +23,7 @@ from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.seeds import VALIDATION_SEEDS
 from agents.study.phases import STATE_FILE, Phases
-from agents.study.results import REPORT_FILES, evaluate_study, print_summary
+from agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
 from agents.study.settings import StudySettings
 from agents.study.training import (
     CHECKPOINTS,
@@ -39,6 +39,7 @@ from agents.study.training import (
     train_leakage_head,
     tune_controller,
 )
+from agents.study.work import HEAD_PHASE, work_of
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
@@ -46,7 +47,6 @@ CONFIG_FILE = "study.yaml"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
-HEAD_PHASE = "train leakage head"
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings on which trained weights depend; the others may change when a study resumes."""
 
@@ -74,6 +74,7 @@ def run_study(
         _write_settings(study, folder, seed)
         _try_out(study)
         phases = Phases(folder)
+        display.expect(work_of(study, phases.done))
         controllers: dict[str, Controller] = {}
         curves = []
         for name, entry in study.controllers.items():
@@ -98,8 +99,8 @@ def run_study(
             training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
         )
         print_summary(evaluation, display)
-        for phase, seconds in phases.seconds.items():
-            display.say(f"{phase}: {seconds:.0f} s")
+        display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
+        display.say(f"report: {(folder / REPORT_FILE).resolve()}")
     return evaluation
 
 

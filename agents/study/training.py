@@ -73,6 +73,8 @@ def train_controller(
         note = ", ".join(part for part in (rate, reward) if part)
         display.update(f"train {name}", min(progress.steps, progress.total_steps), progress.total_steps, note)
 
+    if not resume:
+        display.update(f"train {name}", 0, getattr(settings, "total_steps", 0))
     controller = trainer.train(
         study.task, settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
     )

@@ -137,12 +137,8 @@ def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
     assert set(result.curves["curve"]) == {"roc", "precision_recall"}
     assert set(result.detection_rates["controller"]) == {"strong", "weak"}
     assert result.bounds == (0.03, 0.1, 0.3)
-    assert phases == [
-        ("tracking, strong", 12, 12),
-        ("detection, strong", 100, 100),
-        ("tracking, weak", 12, 12),
-        ("detection, weak", 100, 100),
-    ]
+    names = [("tracking, strong", 12), ("detection, strong", 100), ("tracking, weak", 12), ("detection, weak", 100)]
+    assert phases == [(name, done, total) for name, total in names for done in (0, total)]
 
 
 def test_the_head_sees_each_episode_under_each_controller(evaluation):

@@ -41,6 +41,14 @@ def test_phases_to_come_take_the_rate_of_those_that_ran():
     assert pace.done_in_all() == pytest.approx(25.0 / 45.0)
 
 
+def test_a_phase_of_one_piece_has_a_rate_when_it_is_finished():
+    pace = Pace({"one": 1.0, "two": 2.0})
+    pace.update("one", 0, 400, 0.0)
+    assert pace.left_in_all(3.0) is None
+    pace.update("one", 400, 400, 5.0)
+    assert pace.left_in_all(5.0) == pytest.approx(10.0)
+
+
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(0.2, "5 s"), (42.0, "40 s"), (57.0, "55 s"), (59.0, "1 min"), (500.0, "8 min"), (3595.0, "1 h"),

@@ -1,6 +1,7 @@
 """A whole study with an algorithm of one's own: what it leaves, how it resumes, and what stops it early."""
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -13,6 +14,7 @@ from agents.commands.train import train
 from agents.study import results, training
 from agents.study.run import run_study
 from agents.study.settings import StudySettings, default_study
+from agents.study.work import work_of
 from hydro_env import ConfigurationError
 
 ALGORITHM = '''
@@ -103,9 +105,14 @@ def files(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, settings, tmp_path):
+def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, settings, tmp_path, capsys):
     folder = tmp_path / "out"
     result = run_study(settings, folder, seed=5)
+    printed = capsys.readouterr().out.splitlines()
+    assert {line.split(":")[0] for line in printed if re.search(r":  ?( ?\d+ %|begun|done)", line)} == set(
+        work_of(settings)
+    )
+    assert printed[-1] == f"report: {folder / 'report.html'}"
     assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
     assert type(algorithm.calls[0]["base"]).__name__ == "PID"
     assert list(result.cases["controller"].unique()) == ["PID", "mine"]
