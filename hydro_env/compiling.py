@@ -162,7 +162,7 @@ _announced = threading.Event()
 def _announce() -> None:
     if not _announced.is_set():
         _announced.set()
-        print("hydro_env: compiling for this processor; about ten seconds, once per version", file=sys.stderr)
+        print("hydro_env: compiling for this processor, once per version; up to a minute", file=sys.stderr)
 
 
 def _generated(name: str, parameters: str, lines: Sequence[str], **names: Any) -> Any:

@@ -52,6 +52,11 @@ class AlarmJob(Group):
     interval: float = Field(0.5, gt=0.0, le=60.0, description="s; between looks")
     learning: int = Field(60, ge=1, le=10_000, description="looks in each activity until a baseline is known")
 
+    @property
+    def axes_of_healthy(self) -> int:
+        """Number of healthy axes, each of which works for one shift."""
+        return max(int(np.ceil(self.hours * 3600.0 / self.shift)), 20)
+
 
 SIZES = {
     "head": AlarmJob(),
@@ -78,14 +83,23 @@ class _Simulated:
     progress: Progress | None
 
     def healthy(self) -> Operation:
-        count = max(int(np.ceil(self.job.hours * 3600.0 / self.job.shift)), 20)
-        return Operation(self.first_seed, count, self.job.shift, self.job.interval)
+        return Operation(self.first_seed, self.job.axes_of_healthy, self.job.shift, self.job.interval)
 
     def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float) -> list[OnsetLooks]:
         past = self.job.past
         work = Operation(self.first_seed + offset, self.job.axes, past, self.job.interval, after=after)
         before, *each = self.bench.looks(f"{self.name}_{part}", work, onsets, self.progress)
         return [OnsetLooks(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
+
+
+def work_of(job: AlarmJob) -> dict[str, float]:
+    """Work of each phase of :func:`run_job`: seconds that all its axes are at work."""
+    healthy = job.axes_of_healthy * job.shift
+    leaks = len(LEVELS) * len(Activity)
+    work = {"validation_healthy": healthy, "validation_onsets": job.axes * (job.past + leaks * job.after)}
+    work["test_onsets"] = job.axes * (job.past + (leaks + len(FAULTS)) * job.after)
+    work |= {f"test_start_{level:g}": job.axes * job.past for level in LEVELS}
+    return {**work, "test_growth": job.axes * 2.0 * job.past, "test_healthy": healthy}
 
 
 def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:

@@ -53,10 +53,10 @@ def alarms(
     slowly, and standing, under the PID and the flow-linearising controller. The command compares several ways to sum up
     evidence on validation seeds, keeps the one that finds leaks soonest, and tests it on test seeds: false alarms,
     delays, leaks from the start, other faults, growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV
-    per table. On two quiet cores the head with 40 hours takes about a quarter of an hour, the estimator with 2 hours
-    about an hour. Ctrl-C keeps finished parts, and `--resume` continues.
+    per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
+    shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
     """
-    from agents.alarms.job import SIZES, run_job
+    from agents.alarms.job import SIZES, run_job, work_of
     from agents.alarms.store import PATTERN, Bench
     from agents.bound.comparison import markdown
     from agents.evaluation.opponents import shipped
@@ -78,6 +78,7 @@ def alarms(
         ProgressDisplay() as display,
     ):
         bench = Bench(config, controllers, watching, name, folder, together=128 if detector == "head" else 16)
+        display.expect(work_of(job))
         settings, tables = run_job(bench, job, display.update)
         settings.save(folder / "alarm.yaml")
         parts = [f"`{command_line()}`"]

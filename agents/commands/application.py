@@ -56,9 +56,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
 
-Begin with `hydro study` (the whole job, about eight minutes on two cores), or with
-`hydro simulate --leakage 1` (one run, a second). Leaks are in l/min at 100 bar across the piston, as in practice: up to
-0.03 is healthy, 1 to 4 is severe.""",
+Begin with `hydro study` (the whole job; it soon says how many minutes it takes on your machine), or with
+`hydro simulate --leakage 1` (one run, a few seconds). Leaks are in l/min at 100 bar across the piston, as in practice:
+up to 0.03 is healthy, 1 to 4 is severe.""",
 )
 
 
@@ -80,7 +80,7 @@ def common(
 
 @app.command()
 def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
-    """Compute the paper's figures again, and further figures that the paper does not show: about a minute on two cores.
+    """Compute the paper's figures again, and further figures that the paper does not show: one or a few minutes.
 
     Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
     compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your
@@ -108,8 +108,8 @@ def benchmark(
 ) -> None:
     """Measure speed, memory and start-up on this machine, beside other environments and solvers.
 
-    Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes about a
-    quarter of an hour on two quiet cores, and a few minutes with `--quick`. Ctrl-C keeps the finished measurements;
+    Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes long, a
+    few minutes with `--quick`; each group shows the time that it still needs. Ctrl-C keeps the finished measurements;
     `--resume` continues.
     """
     from agents.commands.benchmark import benchmark_to_folder

@@ -31,12 +31,14 @@ def bound(
 
     A search plans the commands with the simulator itself. It knows the true state, and either the true plant with its
     leak or only the data sheet; the difference is the value of knowing the plant. The command prints the mean error for
-    each family of references and each leak, and writes all cases as CSV. It takes about five minutes on two quiet
-    cores, with or without `--converge`.
+    each family of references and each leak, and writes all cases as CSV. It takes some minutes; the first
+    seconds of the search show how many on your machine.
     """
     import pandas as pd
 
     from agents.bound.comparison import (
+        NOMINAL,
+        TRUTH,
         ComparisonSettings,
         compare,
         convergence,
@@ -68,6 +70,7 @@ def bound(
             controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
             for reason in unfit:
                 display.say(f"left out: {reason}")
+            display.expect({NOMINAL: 1.0, TRUTH: 1.0})
             frame = compare(config, controllers, settings, display.update)
             parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
             price = "Valve travel, full strokes per second:"

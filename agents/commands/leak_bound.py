@@ -50,8 +50,8 @@ def leak_bound(
 
     The bound is the smallest standard deviation, in l/min at 100 bar, that the sensors, their noise and the motion
     allow when the plant's equations are known but its parameters are not. The command compares sets of unknowns, sets
-    of sensors, lengths of the window, and motions. It takes about three minutes on two quiet cores, and writes all
-    numbers as CSV, tables as Markdown and a picture.
+    of sensors, lengths of the window, and motions. It takes some minutes; its first parts show how many on your
+    machine. It writes all numbers as CSV, tables as Markdown and a picture.
     """
     from agents.evaluation.opponents import opponent
     from agents.information.survey import SurveySettings, checked, survey

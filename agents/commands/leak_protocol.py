@@ -76,12 +76,15 @@ def evaluate_leak_protocol(
                 chosen = AlarmSettings.load(settings)
                 alarms += alarm_plan(name, watching, chosen, protocol.task, protocol.alarm_hours, digests[name])
         run = run_leak_protocol(protocol, detectors, digests, alarms, output, jobs or default_jobs(), display.update)
+        display.update("page", 0, 1)
         tables = make_tables(protocol, run, list(facts.items()), timings=timings_table(protocol, detectors))
         tables.write(output / "tables")
         write_leak_report(output, tables.by_name(), protocol)
+        display.update("page", 1, 1)
         print_floors(tables, display)
+        display.say(f"protocol: SHA-256 {facts['file_sha256']}")
+        display.say(f"tables: {(output / 'tables').resolve()}")
         display.say(f"page: {(output / PAGE_FILE).resolve()}")
-        display.say(f"tables: {(output / 'tables').resolve()}   protocol: SHA-256 {facts['file_sha256']}")
     failed = run.status[run.status["status"] == "failed"].to_dict("records")
     if failed:
         more = f" (and {len(failed) - 1} more, see tables/status.csv)" if len(failed) > 1 else ""

@@ -93,6 +93,7 @@ def evaluate_protocol(
         }
         tables = make_tables(protocol, chosen, run, list(facts.items()))
         tables.write(output / "tables")
+        display.update("page", 0, 1)
         write_robustness_report(
             output,
             tables.by_name(),
@@ -103,9 +104,11 @@ def evaluate_protocol(
             jobs=jobs,
             progress=display.update,
         )
+        display.update("page", 1, 1)
         _print_ranking(tables, display)
+        display.say(f"protocol: SHA-256 {facts['file_sha256']}")
+        display.say(f"tables: {(output / 'tables').resolve()}")
         display.say(f"page: {(output / PAGE_FILE).resolve()}")
-        display.say(f"tables: {(output / 'tables').resolve()}   protocol: SHA-256 {facts['file_sha256']}")
     if run.errors:
         more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
         raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")

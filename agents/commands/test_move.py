@@ -36,8 +36,8 @@ def design_test_move(
     The move has up to four strokes with holds between them, within your limits of travel and speed; it ends where it
     began. The search lowers the Cramér–Rao bound of the leak (`hydro leak-bound`) on training plants. Then test plants
     make the move, with and without the leak, and the leak is estimated from their signals. The table also shows the
-    estimates from ordinary motion, slow motion and rest. It takes about three minutes on two quiet cores. `move.csv`
-    holds the reference for your own axis.
+    estimates from ordinary motion, slow motion and rest. It takes some minutes; its first parts show how many on
+    your machine. `move.csv` holds the reference for your own axis.
     """
     from agents.evaluation.opponents import opponent
     from agents.information.move import MoveSettings, design, limits_of

@@ -61,7 +61,6 @@ def run_leak_protocol(
     refused = [text.split("|", 2) for text in planned if isinstance(text, str)]
     status = {(reader, name): ("not applicable", message) for reader, name, message in refused}
     lasting = {job.key: job for job in alarms}
-    # The long jobs come first, so that no core waits for one at the end.
     bounds = {job.key: job for job in bound_plan(protocol)}
     results, reused = run_jobs({**lasting, **bounds, **listed}, folder, jobs, progress)
     frames: list[pd.DataFrame] = []

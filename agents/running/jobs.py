@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import random
 import sys
 import warnings
 import zipfile
@@ -77,6 +78,8 @@ def run_jobs(
 ) -> tuple[dict[str, JobResult], int]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
+    Long and short jobs run mixed: the rate of the first ones tells how long all will take.
+
     Args:
         listed: each :class:`Job` by a unique key.
         folder: of the study; results are files in its :data:`JOBS_FOLDER`. ``None`` keeps none.
@@ -101,7 +104,9 @@ def run_jobs(
             progress("jobs", len(results), len(listed))
 
     report()
-    with closing(_answers({key: job for key, job in listed.items() if key not in results}, jobs)) as answers:
+    waiting = [key for key in listed if key not in results]
+    random.Random(0).shuffle(waiting)
+    with closing(_answers({key: listed[key] for key in waiting}, jobs)) as answers:
         for key, result in answers:
             results[key] = result
             job = listed[key]

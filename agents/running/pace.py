@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+LONG_PIECE = 45.0
+"""s; a first piece of work that takes longer tells the rate by itself."""
+
 
 @dataclass
 class _Phase:
@@ -15,15 +18,15 @@ class _Phase:
     changed: float  # s, time of the latest change of `done`
     began: float
     start: int  # `done` at the first update: a phase that is resumed does not begin at 0
-    first: tuple[float, int] | None = None  # time and `done` when the first piece was finished
+    first: tuple[float, int] | None = None  # time and `done` from which on the rate counts
 
     def update(self, done: int, total: int, now: float) -> None:
         self.total = total
         if done != self.done:
             self.done, self.changed = done, now
             if self.first is None and done > self.start:
-                # Before it lie imports and compilation, which say nothing of the rate.
-                self.first = (now, done)
+                # Before it lie imports and compilation, which say nothing of the rate; of a long piece they are little.
+                self.first = (self.began, self.start) if now - self.began > LONG_PIECE else (now, done)
 
     @property
     def measured(self) -> float:

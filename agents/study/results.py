@@ -34,7 +34,6 @@ REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
 MOST_COLUMNS = 4
 """Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
 
-
 EXAMPLE_SEED = TEST_SEEDS.start + 900_000
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
 

@@ -9,7 +9,7 @@ from command_line import assert_one_clear_line, hydro
 from agents.alarms.alarm import AlarmSettings, LeakAlarm
 from agents.alarms.calibration import scale_of
 from agents.alarms.detector import Activity, Cause, EstimatorDetector, HeadDetector
-from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job
+from agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job, work_of
 from agents.alarms.looks import Looks
 from agents.leakage.features import SIGNALS
 from agents.leakage.training import untrained_head
@@ -26,10 +26,12 @@ class MadeUp:
 
     def __init__(self, rise=4.0):
         self.rise = rise
+        self.work = {}
 
     def looks(self, name, operation, onsets=(), progress=None):
         if progress is not None:
             progress(name, operation.axes, operation.axes)
+        self.work[name] = operation.axes * (operation.duration + len(onsets) * operation.after)
         generator = np.random.default_rng(len(name))
         parts = [self._part(generator, operation, 0.0, operation.duration, operation.leak_lpm, None)]
         ends = operation.duration + operation.after
@@ -52,8 +54,9 @@ class MadeUp:
 
 
 def test_the_job_finds_settings_and_proves_them():
-    phases = []
-    settings, tables = run_job(MadeUp(), JOB, lambda phase, done, total: phases.append(phase))
+    phases, bench = [], MadeUp()
+    settings, tables = run_job(bench, JOB, lambda phase, done, total: phases.append(phase))
+    assert bench.work == work_of(JOB)
     assert settings.false_alarms_per_100_h == 1.0
     assert settings.interval == 1.0
     assert settings.table("shift") == pytest.approx([0.0, 0.0, 4.0], abs=0.7)

@@ -41,6 +41,13 @@ def test_phases_to_come_take_the_rate_of_those_that_ran():
     assert pace.done_in_all() == pytest.approx(25.0 / 45.0)
 
 
+def test_a_long_piece_tells_the_rate_by_itself():
+    pace = Pace()
+    pace.update("ladder", 0, 15, 0.0)
+    pace.update("ladder", 1, 15, 100.0)
+    assert pace.left("ladder", 100.0) == pytest.approx(1400.0)
+
+
 def test_a_phase_of_one_piece_has_a_rate_when_it_is_finished():
     pace = Pace({"one": 1.0, "two": 2.0})
     pace.update("one", 0, 400, 0.0)
