@@ -75,7 +75,7 @@ def benchmark_to_folder(
     with output_folder(folder, "benchmark", files, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         if resume:
             finished, rows = _stored(folder, circumstances)
-        display.say(heading)
+        display.console.lines(heading)
         for name in only or order:
             if name not in finished:
                 rows[:] = [row for row in rows if row.group != name]

@@ -112,8 +112,8 @@ def evaluate(
             evaluation = evaluate_study(
                 study, controllers, watching, output, display, configuration=text, command=command_line()
             )
-            print_summary(evaluation, display)
-            display.say(f"report: {(output / REPORT_FILE).resolve()}")
+        print_summary(evaluation, display)
+        display.say(f"report: {(output / REPORT_FILE).resolve()}")
     if evaluation.errors:
         raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")
 

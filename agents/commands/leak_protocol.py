@@ -81,10 +81,10 @@ def evaluate_leak_protocol(
         tables.write(output / "tables")
         write_leak_report(output, tables.by_name(), protocol)
         display.update("page", 1, 1)
-        print_floors(tables, display)
-        display.say(f"protocol: SHA-256 {facts['file_sha256']}")
-        display.say(f"tables: {(output / 'tables').resolve()}")
-        display.say(f"page: {(output / PAGE_FILE).resolve()}")
+    print_floors(tables, display)
+    display.say(f"SHA-256 {facts['file_sha256']}")
+    display.say(f"tables: {(output / 'tables').resolve()}")
+    display.say(f"page: {(output / PAGE_FILE).resolve()}")
     failed = run.status[run.status["status"] == "failed"].to_dict("records")
     if failed:
         more = f" (and {len(failed) - 1} more, see tables/status.csv)" if len(failed) > 1 else ""

@@ -105,10 +105,10 @@ def evaluate_protocol(
             progress=display.update,
         )
         display.update("page", 1, 1)
-        _print_ranking(tables, display)
-        display.say(f"protocol: SHA-256 {facts['file_sha256']}")
-        display.say(f"tables: {(output / 'tables').resolve()}")
-        display.say(f"page: {(output / PAGE_FILE).resolve()}")
+    _print_ranking(tables, display)
+    display.say(f"SHA-256 {facts['file_sha256']}")
+    display.say(f"tables: {(output / 'tables').resolve()}")
+    display.say(f"page: {(output / PAGE_FILE).resolve()}")
     if run.errors:
         more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
         raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")
@@ -131,8 +131,9 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
 def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
     """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
-    table = Table(title=f"Ratios to {baseline}; conditions and families weighted equally", box=SIMPLE, pad_edge=False)
-    table.add_column("controller", no_wrap=True)
+    title = f"Ratios to {baseline}; conditions and families weighted equally"
+    table = Table(title=title, box=SIMPLE, pad_edge=False, collapse_padding=True)
+    table.add_column("controller")
     for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
         table.add_column(heading, justify="right", no_wrap=True)
     for _, row in tables.ranking.iterrows():
@@ -147,7 +148,9 @@ def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
     display.console.lines(table)
     absent = tables.status[tables.status["status"] == NOT_APPLICABLE]
     for condition, rows in absent.groupby("condition", sort=False):
-        display.say(f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}")
+        display.console.lines(
+            f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}"
+        )
 
 
 def _reason(rows: pd.DataFrame) -> str:

@@ -13,8 +13,9 @@ from types import TracebackType
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.table import Column
+from rich.text import Text
 
 from agents.running.pace import Pace, in_words
 
@@ -87,7 +88,7 @@ class ProgressDisplay:
         self._ended = threading.Event()
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
         if self.console.is_interactive and self.console.file.isatty():
-            self._bars = _bars(self.console)
+            self._bars = _bars(self.console, self._time_left)
 
     def __enter__(self) -> ProgressDisplay:
         if self._bars is not None:
@@ -111,7 +112,7 @@ class ProgressDisplay:
         """
         self._pace = Pace(work)
         if self._bars is not None and len(work) > 1:
-            self._tasks[IN_ALL] = self._bars.add_task(IN_ALL, total=1.0, note="", left="")
+            self._tasks[IN_ALL] = self._bars.add_task(IN_ALL, total=1.0, note="")
 
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
         """Show the progress of a phase; call it with ``done = 0`` before the work, to show the phase at once."""
@@ -122,7 +123,7 @@ class ProgressDisplay:
             self._states[phase], self._notes[phase] = (done, total), note
             self._tell_duration(phase, now)
             if self._bars is not None:
-                self._show_bars(self._bars, phase, now)
+                self._show_bars(self._bars, phase)
                 return
             first = phase not in self._last_line
             if first or done >= total or now - self._last_line[phase] >= SECONDS_BETWEEN_LINES:
@@ -154,17 +155,22 @@ class ProgressDisplay:
         self._told.add(name)
         expected = now - began + left
         if left > SHORTEST_TOLD:
-            self.say(f"{name}: about {in_words(expected)} on this machine, as measured just now")
+            self.console.lines(f"{name}: about {in_words(expected)} on this machine, as measured just now")
 
-    def _show_bars(self, bars: Progress, phase: str, now: float) -> None:
+    def _show_bars(self, bars: Progress, phase: str) -> None:
         if phase not in self._tasks:
-            self._tasks[phase] = bars.add_task(phase, note="", left="")
+            self._tasks[phase] = bars.add_task(phase, note="")
         done, total = self._states[phase]
-        left = _left(self._pace.left(phase, now))
-        bars.update(self._tasks[phase], completed=done, total=total, note=self._notes[phase], left=left)
+        bars.update(self._tasks[phase], completed=done, total=total, note=self._notes[phase])
         if IN_ALL in self._tasks:
-            left = _left(self._pace.left_in_all(now))
-            bars.update(self._tasks[IN_ALL], completed=self._pace.done_in_all(), left=left)
+            bars.update(self._tasks[IN_ALL], completed=self._pace.done_in_all())
+
+    def _time_left(self, name: str) -> str:
+        now = self._clock()
+        if name == IN_ALL:
+            return _left(self._pace.left_in_all(now))
+        left, passed = self._pace.left(name, now), now - self._starts[name]
+        return f"{in_words(passed)} so far" if left is None and passed >= SECONDS_OF_SILENCE else _left(left)
 
     def _show_line(self, phase: str, now: float) -> None:
         """Print how far a phase is: as much as fits into one line, the most important first."""
@@ -187,7 +193,18 @@ def _left(seconds: float | None) -> str:
     return "" if seconds is None or seconds <= 0.0 else f"{in_words(seconds)} left"
 
 
-def _bars(console: PlainConsole) -> Progress:
+class _TimeLeft(ProgressColumn):
+    """The time that is left now; it also falls between two updates."""
+
+    def __init__(self, left: Callable[[str], str]) -> None:
+        super().__init__(Column(no_wrap=True, min_width=11))
+        self._left = left
+
+    def render(self, task: Task) -> Text:
+        return Text(self._left(task.description))
+
+
+def _bars(console: PlainConsole, left: Callable[[str], str]) -> Progress:
     """Bars that fit into the terminal: a narrow one cuts the note first, then the name, and has shorter bars."""
     bar = 20 if console.width >= 76 else 10
     name = max(console.width - bar - 24, 8)
@@ -197,7 +214,7 @@ def _bars(console: PlainConsole) -> Progress:
         ),
         BarColumn(bar_width=bar),
         TextColumn("{task.percentage:3.0f} %", markup=False, table_column=Column(no_wrap=True)),
-        TextColumn("{task.fields[left]}", markup=False, table_column=Column(no_wrap=True, min_width=11)),
+        _TimeLeft(left),
         TextColumn(
             "{task.fields[note]}", markup=False, table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis")
         ),

@@ -98,9 +98,9 @@ def run_study(
             phases=phases,
             training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
         )
-        print_summary(evaluation, display)
-        display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
-        display.say(f"report: {(folder / REPORT_FILE).resolve()}")
+    print_summary(evaluation, display)
+    display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
+    display.say(f"report: {(folder / REPORT_FILE).resolve()}")
     return evaluation
 
 
