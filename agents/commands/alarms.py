@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say
+from agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
 
 if TYPE_CHECKING:
     from agents.alarms.detector import Detector
@@ -87,7 +87,8 @@ def alarms(
             parts.append(f"## {name.replace('_', ' ')}\n\n{markdown(table.set_index(table.columns[0]), 3)}")
         text = "\n\n".join(parts)
         write_text(folder / "alarms.md", text + "\n")
-    say(text, f"results in {output}")
+    show(text)
+    say(f"results in {output}")
 
 
 def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:

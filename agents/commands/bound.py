@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Agents, Output, Overwrite, Rig, Task, command_line, named_agents, say
+from agents.commands.options import Agents, Output, Overwrite, Rig, Task, command_line, named_agents, say, show
 
 
 def bound(
@@ -77,7 +77,8 @@ def bound(
             text = "\n\n".join(["Mean |error|, mm:", *parts, price, markdown(travel(frame), 2)])
             frame.to_csv(output / "bound.csv", index=False)
             write_whole(output / "bound.md", f"`{command_line()}`\n\n{text}\n".encode())
-    say(text, f"results in {output}")
+    show(text)
+    say(f"results in {output}")
 
 
 VARIATIONS = {

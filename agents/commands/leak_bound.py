@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, show
 
 MovingController = Annotated[
     str,
@@ -73,4 +73,5 @@ def leak_bound(
         write_text(output / "leak_bound.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "leak_bound.md", f"`{command_line()}`\n\n{text}\n")
         write_whole(output / "leak_bound.png", picture(table))
-    say(text, f"results in {output}")
+    show(text)
+    say(f"results in {output}")

@@ -70,6 +70,18 @@ def say(*lines: object) -> None:
     print(*lines, sep="\n", flush=True)
 
 
+def show(text: str) -> None:
+    """Print Markdown: as it is into a file or a pipe; on a terminal its tables fit the width."""
+    if not sys.stdout.isatty():
+        say(text)
+        return
+    from rich.markdown import Markdown
+
+    from agents.running.console import PlainConsole
+
+    PlainConsole().lines(Markdown(text))
+
+
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
     """The values of ``--agent NAME=WHAT``, by name.
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from agents.commands.leak_bound import MovingController
-from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, show
 
 
 def design_test_move(
@@ -70,4 +70,5 @@ def design_test_move(
         write_text(output / "trial.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "test_move.md", f"`{command_line()}`\n\n{text}\n")
         write_whole(output / "test_move.png", picture(best.move, windows, table, config.control_period))
-    say(text, f"results in {output}")
+    show(text)
+    say(f"results in {output}")

@@ -194,6 +194,8 @@ def design(
 
     there_and_back = (np.arange(STROKES) == 1) | (np.arange(STROKES) == 2)
     first = np.concatenate([[0.5], there_and_back, np.ones(STROKES), np.full(STROKES + 1, 0.5)])
+    if progress is not None:
+        progress("design", 0, settings.evaluations)
     best, lowest = first, cost(first)
     begun = lowest
     optimiser = CMA(np.clip(first, 0.15, 0.85), 0.25, np.tile([0.0, 1.0], (NUMBERS, 1)), seed=settings.seed)
