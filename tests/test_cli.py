@@ -1,10 +1,13 @@
 """The command line as a person meets it: help, results, and one clear line for every mistake."""
 
 import csv
+import io
 import json
 import os
 import signal
 import subprocess
+import sys
+import time
 
 import pytest
 import yaml
@@ -12,6 +15,7 @@ from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydr
 from matplotlib.figure import Figure
 
 import hydro_env
+from agents.commands.options import show
 from agents.rigs import check_table
 from agents.rigs.simulation import paint_trajectory
 from agents.running.folders import output_folder
@@ -288,7 +292,7 @@ def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, cod
 
 
 def stopped_study(folder):
-    """Start the study in a process of its own, and end it after the first line on PPO as a cluster does."""
+    """Start the study in a process of its own, and end it after the first update of PPO as a cluster does."""
     process = subprocess.Popen(
         [*COMMAND, "study", "--config", "study.yaml", "--output", str(folder)],
         stdout=subprocess.PIPE,
@@ -296,10 +300,9 @@ def stopped_study(folder):
         text=True,
         env=environment(),
     )
-    assert process.stdout is not None
-    for line in process.stdout:
-        if "train PPO" in line:
-            break
+    log = folder / "controllers" / "PPO" / "progress.csv"
+    while process.poll() is None and not (log.exists() and log.stat().st_size):
+        time.sleep(0.05)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate()
     return process.returncode, errors
@@ -338,3 +341,18 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     listed = json.loads((folder / ".hydro.json").read_text())["files"]
     found = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()} - {".hydro.json"}
     assert set(listed) == found
+
+
+def test_tables_of_results_fit_a_terminal_and_stay_markdown_in_a_pipe(monkeypatch):
+    table = "\n".join(["| motion | " + "a long heading | " * 7, "|---" * 8 + "|", "| at rest | " + "0.0123 | " * 7])
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    for stream in (io.StringIO(), terminal):
+        monkeypatch.setattr(sys, "stdout", stream)
+        monkeypatch.setenv("COLUMNS", "80")
+        show(f"The table:\n\n{table}")
+        lines = stream.getvalue().splitlines()
+        assert "at rest" in stream.getvalue()
+        assert stream.getvalue().count("0.0123") == 7
+        assert (max(map(len, lines)) <= 80) == (stream is terminal)
+    assert "|---|" not in stream.getvalue()

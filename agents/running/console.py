@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import sys
 import threading
@@ -83,7 +82,7 @@ class ProgressDisplay:
         self._tasks: dict[str, TaskID] = {}
         self._last_line: dict[str, float] = {}
         self._latest = ""  # phase
-        self._printed = math.inf  # time of the latest line
+        self._printed = self._began  # time of the latest line
         self._lock = threading.RLock()
         self._ended = threading.Event()
         # FORCE_COLOR makes Rich believe in a terminal at the other end of a pipe.
@@ -133,8 +132,13 @@ class ProgressDisplay:
         """Off a terminal: say how far the latest phase is if nothing was printed for a while."""
         with self._lock:
             now = self._clock()
-            if now - self._printed >= SECONDS_OF_SILENCE:
+            if now - self._printed < SECONDS_OF_SILENCE:
+                return
+            if self._latest:
                 self._show_line(self._latest, now)
+            else:  # the preparation of the first phase
+                self._printed = now
+                self.console.lines(f"at work for {in_words(now - self._began)}")
 
     def say(self, text: str) -> None:
         """Print a separate line."""

@@ -183,10 +183,10 @@ def run_ladder(
         *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv")),
     ]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        display.update("ladder", 0, len(todo))
         classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
         scores: list[pd.DataFrame] = []
         errors: list[str] = []
-        display.update("ladder", 0, len(todo))
         with closing(_results(ladder, folder, todo, jobs, test)) as results:
             for name, seed, result in results:
                 if isinstance(result, str):

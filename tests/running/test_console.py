@@ -97,13 +97,16 @@ def test_no_bars_where_the_cursor_cannot_move(name, value, monkeypatch):
 def test_off_a_terminal_a_slow_piece_of_work_is_no_silence():
     written, clock = io.StringIO(), Clock()
     display = display_on(written, clock=clock)
-    display.remind()
+    for _ in range(3):
+        display.remind()
+        clock.now += 10.0
     display.update("ladder", 0, 15)
     for _ in range(9):
         clock.now += 10.0
         display.remind()
     display.update("report", 1, 1)
     assert visible(written.getvalue()) == [
+        "at work for 20 s",
         "ladder:   0 %, 0 of 15",
         "ladder:   0 %, at work for 20 s, 0 of 15",
         "ladder:   0 %, at work for 40 s, 0 of 15",
