@@ -144,7 +144,7 @@ def _errors_in_all(evaluation: Evaluation) -> Table:
     first, *others = evaluation.controllers
     table = Table(title="Mean absolute tracking error (test plants)")
     table.add_column("controller")
-    for heading in ("mm", f"÷ {first} [95 %]", "references weigh the same"):
+    for heading in ("mm", f"÷ {first} [95 %]", "references weighted equally"):
         table.add_column(heading, justify="right", no_wrap=heading == "mm")
     means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
     table.add_row(first, f"{means[first]:.4f}", "", "")
