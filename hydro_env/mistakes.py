@@ -155,6 +155,9 @@ def _message(root: Mapping[str, Any], path: Path, given: Any, mistake: Mapping[s
         return f"unknown key{guess}{known}"
     if mistake["type"] in ABSENT:
         return "is missing" if mistake["type"] == "missing" else "a key must be text; decimals need a point"
+    if mistake["type"] == "too_short":
+        least = mistake["ctx"]["min_length"]
+        return f"must hold at least {least} {'entry' if least == 1 else 'entries'}"
     if mistake["type"] == "value_error":  # of a validator of this project
         return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:
@@ -220,8 +223,7 @@ def allowed_by(schema: Mapping[str, Any]) -> str:
     if kind == "array":
         entries = schema.get("prefixItems", [])
         what = allowed_by(entries[0] if entries else schema.get("items", {}))
-        least = "at least 1 entry" if schema.get("minItems") == 1 else "entries"
-        count = f"{len(entries)} entries" if entries else least
+        count = f"{len(entries)} entries" if entries else "entries"
         return f"a list of {count}{f', each {what}' if what else ''}"
     if kind not in ("number", "integer"):
         words = {"string": "text", "boolean": "true or false", "object": "a group of settings"}

@@ -77,7 +77,7 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
     ("text", "message"),
     [
         ("title: nobody\n", r"study.yaml: .*controllers"),
-        ("controllers: {}\n", r"study.yaml: controllers"),
+        ("controllers: {}\n", r"study.yaml: line 1: controllers: must hold at least 1 entry"),
         (
             "controllers: {PID: {kind: pdi}}\n",
             r"line 1: controllers.PID.kind = 'pdi': unknown; did you mean pid\? known: pid, .*ppo, .*or",
@@ -85,7 +85,7 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
         ("controllers: {PID: {kind: pid, gain: 3}}\n", r"controllers.PID.*gain"),
         (
             "controllers: {PID: {kind: pid, settings: {gain: 3}}}\n",
-            r"line 2: controllers.PID.settings.gain = 3: unknown key",
+            r"line 1: controllers.PID.settings.gain = 3: unknown key",
         ),
         ("controllers: {PID: {kind: pid, settings: absent.yaml}}\n", r"absent.yaml: cannot be read"),
         ("controllers: {PID: {kind: pid, settings: wrong.yaml}}\n", r"wrong.yaml: .*proportional = -3"),
