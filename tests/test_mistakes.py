@@ -48,7 +48,7 @@ RIGS = {
     "field without its group": ("mass: 120 kg", "mass = '120 kg': unknown key; did you mean load.mass?"),
     "path without its group": (
         "randomisation: {mass: {factor: [1, 2]}}",
-        "'mass' is no number of the plant; did you mean load.mass?",
+        "'mass' is not a number of the plant; did you mean load.mass?",
     ),
     "leak of the task": (
         "randomisation: {leakage.internal_resistance: {factor: [1, 2]}}",
@@ -122,7 +122,7 @@ def test_all_mistakes_of_a_file_are_told_in_the_order_of_their_lines(tmp_path):
         "did you mean l/min? (unit: m³/s)",
         "  line 5: load.mass = -3: must be a number within 0.01 to 1e+06 (unit: kg)",
         "  line 6: friction: is empty; must be a group of settings",
-        "  line 7: randomisation.load.mas: 'load.mas' is no number of the plant; did you mean load.mass?",
+        "  line 7: randomisation.load.mas: 'load.mas' is not a number of the plant; did you mean load.mass?",
         "  line 8: sensors.pressure_a.hihg = '160 bar': unknown key; did you mean high?",
         "  line 9: mass = 60: unknown key; did you mean load.mass?",
     ]

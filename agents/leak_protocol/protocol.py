@@ -95,7 +95,9 @@ class LeakProtocol(Group):
     @model_validator(mode="after")
     def _consistent(self) -> LeakProtocol:
         if self.base not in self.conditions:
-            raise ValueError(f"base: '{self.base}' is not one of the conditions{did_you_mean(self.base, self.conditions)}")
+            raise ValueError(
+                f"base: '{self.base}' is not one of the conditions{did_you_mean(self.base, self.conditions)}"
+            )
         strange = [name for name in self.bound_conditions if name not in self.conditions]
         if strange:
             guess = did_you_mean(strange[0], self.conditions)
