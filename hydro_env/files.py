@@ -1,20 +1,20 @@
-"""Configuration as data: frozen validated groups, read from YAML; every mistake raises an error of one line."""
+"""Configuration as data: frozen validated groups, read from YAML; an error names every mistake in one line."""
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import re
 import tempfile
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
-from hydro_env.errors import ConfigurationError, UnknownKeyError
+from hydro_env.errors import ConfigurationError
+from hydro_env.mistakes import described, kind_of_value
 from hydro_env.units import in_si
 
 LARGEST_FILE = 100_000
@@ -33,21 +33,21 @@ else:
     _ModelType = type(BaseModel)
 
 
-class _OneLine(_ModelType):
-    """Raises an error of one line for a wrong keyword when Python code makes a group: ``Load(mass=-1)``."""
+class _Checked(_ModelType):
+    """Raises this project's error for a wrong keyword when Python code makes a group: ``Load(mass=-1)``."""
 
     def __call__(self, *arguments: Any, **values: Any) -> Any:
         model = cast("type[BaseModel]", self)
         name = model.model_config.get("title") or model.__name__
         if arguments:
-            raise ConfigurationError(f"{name}: takes keywords alone, not {_kind(arguments[0])}")
+            raise ConfigurationError(f"{name}: takes keywords alone, not {kind_of_value(arguments[0])}")
         try:
             return super().__call__(**values)
         except ValidationError as error:
-            raise _one_line(model, error, name) from None
+            raise described(model, error, values, name) from None
 
 
-class Group(BaseModel, metaclass=_OneLine):
+class Group(BaseModel, metaclass=_Checked):
     """A frozen group of settings; unknown keys and NaN are errors."""
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -68,111 +68,55 @@ class Group(BaseModel, metaclass=_OneLine):
 ModelType = TypeVar("ModelType", bound=BaseModel)
 
 
-def validate(model: type[ModelType], values: Mapping[str, Any], source: str) -> ModelType:
-    """Build ``model`` from ``values``; a mistake raises an error of one line that names ``source`` and the field.
+def validate(model: type[ModelType], values: Mapping[str, Any], source: str, within: str = "") -> ModelType:
+    """Build ``model`` from ``values``; the error names ``source`` and every mistake, one per line.
+
+    Args:
+        model: class of the group.
+        values: its settings.
+        source: where they come from; if it is a YAML file, the error names the lines.
+        within: where in the source they stand, such as ``controllers.PID.settings``.
 
     Raises:
-        UnknownKeyError: unknown key; also a ``TypeError``.
+        UnknownKeyError: unknown key, alone or among other mistakes; also a ``TypeError``.
         ConfigurationError: wrong type, or a value outside its bounds.
     """
     if not isinstance(values, Mapping):
-        raise ConfigurationError(f"{source}: must be a mapping of settings, not {_kind(values)}")
+        raise ConfigurationError(
+            f"{source}{': ' * bool(within)}{within}: must be a mapping of settings, not {kind_of_value(values)}"
+        )
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        raise _one_line(model, error, source) from None
+        raise described(model, error, values, source, within, _lines_of(source, within)) from None
 
 
-def _one_line(model: type[BaseModel], error: ValidationError, source: str) -> ConfigurationError:
-    first = error.errors(include_url=False)[0]
-    path = first["loc"]
-    schema = _schema_at(model, path)
-    kind = ConfigurationError
-    if first["type"] == "extra_forbidden":
-        kind = UnknownKeyError
-        known = list(_schema_at(model, path[:-1]).get("properties", {}))
-        similar = difflib.get_close_matches(str(path[-1]), known, 1)
-        message = f"unknown key; {f'did you mean {similar[0]}? ' if similar else ''}known here: {', '.join(known)}"
-    elif first["type"] == "missing":
-        message = "is missing"
-    elif first["type"] == "value_error":  # of a validator of this project
-        message = first["msg"].removeprefix("Value error, ")
-    else:
-        allowed = _allowed(schema)
-        message = f"must be {allowed}" if allowed else "is not allowed here"
-    where = ".".join(str(part)[:60] for part in path)
-    unit = f" (unit: {schema['unit']})" if "unit" in schema else ""
-    count = error.error_count() - 1
-    more = f" (and {count} more mistake{'s' if count > 1 else ''})" if count else ""
-    place = f"{source}: {where}{_shown(first.get('input'))}" if where else source
-    return kind(" ".join(f"{place}: {message}{unit}{more}".split()))
+def _lines_of(file: str, within: str) -> Callable[[Sequence[int | str], Any], int | None]:
+    """A function that finds the line of a YAML file in which a value stands, by its path below ``within``.
 
+    It gives ``None`` if the file does not hold this value: keywords may replace what a file says.
+    """
+    try:
+        loader = _Loader(read_text(file)) if file.endswith((".yaml", ".yml")) else _Loader("")
+        root = loader.get_single_node()
+    except (ConfigurationError, yaml.YAMLError):
+        loader, root = _Loader(""), None
 
-def _shown(value: Any) -> str:
-    """`` = value`` if the value is short, else nothing."""
-    if isinstance(value, bool):
-        return f" = {str(value).lower()}"
-    flat = isinstance(value, list | tuple) and len(value) < 10 and not any(isinstance(v, list | dict) for v in value)
-    if isinstance(value, int) and abs(value) >= 10**30:
-        return ""
-    text = repr(value) if flat or isinstance(value, int | float | str) else ""
-    return f" = {text}" if 0 < len(text) < 60 else ""
+    def line_of(path: Sequence[int | str], value: Any) -> int | None:
+        node, line = root, None
+        for part in [*(within.split(".") if within else []), *path]:
+            if isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+                key = node = node.value[part]
+            else:
+                pairs = node.value if isinstance(node, yaml.MappingNode) else []
+                key, node = next(((key, inner) for key, inner in pairs if key.value == part), (None, None))
+            if key is None:  # a missing field belongs to the line of its group
+                return line if isinstance(value, Mapping | list) else None
+            line = key.start_mark.line + 1
+        same = not isinstance(node, yaml.ScalarNode) or repr(loader.construct_object(node)) == repr(value)
+        return line if same else None
 
-
-def _schema_at(model: type[BaseModel], path: Sequence[int | str]) -> dict[str, Any]:
-    """JSON schema of the field at ``path``; empty if there is no such field."""
-    root = model.model_json_schema()
-
-    def resolved(schema: dict[str, Any]) -> dict[str, Any]:
-        own = {key: value for key, value in schema.items() if key != "$ref"}
-        choices = [choice for choice in schema.get("anyOf", []) if choice.get("type") != "null"]
-        if "$ref" in schema:
-            return {**resolved(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]]), **own}
-        return {**resolved(choices[0]), **own} if len(choices) == 1 else schema
-
-    schema = resolved(root)
-    for part in path:
-        entries = schema.get("prefixItems", [])
-        if isinstance(part, int):
-            inner = entries[part] if part < len(entries) else schema.get("items", {})
-        else:
-            by_name = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties", {})]
-            inner = schema.get("properties", {}).get(part, by_name[0])
-        schema = resolved(inner) if isinstance(inner, dict) else {}
-    return schema
-
-
-def _allowed(schema: Mapping[str, Any]) -> str:
-    """Description of what a JSON schema allows."""
-    if "enum" in schema or "const" in schema:
-        return f"one of {', '.join(map(str, schema.get('enum', [schema.get('const')])))}"
-    kind = schema.get("type")
-    if kind == "array":
-        entries = schema.get("prefixItems", [])
-        what = _allowed(entries[0] if entries else schema.get("items", {}))
-        count = f"{len(entries)} entries" if entries else "entries"
-        return f"a list of {count}{f', each {what}' if what else ''}"
-    if kind not in ("number", "integer"):
-        return {"string": "text", "boolean": "true or false", "object": "a group of settings"}.get(str(kind), "")
-    low, high = schema.get("minimum"), schema.get("maximum")
-    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
-    if low is not None and high is not None:
-        bounds = f" within {_number(low)} to {_number(high)}"
-    else:
-        words = (("at least", low), ("above", above), ("at most", high), ("below", below))
-        given = [f"{word} {_number(bound)}" for word, bound in words if bound is not None]
-        bounds = f", {' and '.join(given)}" if given else ""
-    return f"a{' whole' if kind == 'integer' else ''} number{bounds}"
-
-
-def _number(value: float) -> str:
-    return f"{value:g}" if float(f"{value:g}") == value else f"{value:.12g}"
-
-
-def _kind(value: Any) -> str:
-    """Name of the kind of a value."""
-    names = {bool: "true or false", str: "text", int: "a number", float: "a number", list: "a list"}
-    return "nothing" if value is None else names.get(type(value), type(value).__name__)
+    return line_of
 
 
 def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
@@ -197,10 +141,10 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads only YAML's safe values; ``1e5`` is a number, a date is text, and an error names the line of its value."""
+    """Reads only YAML's safe values; ``1e5`` and ``060`` are decimals, a date is text; an error names the line."""
 
     yaml_implicit_resolvers = {
-        first: [entry for entry in entries if not entry[0].endswith(":timestamp")]
+        first: [entry for entry in entries if not entry[0].endswith((":timestamp", ":int", ":float"))]
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
@@ -221,9 +165,24 @@ class _Loader(yaml.SafeLoader):
             raise _problem("a value that YAML cannot read", node) from None
 
 
+_FIRST = list("-+.0123456789")
+# Numbers as people write them: YAML 1.1 reads 060 as 48 and 1:30 as 90.
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", re.compile(r"[-+]?(0|[1-9][\d_]*|0x[\da-fA-F]+)$"), _FIRST)
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?((\d[\d_]*\.?\d*|\.\d+)([eE][-+]?\d+)?|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"),
+    _FIRST,
 )
+
+_IN_PLAIN_WORDS = (
+    (r"found character '\\t'", "a tab; indent with spaces", False),
+    (r"mapping values are not allowed here", "a colon where none can stand; is the indentation right?", False),
+    (r"expected <block end>", "wrong indentation, or a bracket too many", False),
+    (r"expected ',' or '[}\]]'", "the bracket that opens here is not closed, or a comma is missing", True),
+    (r"could not find expected ':'", "a colon with a space after it is missing", True),
+    (r"found unexpected end of stream", "the quotation mark that opens here is not closed", True),
+)
+"""Patterns of what PyYAML says, what an engineer understands, and whether the line is where the faulty part begins."""
 
 
 def _problem(problem: str, at: Any) -> yaml.MarkedYAMLError:
@@ -271,10 +230,12 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         _count_nodes(node, {})
         values = loader.construct_document(node)
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
+        problem = str(getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML")
+        known = ((words, begins) for pattern, words, begins in _IN_PLAIN_WORDS if re.search(pattern, problem))
+        words, begins = next(known, (problem, False))
+        mark = getattr(error, "context_mark" if begins else "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
-        problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
-        raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(str(problem).split())}") from None
+        raise ConfigurationError(f"{path}: not valid YAML{line}: {' '.join(words.split())}") from None
     return _mapping(values, path)
 
 
@@ -307,7 +268,7 @@ def read_json(path: str | Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
 
 def _mapping(values: Any, path: str | Path) -> dict[str, Any]:
     if not isinstance(values, dict):
-        raise ConfigurationError(f"{path}: must be a mapping of settings, not {_kind(values)}")
+        raise ConfigurationError(f"{path}: must be a mapping of settings, not {kind_of_value(values)}")
     wrong = next((key for key in values if not isinstance(key, str)), None)
     if wrong is not None:
         raise ConfigurationError(f"{path}: {wrong!r} is a key: keys must be text")

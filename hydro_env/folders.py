@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydro_env.errors import ConfigurationError
+from hydro_env.mistakes import unknown
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -32,6 +33,6 @@ def config_file(kind: str, given: str | Path, folder: Path | None = None) -> Pat
     named = config_folder() / kind / f"{given}.yaml"
     if named.is_file() or path.is_file():
         return named if named.is_file() else path
-    known = ", ".join(sorted(file.stem for file in (config_folder() / kind).glob("*.yaml")))
+    known = sorted(file.stem for file in (config_folder() / kind).glob("*.yaml"))
     what = {"studies": "study"}.get(kind, kind.removesuffix("s"))
-    raise ConfigurationError(f"{what} '{str(given)[:60]}': unknown; known: {known}; or give the path of a YAML file")
+    raise ConfigurationError(f"{what} '{str(given)[:60]}': {unknown(given, known)}; or give the path of a YAML file")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hydro_env.arguments import numbers, shown
 from hydro_env.errors import ConfigurationError, UnknownKeyError
+from hydro_env.mistakes import did_you_mean, one_of, unknown
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, from_vector, to_vector
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
 from hydro_env.task.faults import FAULTS, fault_limits
@@ -110,7 +111,7 @@ class ResetOptions:
         options = options_given(options)
         for name in options:
             if name not in OPTION_NAMES:
-                raise UnknownKeyError(f"reset options: unknown option '{name}'; known: {', '.join(OPTION_NAMES)}")
+                raise UnknownKeyError(f"reset options: {unknown(name, OPTION_NAMES, 'option')}")
         leak = self._leak_option(options, axes)
         position = self._position_option(options, axes)
         parameters = self._parameter_option(options.get("parameters"), axes)
@@ -182,7 +183,7 @@ class ResetOptions:
             raise ConfigurationError('reset options: faults must be a mapping, {"valve_null_shift": 0.01}')
         for name, value in given.items():
             if name not in FAULTS:
-                raise UnknownKeyError(f"reset options: unknown fault '{name}'; known: {', '.join(FAULTS)}")
+                raise UnknownKeyError(f"reset options: {unknown(name, FAULTS, 'fault')}")
             column = self._per_axis(value, f"faults.{name}", axes)
             low, high = fault_limits(name)
             wrong = ~((column >= low) & (column <= high))
@@ -209,7 +210,8 @@ class ResetOptions:
             for field, value in fields.items():
                 path = f"{group}.{field}"
                 if path not in PARAMETER_PATHS:
-                    raise ConfigurationError(f"reset options: parameters.{path} is not a parameter of the plant")
+                    guess = did_you_mean(path, PARAMETER_PATHS)
+                    raise ConfigurationError(f"reset options: parameters.{path} is not a parameter of the plant{guess}")
                 if path in LEAKAGE_OF_THE_TASK:
                     raise ConfigurationError(
                         f"reset options: parameters.{path}: give leakage_flow_lpm or leakage_resistance instead"
@@ -217,8 +219,7 @@ class ResetOptions:
                 if path in MODEL_CODES:
                     if not isinstance(value, str) or value not in MODEL_CODES[path]:
                         raise ConfigurationError(
-                            f"reset options: parameters.{path} = {shown(value)}: must be one of "
-                            f"{', '.join(MODEL_CODES[path])}"
+                            f"reset options: parameters.{path} = {shown(value)}: {one_of(value, MODEL_CODES[path])}"
                         )
                     value = float(MODEL_CODES[path].index(value))
                 column = PARAMETER_PATHS.index(path)
@@ -263,7 +264,7 @@ class ResetOptions:
                 raise ConfigurationError(f"reset options: reference has {len(names)} names for {len(axes)} axes")
             for index, name in enumerate(names):
                 if name not in FAMILIES:
-                    known = ", ".join(FAMILIES)
+                    known = f"{', '.join(FAMILIES)}{did_you_mean(name, FAMILIES)}"
                     raise ConfigurationError(
                         f"reset options: reference = {shown(name)}: must be an array in m, or of {known}"
                     )

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from hydro_env.mistakes import one_of
+
 LITRE_PER_MINUTE = 1e-3 / 60
 """One litre per minute in m³/s."""
 
@@ -36,7 +38,7 @@ UNITS: dict[str, dict[str, float]] = {
 }
 """SI units per unit, by SI unit; the usual units come first. Pressures are gauge pressures."""
 
-_QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)([^\d\s.,].*)")
+_QUANTITY = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?![eE][-+]?\d)(-|[^\d\s.,:+-].*)")
 
 
 def unit_factor(text: str, known: Mapping[str, float]) -> float:
@@ -51,7 +53,7 @@ def unit_factor(text: str, known: Mapping[str, float]) -> float:
     """
     names = {_plain(name): factor for name, factor in known.items()}
     if _plain(text) not in names:
-        raise ValueError(f"unit '{text.strip()[:40]}': must be one of {', '.join(known)}")
+        raise ValueError(f"unit '{text.strip()[:40]}': {one_of(text.strip(), known)}")
     return names[_plain(text)]
 
 

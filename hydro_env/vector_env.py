@@ -18,6 +18,7 @@ from hydro_env.arguments import info_kind, numbers, shown, whole_number
 from hydro_env.axes import Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.infos import Flags, names_of, present_values
+from hydro_env.mistakes import one_of
 from hydro_env.reset_options import options_given
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
@@ -75,8 +76,8 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
-            known = ", ".join(mode.value for mode in AutoresetMode)
-            raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: must be one of {known}") from None
+            allowed = one_of(autoreset_mode, [mode.value for mode in AutoresetMode])
+            raise ConfigurationError(f"autoreset_mode = {shown(autoreset_mode)}: {allowed}") from None
         self._info_kind = info_kind(info)
         self.config = task_config(config, **overrides)
         if max_episode_steps is not None and max_episode_steps != self.config.steps:

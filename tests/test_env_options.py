@@ -88,7 +88,10 @@ def test_same_seed_and_option_give_the_same_episode():
 
 
 WRONG = {
-    "unknown": ({"leakage": 0.1}, "unknown option 'leakage'; known: leakage_resistance, leakage_flow_lpm"),
+    "unknown": (
+        {"leakage": 0.1},
+        r"unknown option 'leakage'; did you mean leakage_flow_lpm\? known: leakage_resistance, ",
+    ),
     "both leaks": ({"leakage_resistance": 1e12, "leakage_flow_lpm": 0.6}, "exclude each other"),
     "negative leak": ({"leakage_flow_lpm": -0.1}, "leakage of -0.1 l/min at 100 bar: must be within 0 to 20"),
     "leak too large": ({"leakage_flow_lpm": 25.0}, "leakage of 25 l/min at 100 bar: must be within 0 to 20"),

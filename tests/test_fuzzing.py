@@ -129,13 +129,14 @@ def edited(draw: Any, base: bytes) -> bytes:
 
 
 def refused_or_done(call: Any, *arguments: Any, **keywords: Any) -> Any:
-    """The result, or ``None`` after an error of this project in one line."""
+    """The result, or ``None`` after an error of this project: one line, or a heading and one line per mistake."""
     try:
         return call(*arguments, **keywords)
     except HydroError as error:
         message = str(error)
-    assert "\n" not in message
-    assert 0 < len(message) < 3000
+    heading, *mistakes = message.split("\n")
+    assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
+    assert all(0 < len(line) < 3000 for line in (heading, *mistakes))
     return None
 
 
@@ -289,8 +290,9 @@ def use_command_line(folder: Path, drawn: Any) -> None:
     answer = hydro(*line)
     assert answer.returncode in (0, 2)
     if answer.returncode == 2 and "Usage" not in answer.stderr + answer.stdout:
-        assert own_lines(answer.stderr)[0].startswith("hydro: ")
-        assert len(own_lines(answer.stderr)) == 1
+        heading, *mistakes = own_lines(answer.stderr)
+        assert heading.startswith("hydro: ")
+        assert not mistakes or ("mistakes" in heading and all(line.startswith("  ") for line in mistakes))
 
 
 def use_table(folder: Path, content: bytes) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-GROUND = tuple((f"hydro_env/{name}", 0) for name in ("errors", "files", "folders", "units", "version", "compiling"))
+GROUND = tuple(
+    (f"hydro_env/{name}", 0) for name in ("errors", "files", "folders", "mistakes", "units", "version", "compiling")
+)
 FLOORS = (
     *GROUND,
     ("hydro_env/plant/", 1),

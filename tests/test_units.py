@@ -106,5 +106,5 @@ def test_a_wrong_unit_is_named_with_its_field(text, message, tmp_path):
     file.write_text(text)
     with pytest.raises(ConfigurationError) as caught:
         task_config(rig=file)
-    assert str(caught.value).startswith(f"{file}: {message}")
+    assert str(caught.value).startswith(f"{file}: line 1: {message}")
     assert len(str(caught.value).splitlines()) == 1

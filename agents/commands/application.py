@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
+import shutil
 import signal
 import sys
+import textwrap
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -189,10 +192,24 @@ def _stop(number: int, frame: object) -> None:
 
 
 def _end(code: int, message: str) -> NoReturn:
-    line = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in message)
+    lines = [
+        "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
+        for line in re.split(r"\n(?=  )", f"hydro: {message}")  # a list of mistakes has one indented line each
+    ]
+    if len(lines) > 1:
+        lines = [part for line in lines for part in _narrow(line)]
     with contextlib.suppress(OSError):
-        print(f"hydro: {line}", file=sys.stderr)
+        print("\n".join(lines), file=sys.stderr)
     sys.exit(code)
+
+
+def _narrow(line: str) -> list[str]:
+    """A line in parts that fit the terminal; those after the first stand four columns further right."""
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    width = shutil.get_terminal_size().columns
+    return textwrap.wrap(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+    )
 
 
 if __name__ == "__main__":

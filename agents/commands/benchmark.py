@@ -25,6 +25,7 @@ from agents.running.folders import output_folder
 from agents.running.machine import machine_description, package_versions
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
+from hydro_env.mistakes import unknown
 
 CSV_FILE = "benchmark.csv"
 MARKDOWN_FILE = "benchmark.md"
@@ -58,7 +59,7 @@ def benchmark_to_folder(
     """
     for name in only:
         if name not in GROUPS:
-            raise ConfigurationError(f"--only {name}: unknown group; known: {', '.join(GROUPS)}")
+            raise ConfigurationError(f"--only {name}: {unknown(name, GROUPS, 'group')}")
     circumstances = {"quick": quick, "machine": machine_description(), "versions": package_versions()}
     heading = _heading(circumstances, command)
     order = list(GROUPS)

@@ -56,8 +56,9 @@ def evaluate(
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
     a controller fails, the results of the others are kept.
 
-    With `--rig` the task is moved to another rig. The command tunes nothing: one line names the controllers that were
-    made for another rig.
+    With `--rig` the task is moved to another rig. The command tunes nothing. It takes the gains and weights that ship
+    for this rig; without them it keeps the gains of the study and leaves out shipped weights that do not fit. One line
+    names what was made for another rig, and what is left out.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
     protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…` and `NAME#1=…` give
@@ -101,7 +102,11 @@ def evaluate(
     if plants is not None:
         changed = validate(ProtocolSettings, {**study.evaluation.model_dump(), "plants": plants}, "--plants")
         study = study.model_copy(update={"evaluation": changed})
-    controllers = study.with_weights(named_agents(agent))
+    if rig is not None:
+        study = study.with_shipped_gains()
+    controllers, unfit = study.fitting(named_agents(agent))
+    for reason in unfit:
+        print(f"hydro: left out: {reason}", file=sys.stderr)
     tell_rigs(study, controllers)
     watching = _watching(head, study.task)
     settings_file = "evaluation.yaml"

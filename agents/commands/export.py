@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FMU_FILE = "hydro_axis.fmu"
 SOURCES = ("plant.h", "plant.c")
 JOB = "export"
+OWN_PARTS = ("plant", "leakage_head", "playground")
 
 
 def export(
@@ -135,12 +136,13 @@ def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple
     from agents.learning.policy import PolicyController
     from agents.running.weights import weight_files
     from hydro_env import ConfigurationError
+    from hydro_env.mistakes import unknown
     from hydro_env.task.configuration import task_config
 
     known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
     if what not in known and ":" not in what and not (Path(what).is_dir() or weight_files(what)[1].is_file()):
         raise ConfigurationError(
-            f"export '{what}': unknown; known: plant, {', '.join(known)}, the path of weights, or module:attribute"
+            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights, or module:attribute"
         )
     config = task_config(task, rig=rig)
     if task is None and rig is None:

@@ -60,6 +60,11 @@ Config = Annotated[
 ]
 
 
+def exact_task(task: str | None, rig: Path | None) -> str | None:
+    """The task of a command that shows one axis: who names a rig alone wants it as its file says, nothing drawn."""
+    return "as_given" if task is None and rig is not None else task
+
+
 def command_line() -> str:
     """The command as the user typed it; characters that UTF-8 cannot hold are escaped."""
     return " ".join(["hydro", *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from agents.commands.options import Rig, command_line, say
+from agents.commands.options import Rig, command_line, exact_task, say
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -54,6 +54,9 @@ def record(
 
     `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
     a data set of episodes instead, with observations, actions, rewards and the hidden leak.
+
+    With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
+    task draws the parameters that are not known exactly.
     """
     from agents.evaluation.opponents import opponent
     from agents.recordings.simulated import named_faults, record_axis
@@ -73,11 +76,13 @@ def record(
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
     if output.is_dir():
         raise ConfigurationError(f"{output}: is a folder; --output needs a file")
-    config = task_config(task, rig=rig, episode_duration=20.0 if duration is None else duration)
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
     mover = opponent(controller, config, "--controller")
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
-    say(f"{output}: {done.rows} rows, {done.duration:g} s, leak {done.leakage_flow_lpm:.3g} l/min at 100 bar{end}")
+    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
+    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
+    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
 
 
 def _record_dataset(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from agents.commands.options import Agents, Rig, Task, named_agents, say
+from agents.commands.options import Agents, Rig, Task, exact_task, named_agents, say
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -48,7 +49,8 @@ def render(
     """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
 
     Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows a
-    healthy and a leaking seal side by side.
+    healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
+    `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
     from agents.evaluation.opponents import opponent
     from agents.film.frames import film, film_size, panels
@@ -66,9 +68,15 @@ def render(
         raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
     if output.suffix.lower() == ".mp4":
         check_mp4()
-    config = task_config(task, rig=rig, episode_duration=duration)
-    named = named_agents(agent) or {"PID": "pid", "PPO": "ppo"}
-    shown = panels({name: opponent(what, config, name) for name, what in named.items()}, leakage or [])
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=duration)
+    controllers = {name: opponent(what, config, name) for name, what in named_agents(agent).items()}
+    if not controllers:
+        controllers["PID"] = opponent("pid", config, "PID")
+        try:
+            controllers["PPO"] = opponent("ppo", config, "PPO")
+        except ConfigurationError as error:  # the shipped weights belong to another rig or task
+            print(f"hydro: left out: {error}", file=sys.stderr)
+    shown = panels(controllers, leakage or [])
     if len(shown) > MOST_PANELS:
         raise ConfigurationError(f"{len(shown)} panels: must be at most {MOST_PANELS}; give fewer --agent or --leakage")
     rate = frame_rate(output, config.control_period, frames_per_second, speed)

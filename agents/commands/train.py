@@ -22,6 +22,7 @@ from agents.commands.options import (
     tell_rigs,
 )
 from hydro_env import ConfigurationError
+from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
     from agents.study.settings import StudySettings
@@ -92,8 +93,9 @@ def train(
     else:
         name = next((name for name in study.trained if name.lower() == part), None)
         if name is None:
-            known = ", ".join([*(name.lower() for name in study.trained), "head", *CONTROLLERS])
-            raise ConfigurationError(f"train '{what}': unknown; this study trains: {known}")
+            known = [*(name.lower() for name in study.trained), "head", *CONTROLLERS]
+            guess = did_you_mean(what, known)
+            raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
         file = _controller(study, name, output, seed, resume, overwrite, steps)
     say(f"written: {file}")
 

@@ -17,6 +17,7 @@ from agents.controllers.pid import PID, PIDGains
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group, validate
+from hydro_env.mistakes import unknown
 
 CONTROLLERS: dict[str, tuple[type[ClassicalController], type[Group]]] = {
     "pid": (PID, PIDGains),
@@ -86,7 +87,7 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         controller, gains = CONTROLLERS[kind]
         return controller(validate(gains, settings or {}, kind), config)
     else:
-        raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}, or 'module:attribute'")
+        raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}, or 'module:attribute'")
     try:
         task = (config,) if inspect.signature(make).parameters else ()
         return make(*task, **(settings or {}))  # type: ignore[no-any-return]

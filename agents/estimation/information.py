@@ -24,6 +24,7 @@ from agents.estimation.model import Model
 from agents.estimation.names import LEAKAGE
 from agents.estimation.priors import Prior
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.mistakes import one_of
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS
 
@@ -137,7 +138,7 @@ def covariance(
     for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, CHANNELS)):
         for name in choice:
             if name not in allowed:
-                raise ConfigurationError(f"{what}: '{name}': must be one of {', '.join(allowed)}")
+                raise ConfigurationError(f"{what}: '{name}': {one_of(name, allowed)}")
     place = [known.names.index(name) for name in names]
     rows = [CHANNELS.index(sensor) for sensor in sensors]
     matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]

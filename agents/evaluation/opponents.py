@@ -12,8 +12,11 @@ from agents.leakage.head import LeakageHead
 from agents.learning.trainers import TRAINERS, Trainer
 from agents.running.cases import check_predict
 from agents.running.folders import config_folder, pretrained_folder
+from agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
+from hydro_env.mistakes import did_you_mean
+from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 HEAD_FILE = "leakage_head"
@@ -22,17 +25,33 @@ SHIPPED_WEIGHTS = {"ppo": "policy"}
 
 
 def shipped(kind: str, config: TaskConfig) -> Controller:
-    """The tuned PID or the trained policy that comes with the project.
+    """The tuned PID or the trained policy that comes with the project; made for the task's rig if such a one ships.
 
     Raises:
         ConfigurationError: the kind is not shipped.
     """
     if kind in SHIPPED_WEIGHTS:
-        return TRAINERS[kind].load(pretrained_folder() / SHIPPED_WEIGHTS[kind])
-    settings = config_folder() / "agents" / f"{kind}.yaml"
+        usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+        own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
+        return TRAINERS[kind].load(own if weight_files(own)[0].is_file() else usual)
+    settings = gains_file(kind, config) or config_folder() / "agents" / f"{kind}.yaml"
     if not settings.exists():
         raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
     return make_controller(kind, config, read_yaml(settings))
+
+
+def shipped_rig(config: TaskConfig) -> str:
+    """Name of the rig in ``configs/rigs`` that a task has, at the control period of the shipped gains; else empty."""
+    files = (config_folder() / "rigs").glob("*.yaml")
+    if config.plant == PlantParameters() or config.control_period != TaskConfig().control_period:
+        return ""
+    return next((file.stem for file in files if read_rig(file).plant == config.plant), "")
+
+
+def gains_file(kind: str, config: TaskConfig) -> Path | None:
+    """The gains of a classical controller that were tuned for the task's rig, if they ship."""
+    file = config_folder() / "agents" / f"{kind}_{shipped_rig(config)}.yaml"
+    return file if file.is_file() else None
 
 
 def opponent(
@@ -68,7 +87,10 @@ def opponent(
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
         else:
-            controller = (trainer or TRAINERS["ppo"]).load(Path(what))
+            try:
+                controller = (trainer or TRAINERS["ppo"]).load(Path(what))
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{error}{did_you_mean(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))}") from error
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):

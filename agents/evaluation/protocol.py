@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -33,6 +33,7 @@ from agents.running.cases import Cases, ControllerError, run_cases
 from agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
+from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 
 SEEDS_PER_FAMILY = 10_000
@@ -45,7 +46,7 @@ class ProtocolSettings(Group):
     leak_levels: tuple[float, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
-    families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
+    families: tuple[Annotated[str, known_name(DRAWN_FAMILIES, "family")], ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
@@ -54,9 +55,6 @@ class ProtocolSettings(Group):
         for level in self.leak_levels:
             if not 0.0 < level <= LEAKAGE_LIMIT:
                 raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
-        for family in self.families:
-            if family not in DRAWN_FAMILIES:
-                raise ValueError(f"families: unknown '{family}'; known: {', '.join(DRAWN_FAMILIES)}")
         for name in ("leak_levels", "families"):
             if len(set(getattr(self, name))) != len(getattr(self, name)):
                 raise ValueError(f"{name}: has a duplicate entry")

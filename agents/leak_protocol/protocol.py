@@ -21,6 +21,7 @@ from agents.running.surroundings import Surroundings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
+from hydro_env.mistakes import did_you_mean, kept, known_name, refuse, unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
 
@@ -44,8 +45,12 @@ class LeakCondition(Surroundings):
 
     group: str = Field("other", description="conditions that belong together in tables and pictures")
     label: str = Field("", description="short text; default: the name")
-    acting: str = Field("PID", description=f"controller of the axes: {', '.join(ACTING)}")
-    motion: str = Field("ordinary", description=f"motion of the axes: {', '.join(MOTIONS)}")
+    acting: Annotated[str, known_name(ACTING, "controller")] = Field(
+        "PID", description=f"controller of the axes: {', '.join(ACTING)}"
+    )
+    motion: Annotated[str, known_name(MOTIONS, "motion")] = Field(
+        "ordinary", description=f"motion of the axes: {', '.join(MOTIONS)}"
+    )
     begins: Literal["at rest", "anywhere"] = Field(
         "at rest", description="at rest: windows are the starts of runs; anywhere: windows are cut from longer runs"
     )
@@ -55,16 +60,13 @@ class LeakCondition(Surroundings):
     )
     share: float = Field(1.0, gt=0.0, le=10.0, description="windows per level, relative to the detector's number")
     detectors: tuple[str, ...] | None = Field(None, description="detectors that read it; default: all")
-    faults: dict[str, float] = Field(default_factory=dict, description="magnitude of each fault, by name")
+    faults: dict[Annotated[str, known_name(FAULTS, "fault")], float] = Field(
+        default_factory=dict, description="magnitude of each fault, by name"
+    )
 
     @model_validator(mode="after")
     def _known(self) -> LeakCondition:
-        for what, given, known in (("acting", self.acting, ACTING), ("motion", self.motion, MOTIONS)):
-            if given not in known:
-                raise ValueError(f"{what}: '{given}': must be one of {', '.join(known)}")
         for name, size in self.faults.items():
-            if name not in FAULTS:
-                raise ValueError(f"faults: unknown '{name}'; known: {', '.join(FAULTS)}")
             low, high = fault_limits(name)
             if not low <= size <= high:
                 raise ValueError(f"faults: {name} = {size:g}: must be within {low:g} to {high:g}")
@@ -93,17 +95,21 @@ class LeakProtocol(Group):
     @model_validator(mode="after")
     def _consistent(self) -> LeakProtocol:
         if self.base not in self.conditions:
-            raise ValueError(f"base: '{self.base}' is not one of the conditions")
+            raise ValueError(
+                f"base: '{self.base}' is not one of the conditions{did_you_mean(self.base, self.conditions)}"
+            )
         strange = [name for name in self.bound_conditions if name not in self.conditions]
         if strange:
-            raise ValueError(f"bound_conditions: '{strange[0]}' is not one of the conditions")
+            guess = did_you_mean(strange[0], self.conditions)
+            raise ValueError(f"bound_conditions: '{strange[0]}' is not one of the conditions{guess}")
         foreign = [name for name in self.alarms if name not in self.detectors]
         if foreign:
-            raise ValueError(f"alarms: '{foreign[0]}' is not one of the detectors")
+            guess = did_you_mean(foreign[0], self.detectors)
+            raise ValueError(f"alarms: '{foreign[0]}' is not one of the detectors{guess}")
         for name, condition in self.conditions.items():
-            unknown = [detector for detector in condition.detectors or () if detector not in self.detectors]
-            if unknown:
-                raise ValueError(f"conditions.{name}: detectors: unknown '{unknown[0]}'")
+            foreign = [detector for detector in condition.detectors or () if detector not in self.detectors]
+            if foreign:
+                raise ValueError(f"conditions.{name}: detectors: {unknown(foreign[0], self.detectors, 'detector')}")
         return self
 
     @classmethod
@@ -114,20 +120,24 @@ class LeakProtocol(Group):
             ConfigurationError: an unknown key or value; the message names the file and the condition.
         """
         values, folder = read_yaml(path), Path(path).parent
-        if "task" in values:
-            values["task"] = read_task(values["task"], Path(path))
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), Path(path))
         if isinstance(values.get("alarms"), dict):
             values["alarms"] = {name: str(folder / str(file)) for name, file in values["alarms"].items()}
         conditions = values.get("conditions")
         for condition in conditions.values() if isinstance(conditions, dict) else ():
-            if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
-                condition["rig"] = str(config_file("rigs", condition["rig"], folder))
-        protocol = validate(cls, values, str(path))
-        try:
-            for name in protocol.conditions:
+            with kept(errors):
+                if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
+                    condition["rig"] = str(config_file("rigs", condition.pop("rig"), folder))
+        with kept(errors):
+            protocol = validate(cls, values, str(path))
+        refuse(errors, str(path))
+        for name in protocol.conditions:
+            with kept(errors):
                 protocol.task_in(name)
-        except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from None
+        refuse(errors, str(path))
         return protocol
 
     def moved(self, task: str | None, rig: str | Path | None) -> LeakProtocol:

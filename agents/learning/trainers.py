@@ -16,6 +16,7 @@ from agents.learning.training import PolicyTrainer, train_ppo
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
+from hydro_env.mistakes import unknown
 
 
 class TrainedController(Controller, Protocol):
@@ -106,7 +107,7 @@ def trainer(kind: str) -> Trainer:
     if kind in TRAINERS:
         return TRAINERS[kind]
     if ":" not in kind:
-        raise ConfigurationError(f"trainer '{kind}': unknown; known: {', '.join(TRAINERS)}, or my_module:MyTrainer")
+        raise ConfigurationError(f"trainer '{kind}': {unknown(kind, TRAINERS)}, or my_module:MyTrainer")
     given = imported(kind)
     try:
         made: Any = given() if isinstance(given, type) else given

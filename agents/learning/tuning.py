@@ -24,6 +24,7 @@ from agents.controllers.registry import CONTROLLERS
 from agents.running.seeds import first_training_seed
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
+from hydro_env.mistakes import unknown
 from hydro_env.plant.analysis import speed_limits
 
 Floats = NDArray[np.float64]
@@ -221,7 +222,7 @@ def tune(
         ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
     """
     if kind not in CONTROLLERS:
-        raise ConfigurationError(f"kind '{kind}': unknown; known: {', '.join(CONTROLLERS)}")
+        raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     make, group = CONTROLLERS[kind]
     space, base = Space(group), start or group()
     settings = {

@@ -17,6 +17,7 @@ from agents.recordings.units import factor
 from agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
+from hydro_env.mistakes import unknown
 from hydro_env.task.faults import FAULTS
 
 Floats = NDArray[np.float64]
@@ -114,7 +115,7 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
     for text in texts:
         name, _, value = text.partition("=")
         if name not in FAULTS:
-            raise ConfigurationError(f"--fault {text}: unknown fault '{name}'; known: {', '.join(FAULTS)}")
+            raise ConfigurationError(f"--fault {text}: {unknown(name, FAULTS, 'fault')}")
         if name in faults:
             raise ConfigurationError(f"--fault {text}: '{name}' is given twice")
         try:

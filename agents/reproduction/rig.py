@@ -12,6 +12,7 @@ import numpy as np
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
 from hydro_env.plant.workable import refuse_unworkable
+from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import Sensor, Sensors, scaled
 from hydro_env.units import orifice_gain_from_flow
 
@@ -119,7 +120,7 @@ def rig_from(path: Path | None) -> Rig:
     Raises:
         ConfigurationError: the file is wrong, or the rig cannot work.
     """
-    return Rig() if path is None else own_rig(PlantParameters.from_yaml(path), str(path))
+    return Rig() if path is None else own_rig(read_rig(path).plant, str(path))
 
 
 def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantParameters:

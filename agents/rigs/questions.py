@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from hydro_env import ConfigurationError
+from hydro_env.mistakes import one_of
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import UNITS, in_si
 
@@ -79,7 +80,7 @@ def parsed(question: Question, text: str) -> float | str:
     if known:
         words = [word.strip() for word in text.split(",")]
         if unknown := [word for word in words if word not in known]:
-            raise ConfigurationError(f"{place}: '{unknown[0][:40]}': must be one of {', '.join(known)}")
+            raise ConfigurationError(f"{place}: '{unknown[0][:40]}': {one_of(unknown[0], known)}")
         return ",".join(words)
     try:
         value = in_si(text, _unit(question, text))

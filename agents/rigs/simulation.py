@@ -21,6 +21,7 @@ from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.rig import read_rig
 from hydro_env.units import LITRE_PER_MINUTE
 
 CSV_FILE = "trajectory.csv"
@@ -92,7 +93,7 @@ def simulate_to_folder(
         ConfigurationError: an argument is impossible, or the folder cannot be used.
     """
     source = str(rig) if rig is not None else "rig"
-    parameters = PlantParameters.from_yaml(rig) if rig is not None else PlantParameters()
+    parameters = read_rig(rig).plant if rig is not None else PlantParameters()
     if leakage is not None:
         if not 0.0 <= leakage <= LEAKAGE_LIMIT:
             raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")

@@ -21,7 +21,8 @@ from agents.running.surroundings import Factor, Surroundings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
+from hydro_env.mistakes import did_you_mean, kept, refuse
+from hydro_env.task.configuration import LEAKAGE_LIMIT, Family, task_config
 from hydro_env.task.rig import merged
 
 FIRST_SEED = TEST_SEEDS.start + 200_000
@@ -49,7 +50,7 @@ class Condition(Surroundings):
     label: str = Field("", description="short text for axes; default: the name")
     description: str = ""
     leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
-    families: tuple[str, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
+    families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
     controllers: dict[str, ControllerChoice] = Field(
         default_factory=dict, description="by name; controllers tuned or trained for this condition"
@@ -65,14 +66,11 @@ def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
     """Check leak levels and families of references.
 
     Raises:
-        ValueError: a level is above the limit, a family is unknown, or an entry is duplicate.
+        ValueError: a level is above the limit, 'user' is not the only family, or an entry is duplicate.
     """
     for level in levels:
         if not 0.0 < level <= LEAKAGE_LIMIT:
             raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
-    for family in families:
-        if family not in REFERENCE_FAMILIES:
-            raise ValueError(f"families: unknown '{family}'; known: {', '.join(REFERENCE_FAMILIES)}")
     if "user" in families and len(families) > 1:
         raise ValueError("families: 'user' must stand alone")
     for name, values in (("leak_levels", levels), ("families", families)):
@@ -85,7 +83,7 @@ class Sweep(Group):
 
     group: str = "parameter"
     leak_levels: tuple[float, ...] | None = Field(None, min_length=1)
-    families: tuple[str, ...] | None = Field(None, min_length=1)
+    families: tuple[Family, ...] | None = Field(None, min_length=1)
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY)
     factors: dict[str, tuple[Factor, ...]] = Field(min_length=1, description="by path of the parameter")
 
@@ -109,7 +107,7 @@ class Protocol(Group):
     title: str = "Robustness"
     task: TaskConfig = Field(default_factory=TaskConfig)
     leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    families: tuple[str, ...] = Field(DRAWN_FAMILIES, min_length=1)
+    families: tuple[Family, ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
     standstill_leak_levels: tuple[float, ...] = Field(
@@ -129,7 +127,7 @@ class Protocol(Group):
         check_grid(self.standstill_leak_levels, ())
         for name in self.bound_conditions:
             if name not in self.conditions:
-                raise ValueError(f"bound_conditions: '{name}' is not a condition")
+                raise ValueError(f"bound_conditions: '{name}' is not a condition{did_you_mean(name, self.conditions)}")
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
@@ -145,8 +143,10 @@ class Protocol(Group):
         """
         values = read_yaml(path)
         folder = Path(path).parent
-        if "task" in values:
-            values["task"] = read_task(values["task"], Path(path))
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), Path(path))
         conditions = values.get("conditions")
         if "sweep" in values and isinstance(conditions, dict):
             swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
@@ -157,20 +157,24 @@ class Protocol(Group):
         for condition in conditions.values() if isinstance(conditions, dict) else ():
             if not isinstance(condition, dict):
                 continue
-            if isinstance(condition.get("rig"), str):
-                condition["rig"] = str(config_file("rigs", condition["rig"], folder))
+            with kept(errors):
+                if isinstance(condition.get("rig"), str):
+                    condition["rig"] = str(config_file("rigs", condition.pop("rig"), folder))
             chosen = condition.get("controllers")
-            read_settings(chosen, Path(path))
+            with kept(errors):
+                read_settings(chosen, Path(path))
             for choice in chosen.values() if isinstance(chosen, dict) else ():
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
                     shipped = pretrained_folder() / choice["weights"]
                     own = folder / choice["weights"]
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
-        protocol = validate(cls, values, str(path))
+        with kept(errors):
+            protocol = validate(cls, values, str(path))
+        refuse(errors, str(path))
         try:
             _ = protocol.tasks
         except ConfigurationError as error:
-            raise ConfigurationError(f"{path}: {error}") from None
+            raise type(error)(f"{path}: {error}") from None
         return protocol
 
     def moved(self, task: str | None, rig: str | Path | None) -> Protocol:
@@ -191,7 +195,13 @@ class Protocol(Group):
         Raises:
             ConfigurationError: the changed task is impossible; the message names the condition.
         """
-        return {name: self._task(name) for name in self.conditions}
+        tasks: dict[str, TaskConfig] = {}
+        errors: list[ConfigurationError] = []
+        for name in self.conditions:
+            with kept(errors):
+                tasks[name] = self._task(name)
+        refuse(errors, "conditions")
+        return tasks
 
     def task_in(self, name: str) -> TaskConfig:
         """The task under a condition."""

@@ -22,6 +22,7 @@ from agents.running.folders import config_folder
 from agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.mistakes import did_you_mean
 
 CONDITION_MARK = "@"
 """Separates a name from the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
@@ -121,6 +122,7 @@ def participants(
         if name not in ready or condition not in protocol.conditions:
             raise ConfigurationError(
                 f"{text}: must be NAME@CONDITION of a controller ({', '.join(ready)}) and a condition of the protocol"
+                f"{did_you_mean(condition, protocol.conditions)}"
             )
         made[name, condition] = opponent(what, protocol.task_in(condition), text)
     return Participants(ready, made)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
+from hydro_env.mistakes import kept, refuse
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import task_from
 
@@ -23,7 +24,7 @@ def read_task(given: Any, file: Path) -> Any:
     if isinstance(given, str):
         return task_config(given, folder=file.parent)
     if isinstance(given, dict) and isinstance(given.get("plant"), str):
-        return task_from(TaskConfig, given, f"{file}: task", file.parent)
+        return task_from(TaskConfig, given, str(file), file.parent, within="task")
     return given
 
 
@@ -37,8 +38,11 @@ def read_settings(controllers: Any, file: Path) -> dict[str, str]:
         ConfigurationError: a file cannot be read.
     """
     sources = {}
+    errors: list[ConfigurationError] = []
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():
         if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
-            sources[name] = str(file.parent / entry["settings"])
-            entry["settings"] = read_yaml(sources[name])
+            sources[name] = str(file.parent / entry.pop("settings"))
+            with kept(errors):
+                entry["settings"] = read_yaml(sources[name])
+    refuse(errors, str(file))
     return sources

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
+from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
@@ -32,7 +33,8 @@ class Surroundings(Group):
         for name in ("parameters", "factors"):
             for path in getattr(self, name):
                 if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
-                    raise ValueError(f"{name}: '{path}' is not a parameter that a condition may set")
+                    guess = did_you_mean(path, PARAMETER_PATHS)
+                    raise ValueError(f"{name}: '{path}' is not a parameter that a condition may set{guess}")
                 if name == "factors" and path in MODEL_CODES:
                     raise ValueError(f"factors: '{path}' is a name, not a number")
                 if name == "factors" and path in self.parameters:

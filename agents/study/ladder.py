@@ -30,6 +30,7 @@ from agents.study.settings import ControllerEntry, Name
 from agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, read_curve
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_json, read_yaml, validate, write_whole
+from hydro_env.mistakes import did_you_mean, kept, one_of, refuse, unknown
 from hydro_env.task.rig import merged
 
 LADDER_SEEDS = VALIDATION_SEEDS.start + 100_000
@@ -67,17 +68,18 @@ class LadderSettings(Group):
         earlier: list[str] = []
         for name, entry in self.controllers.items():
             if entry.kind not in CONTROLLERS:
-                raise ValueError(f"controllers.{name}: kind = '{entry.kind}': must be one of {', '.join(CONTROLLERS)}")
+                raise ValueError(f"controllers.{name}: kind = '{entry.kind}': {one_of(entry.kind, CONTROLLERS)}")
         for name, rung in self.rungs.items():
             if name in self.controllers:
                 raise ValueError(f"rungs.{name}: is the name of a controller")
             if rung.after is not None and rung.after not in earlier:
-                raise ValueError(f"rungs.{name}: after = '{rung.after}': must be a rung before it")
+                guess = did_you_mean(rung.after, earlier)
+                raise ValueError(f"rungs.{name}: after = '{rung.after}': must be a rung before it{guess}")
             if rung.kind is None and rung.after is None:
                 raise ValueError(f"rungs.{name}: kind is missing")
             if rung.corrects is not None and rung.corrects not in self.controllers:
                 raise ValueError(
-                    f"rungs.{name}: corrects = '{rung.corrects}': must be one of {', '.join(self.controllers)}"
+                    f"rungs.{name}: corrects = '{rung.corrects}': {one_of(rung.corrects, self.controllers)}"
                 )
             earlier.append(name)
         return self
@@ -92,14 +94,20 @@ class LadderSettings(Group):
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
         values = read_yaml(path)
-        if "task" in values:
-            values["task"] = read_task(values["task"], Path(path))
-        read_settings(values.get("controllers"), Path(path))
-        ladder = validate(cls, values, str(path))
-        for name in ladder.controllers:
-            ladder.make(name)
-        for name in ladder.rungs:
-            ladder.resolved(name)
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), Path(path))
+        with kept(errors):
+            read_settings(values.get("controllers"), Path(path))
+        with kept(errors):
+            ladder = validate(cls, values, str(path))
+        refuse(errors, str(path))
+        for check, names in ((ladder.make, ladder.controllers), (ladder.resolved, ladder.rungs)):
+            for name in names:
+                with kept(errors):
+                    check(name)
+        refuse(errors, str(path))
         return ladder
 
     def make(self, name: str) -> Controller:
@@ -175,7 +183,7 @@ def run_ladder(
     chosen = rungs or list(ladder.rungs)
     for name in chosen:
         if name not in ladder.rungs:
-            raise ConfigurationError(f"rung '{name}': unknown; known: {', '.join(ladder.rungs)}")
+            raise ConfigurationError(f"rung '{name}': {unknown(name, ladder.rungs)}")
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
     writes = [
         *TABLES,

@@ -8,11 +8,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from agents.controllers.base import Controller
 from agents.controllers.registry import CONTROLLERS, imported, make_controller
-from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
+from agents.evaluation.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
@@ -21,6 +21,7 @@ from agents.study.absent_sensors import without_absent_sensors
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
+from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
@@ -34,10 +35,18 @@ class TuningSettings(Group):
     cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
 
 
+def _known_kind(kind: str) -> str:
+    if ":" not in kind and kind not in (*CONTROLLERS, *TRAINERS):
+        raise ValueError(f"{unknown(kind, (*CONTROLLERS, *TRAINERS))}, or 'module:attribute'")
+    return kind
+
+
 class ControllerEntry(Group):
     """One controller of a study."""
 
-    kind: str = Field(description="pid, ppo, or module:attribute for your own controller or trainer")
+    kind: Annotated[str, AfterValidator(_known_kind)] = Field(
+        description="pid, ppo, or module:attribute for your own controller or trainer"
+    )
     settings: dict[str, Any] = Field(
         default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
     )
@@ -52,16 +61,13 @@ class ControllerEntry(Group):
         """Its trainer; ``None`` for a controller that needs no training.
 
         Raises:
-            ConfigurationError: the kind is unknown.
+            ConfigurationError: its module cannot be imported.
         """
         if self.kind in CONTROLLERS:
             return None
         if ":" in self.kind:
             given = imported(self.kind)
             return trainer(self.kind) if hasattr(given, "train") and hasattr(given, "load") else None
-        if self.kind not in TRAINERS:
-            known = ", ".join([*CONTROLLERS, *TRAINERS])
-            raise ConfigurationError(f"kind = '{self.kind}': unknown; known: {known}, or 'module:attribute'")
         return TRAINERS[self.kind]
 
 
@@ -86,7 +92,7 @@ class StudySettings(Group):
             if entry.corrects is not None and entry.corrects not in earlier:
                 raise ValueError(
                     f"controllers.{name}: corrects = '{entry.corrects}': must be a controller before it"
-                    f" ({', '.join(earlier) or 'none'})"
+                    f" ({', '.join(earlier) or 'none'}){did_you_mean(entry.corrects, earlier)}"
                 )
             earlier.append(name)
         return self
@@ -102,18 +108,24 @@ class StudySettings(Group):
         """
         values = read_yaml(path)
         folder = Path(path).parent
-        if "task" in values:
-            values["task"] = read_task(values["task"], Path(path))
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), Path(path))
         groups: dict[str, type[Group]] = {
             "leakage_head": HeadTrainingSettings,
             "evaluation": ProtocolSettings,
         }
         for key, group in groups.items():
             if isinstance(values.get(key), str):
-                file = folder / values[key]
-                values[key] = validate(group, read_yaml(file), str(file))
-        sources = read_settings(values.get("controllers"), Path(path))
-        study = validate(cls, values, str(path))
+                file = folder / values.pop(key)
+                with kept(errors):
+                    values[key] = validate(group, read_yaml(file), str(file))
+        with kept(errors):
+            sources = read_settings(values.get("controllers"), Path(path))
+        with kept(errors):
+            study = validate(cls, values, str(path))
+        refuse(errors, str(path))
         study.check(str(path), sources)
         return study
 
@@ -128,37 +140,46 @@ class StudySettings(Group):
             ConfigurationError: a controller cannot be made, settings contradict each other, or the episodes are too
                 short for the leakage head.
         """
-        for name, entry in self.controllers.items():
-            where = (sources or {}).get(name, f"{source}: controllers.{name}")
+        errors: list[ConfigurationError] = []
+        for name in self.controllers:
+            with kept(errors):
+                self._check_controller(name, source, (sources or {}).get(name))
+        with kept(errors):
             try:
-                trainer = entry.trainer
+                if self.leakage_head is not None:
+                    self.leakage_head.check(self.task)
             except ConfigurationError as error:
-                raise ConfigurationError(f"{source}: controllers.{name}: {error}") from error
-            if trainer is None:
-                try:
-                    opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
-                except ConfigurationError as error:
-                    raise ConfigurationError(f"{where}: {error}") from error
-                if entry.corrects is not None:
-                    raise ConfigurationError(f"{source}: controllers.{name}: corrects: only a trained one can correct")
-                if entry.tune is not None and entry.kind not in CONTROLLERS:
-                    raise ConfigurationError(
-                        f"{source}: controllers.{name}: tune: only {', '.join(CONTROLLERS)} can be tuned"
-                    )
-            else:
-                if entry.tune is not None:
-                    raise ConfigurationError(f"{source}: controllers.{name}: tune: a trained one cannot be tuned")
-                settings = validate(trainer.settings, entry.settings, where)
-                if getattr(settings, "residual", False) and entry.corrects is None:
-                    raise ConfigurationError(
-                        f"{source}: controllers.{name}: is trained as a correction (residual: true): give 'corrects: "
-                        "NAME' of the controller that it corrects"
-                    )
+                raise ConfigurationError(f"{source}: {error}") from None
+        refuse(errors, source)
+
+    def _check_controller(self, name: str, source: str, file: str | None) -> None:
+        """Check one controller; ``file`` holds its settings if they have a file of their own."""
+        entry, here = self.controllers[name], f"{source}: controllers.{name}"
+        settings_at = (file, "") if file is not None else (source, f"controllers.{name}.settings")
         try:
-            if self.leakage_head is not None:
-                self.leakage_head.check(self.task)
+            trainer = entry.trainer
         except ConfigurationError as error:
-            raise ConfigurationError(f"{source}: {error}") from None
+            raise ConfigurationError(f"{here}: {error}") from error
+        if trainer is None:
+            if entry.kind in CONTROLLERS:
+                validate(CONTROLLERS[entry.kind][1], entry.settings, *settings_at)
+            try:
+                opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{file or here}: {error}") from error
+            if entry.corrects is not None:
+                raise ConfigurationError(f"{here}: corrects: only a trained one can correct")
+            if entry.tune is not None and entry.kind not in CONTROLLERS:
+                raise ConfigurationError(f"{here}: tune: only {', '.join(CONTROLLERS)} can be tuned")
+        else:
+            if entry.tune is not None:
+                raise ConfigurationError(f"{here}: tune: a trained one cannot be tuned")
+            settings = validate(trainer.settings, entry.settings, *settings_at)
+            if getattr(settings, "residual", False) and entry.corrects is None:
+                raise ConfigurationError(
+                    f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
+                    "that it corrects"
+                )
 
     def make(self, name: str) -> Controller:
         """A controller of the study that needs no training."""
@@ -210,6 +231,15 @@ class StudySettings(Group):
             if name not in controllers:
                 controllers[name] = opponent(what, self.task, name)
         return controllers
+
+    def with_shipped_gains(self) -> StudySettings:
+        """The study with the gains that ship for its rig, where a controller would have to be tuned for it first."""
+        controllers = {}
+        for name, entry in self.controllers.items():
+            file = gains_file(entry.kind, self.task) if entry.tune is not None else None
+            changes = {"settings": read_yaml(file), "tune": None} if file is not None else {}
+            controllers[name] = entry.model_copy(update=changes)
+        return self.model_copy(update={"controllers": controllers})
 
     def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
         """Like :meth:`with_weights`, but weights that need other observations are left out, with the reason."""

@@ -19,6 +19,7 @@ from pydantic import ConfigDict, Field
 from hydro_env.compiling import named_tuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.mistakes import unknown
 from hydro_env.plant.parts.chambers import Cylinder, Fluid, Lines
 from hydro_env.plant.parts.friction import Friction
 from hydro_env.plant.parts.leakage import Leakage
@@ -83,7 +84,7 @@ class PlantParameters(Group):
         values = self.model_dump()
         for group, fields in groups.items():
             if group not in values:
-                raise ConfigurationError(f"plant parameters: unknown group '{group}'; known: {', '.join(values)}")
+                raise ConfigurationError(f"plant parameters: {unknown(group, values, 'group')}")
             if not isinstance(fields, Mapping):
                 raise ConfigurationError(f"plant parameters: {group} = {fields!r}: must be a mapping of fields")
             values[group].update(fields)

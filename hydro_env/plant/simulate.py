@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydro_env.errors import HydroError, InvalidStateError
+from hydro_env.mistakes import unknown
 from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.kernel import (
@@ -198,7 +199,7 @@ def _checked_start(parameters: PlantParameters, initial_state: Mapping[str, floa
     given: dict[str, float] = {}
     for name, value in (initial_state or {}).items():
         if name not in STATE_NAMES:
-            raise HydroError(f"initial_state: unknown state '{name}'; known: {', '.join(STATE_NAMES)}")
+            raise HydroError(f"initial_state: {unknown(name, STATE_NAMES, 'state')}")
         try:
             given[name] = float(value)
         except (TypeError, ValueError):

@@ -15,6 +15,7 @@ from pydantic import Field, model_validator
 from hydro_env.errors import ConfigurationError, UnknownKeyError
 from hydro_env.files import Group, read_yaml, write_yaml
 from hydro_env.folders import config_file
+from hydro_env.mistakes import known_name
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
@@ -26,6 +27,8 @@ from hydro_env.units import Number, quantity
 
 LEAKAGE_CLASSES = ("healthy", "incipient", "moderate", "severe")
 """Names of the class labels 0 to 3."""
+
+Family = Annotated[str, known_name(REFERENCE_FAMILIES, "family")]
 
 LEAKAGE_LIMIT = 20.0
 """l/min at 100 bar; a larger leak would mean that the seal is missing."""
@@ -62,7 +65,7 @@ class LeakageDraw(TaskGroup):
 class References(TaskGroup):
     """The references, within the force and the speed of each plant."""
 
-    weights: dict[str, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
+    weights: dict[Family, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
         default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
         description="relative frequency of each family; absent families do not occur",
     )
@@ -81,9 +84,6 @@ class References(TaskGroup):
 
     @model_validator(mode="after")
     def _consistent(self) -> References:
-        for name in self.weights:
-            if name not in REFERENCE_FAMILIES:
-                raise ValueError(f"weights: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
         if not sum(self.weights.values()) > 0.0:
             raise ValueError("weights: at least one family needs a positive weight")
         if self.weights.get("user", 0.0) > 0.0 and not self.user:
@@ -105,7 +105,7 @@ class Reward(Group):
 
     tracking: Number = quantity(1.0, "1", "weight of the error", 0.0, 1e6)
     error_scale: Number = quantity(0.010, "m", "error that costs 1", 1e-6, 10.0)
-    family_scale: dict[str, Annotated[float, Field(gt=0.0, le=1e6)]] = Field(
+    family_scale: dict[Family, Annotated[float, Field(gt=0.0, le=1e6)]] = Field(
         default_factory=dict, description="factor on error_scale for a family of references; absent families: 1"
     )
     frame: Literal["axis", "sensor"] = Field(
@@ -114,13 +114,6 @@ class Reward(Group):
     error_limit: Number = quantity(5.0, "1", "largest tracking cost of a step, as a multiple of error_scale", 1e-6, 1e6)
     effort: Number = quantity(0.05, "1", "weight of the change of command", 0.0, 1e6)
     failure: Number = quantity(250.0, "1", "cost of a failure", 0.0, 1e9)
-
-    @model_validator(mode="after")
-    def _families_known(self) -> Reward:
-        for name in self.family_scale:
-            if name not in REFERENCE_FAMILIES:
-                raise ValueError(f"family_scale: unknown family '{name}'; known: {', '.join(REFERENCE_FAMILIES)}")
-        return self
 
 
 class Failure(Group):
@@ -271,8 +264,8 @@ def task_config(
             source, folder, values = str(file), file.parent, read_yaml(file)
         return task_from(TaskConfig, dict(values or {}), source, folder, rig, overrides)
     except UnknownKeyError as error:
-        unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
-        if unknown is None:
+        foreign = next((name for name in overrides if name not in TaskConfig.model_fields), None)
+        if foreign is None:
             raise
         # If the message has Python's wording, libraries omit the keyword and try again.
-        raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
+        raise UnknownKeyError(f"{error}; unexpected keyword argument {foreign[:60]!r}") from None

@@ -7,11 +7,12 @@ observation does not show them; ``info["faults"]`` does. To add a fault, add a c
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from hydro_env.files import Group
+from hydro_env.mistakes import known_name
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.units import Number
@@ -32,15 +33,9 @@ class Fault(TaskGroup):
 class SensorFault(Fault):
     """A fault of one randomly chosen sensor."""
 
-    sensors: tuple[str, ...] = Field(CHANNELS, description="sensors that may fail, with equal probability")
-
-    @field_validator("sensors")
-    @classmethod
-    def _known(cls, sensors: tuple[str, ...]) -> tuple[str, ...]:
-        unknown = [name for name in sensors if name not in CHANNELS]
-        if unknown or not sensors:
-            raise ValueError(f"unknown sensor '{unknown[0] if unknown else ''}'; known: {', '.join(CHANNELS)}")
-        return sensors
+    sensors: tuple[Annotated[str, known_name(CHANNELS, "sensor")], ...] = Field(
+        CHANNELS, min_length=1, description="sensors that may fail, with equal probability"
+    )
 
 
 class ValveNullShift(Fault):

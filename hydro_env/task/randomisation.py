@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from hydro_env.files import Group
+from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
 from hydro_env.units import Number, in_si
 
@@ -46,7 +47,8 @@ class Distribution(Group):
         if (self.logarithmic or self.relative) and low <= 0.0:
             raise ValueError(f"{given[0]} needs positive bounds")
         if self.times is not None and self.times not in PARAMETER_PATHS:
-            raise ValueError(f"times = {self.times!r} is not a parameter of the plant")
+            guess = did_you_mean(self.times, PARAMETER_PATHS)
+            raise ValueError(f"times = {self.times!r} is not a parameter of the plant{guess}")
         if self.times is not None and self.relative:
             raise ValueError(f"{given[0]} already multiplies the rig's own value: leave out 'times'")
         if (self.otherwise is None) != (self.otherwise_probability == 0.0):
@@ -86,7 +88,18 @@ def _in_si(ranges: Any) -> Any:
     return result
 
 
-Randomisation = Annotated[dict[str, Distribution], BeforeValidator(_in_si)]
+def _number_of_the_plant(path: str) -> str:
+    numbers = [name for name in PARAMETER_PATHS if name not in MODEL_CODES]
+    if path not in numbers:
+        raise ValueError(f"'{path[:60]}' is not a number of the plant{did_you_mean(path, numbers)}")
+    if path in LEAKAGE_OF_THE_TASK:
+        raise ValueError(f"'{path}' is drawn by the group 'leakage' of the task")
+    return path
+
+
+Randomisation = Annotated[
+    dict[Annotated[str, AfterValidator(_number_of_the_plant)], Distribution], BeforeValidator(_in_si)
+]
 """Distributions by ``group.field``."""
 
 PUBLISHED_RANGES = {
@@ -143,16 +156,12 @@ def default_randomisation(plant: PlantParameters | None = None) -> dict[str, Dis
 
 
 def check_draws(randomisation: Mapping[str, Distribution], plant: PlantParameters) -> None:
-    """Check that every possible draw is a valid parameter.
+    """Check that every possible draw is a valid parameter; the paths are numbers of the plant.
 
     Raises:
-        ValueError: a path is not a number of the plant, or a draw may lie outside its bounds.
+        ValueError: a draw may lie outside its bounds.
     """
     for path, distribution in randomisation.items():
-        if path not in PARAMETER_PATHS or path in MODEL_CODES:
-            raise ValueError(f"randomisation: '{path}' is not a number of the plant; see PlantParameters")
-        if path in LEAKAGE_OF_THE_TASK:
-            raise ValueError(f"randomisation: '{path}' is drawn by the group 'leakage'")
         own = own_value(plant, path)
         if distribution.relative and math.isinf(own):
             raise ValueError(f"randomisation: {path}: the rig's own value is infinite and has no multiples")

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import Group, ModelType, read_yaml, validate
 from hydro_env.folders import config_file
-from hydro_env.plant.parameters import OF_THE_TASK, PlantParameters
+from hydro_env.mistakes import kept, refuse
+from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.randomisation import Distribution, Randomisation, check_draws, default_randomisation, own_value
 from hydro_env.task.sensors import SCALED_FIELDS, Sensors
 
@@ -30,6 +31,10 @@ class Rig(NamedTuple):
 class _OfTheTask(Group):
     randomisation: Randomisation = {}
     sensors: Sensors = Sensors()
+
+
+class _RigFile(_OfTheTask, PlantParameters):
+    """All that the file of a rig may hold."""
 
 
 def read_rig(given: str | Path, folder: Path | None = None) -> Rig:
@@ -56,15 +61,14 @@ def rig_from(values: Mapping[str, Any], source: str) -> Rig:
     """
     from hydro_env.plant.workable import refuse_unworkable  # compiled code, needed only for a rig from a file
 
-    own = {name: values[name] for name in OF_THE_TASK if name in values}
-    checked = validate(_OfTheTask, own, source)
-    plant = PlantParameters.from_dict({name: group for name, group in values.items() if name not in own}, source)
+    checked = validate(_RigFile, values, source)
+    plant = PlantParameters(**{name: getattr(checked, name) for name in PlantParameters.model_fields})
     refuse_unworkable(plant, source)
     try:
         check_draws(default_randomisation(plant) | checked.randomisation, plant)
     except ValueError as error:
         raise ConfigurationError(f"{source}: {error}") from None
-    sensors = {path: _at(checked.model_dump(), path) for path in _paths({"sensors": own.get("sensors", {})})}
+    sensors = {path: _at(checked.model_dump(), path) for path in _paths({"sensors": values.get("sensors", {})})}
     return Rig(plant, checked.randomisation, sensors, source)
 
 
@@ -92,6 +96,7 @@ def task_from(
     folder: Path | None = None,
     rig: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
+    within: str = "",
 ) -> ModelType:
     """A task from its settings, on its own rig or adapted to another one.
 
@@ -102,6 +107,7 @@ def task_from(
         folder: base of relative paths in ``values``; default: the current folder.
         rig: name or path of another rig for the task.
         overrides: settings that come last.
+        within: where in the source the settings stand.
 
     Raises:
         ConfigurationError: a key is unknown, a value is impossible, or the rig does not fit.
@@ -110,7 +116,13 @@ def task_from(
     own = values.get("plant")
     if isinstance(own, str | Path):
         rest = {key: value for key, value in values.items() if key != "plant"}
-        values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            values = merged(moved(defaults, defaults, read_rig(own, folder)), rest)
+        if errors:  # the mistakes of the task, beside those of its rig
+            with kept(errors):
+                validate(model, rest, source, within)
+        refuse(errors, source)
     if isinstance(overrides.get("plant"), str | Path):
         if rig is not None:
             raise ConfigurationError(
@@ -120,8 +132,8 @@ def task_from(
     if rig is not None:
         if not isinstance(rig, str | Path):
             raise ConfigurationError(f"task: rig = {str(rig)[:60]!r}: must be the name or the YAML file of a rig")
-        values = moved(validate(model, values, source).model_dump(), defaults, read_rig(rig))
-    return validate(model, merged(values, overrides), source)
+        values = moved(validate(model, values, source, within).model_dump(), defaults, read_rig(rig))
+    return validate(model, merged(values, overrides), source, within)
 
 
 def moved(task: Mapping[str, Any], defaults: Mapping[str, Any], rig: Rig) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def test_command_writes_keeps_and_goes_on(tmp_path, monkeypatch):
 def test_unknown_group_is_refused_in_one_line(tmp_path):
     with pytest.raises(ConfigurationError) as error:
         benchmark_to_folder(tmp_path / "new", ["speed"], True, False, False, "hydro benchmark")
-    assert "--only speed: unknown group; known: kernel, single" in str(error.value)
+    assert "--only speed: unknown group 'speed'; known: kernel, single" in str(error.value)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "new").exists()
 

@@ -101,4 +101,4 @@ def test_the_command_writes_it_once(tmp_path):
     assert again.returncode == 2
     unknown = run("export", "controler", "--output", tmp_path / "other")
     assert unknown.returncode == 2
-    assert "export 'controler': unknown; known: plant" in unknown.stderr
+    assert "export 'controler': unknown; known: plant, leakage_head" in unknown.stderr

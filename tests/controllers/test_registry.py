@@ -63,7 +63,7 @@ def test_a_class_a_function_and_an_object_of_ones_own():
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
-        ("pdi", {}, r"kind 'pdi': unknown; known: pid, .*or 'module:attribute'"),
+        ("pdi", {}, r"kind 'pdi': unknown; did you mean pid\? known: pid, .*or 'module:attribute'"),
         ("pid", {"proportional": -1}, "pid: proportional = -1"),
         ("pid", {"gain": 1}, "pid: .*gain.*unknown key"),
         ("my_controllers:", {}, "'my_controllers:': must be 'module:attribute'"),

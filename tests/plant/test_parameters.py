@@ -122,7 +122,6 @@ WRONG = {
         "friction: {breakaway_force: 100}",
         "breakaway_force = 100 N must not be below coulomb_force = 120 N",
     ),
-    "two at once": ("load: {mass: -1, speed: 2}", r"load.mass = -1: .* \(and 1 more mistake\)"),
     "a list": ("- load", "must be a mapping of settings, not a list"),
     "not YAML": ("load: {mass: 60", "not valid YAML in line 1: .*"),
     "line break in a key": ('"lo\\nad": 1', "lo ad = 1: unknown key.*"),
@@ -171,7 +170,7 @@ def test_unreadable_files_are_answered_with_one_line(tmp_path):
 
 
 def test_replace_and_vectors_are_validated():
-    with pytest.raises(ConfigurationError, match="unknown group 'loads'; known: cylinder"):
+    with pytest.raises(ConfigurationError, match=r"unknown group 'loads'; did you mean load\? known: cylinder"):
         PlantParameters().replace(loads={"mass": 1.0})
     with pytest.raises(ConfigurationError, match=r"load\.mass = -1"):
         PlantParameters().replace(load={"mass": -1.0})

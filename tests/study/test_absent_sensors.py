@@ -1,19 +1,26 @@
 """Rigs that lack sensors: what works without them works, the rest says in one line why not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 
+from agents.commands.options import exact_task
 from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import shipped
+from agents.evaluation.opponents import gains_file, shipped
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.features import PolicyFeatures
 from agents.learning.policy import PolicyController
 from agents.learning.settings import PPOSettings
 from agents.learning.training import train_ppo
 from agents.running.cases import Cases, run_cases
+from agents.study import results
 from agents.study.settings import default_study
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import read_yaml
+from hydro_env.folders import config_folder
+from hydro_env.task.configuration import task_config
 
 PRESSURES = {"pressure_a": {"fitted": False}, "pressure_b": {"fitted": False}}
 SPOOL = {"spool_position": {"fitted": False}}
@@ -142,3 +149,48 @@ def test_check_rig_names_absent_sensors(files):
     answer = hydro("check-rig", "--rig", rig)
     assert answer.returncode == 0
     assert "no sensor for spool_position" in " ".join(answer.stdout.split())
+
+
+def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, monkeypatch):
+    rig, study = files
+    seen = []
+
+    def evaluated(study, controllers, *rest, **options):
+        seen.append(list(controllers))
+        return SimpleNamespace(errors={})
+
+    monkeypatch.setattr(results, "evaluate_study", evaluated)
+    monkeypatch.setattr(results, "print_summary", lambda *arguments: None)
+    common = ("evaluate", "--config", study, "--rig", rig, "--output", tmp_path / "out", "--overwrite")
+    answer = hydro(*common)
+    assert answer.returncode == 0, answer.stderr
+    assert seen == [["PID"]]
+    assert "hydro: left out: PPO: was trained on other observations" in answer.stderr
+    named = hydro(*common, "--agent", "mine=ppo")
+    assert named.returncode == 2
+    assert named.stderr.splitlines()[-1].startswith("hydro: mine: was trained on other observations")
+    assert hydro("evaluate", "--rig", "symmetric_eha", "--output", tmp_path / "other").returncode == 0
+    assert seen[1:] == [["PID", "Flow linearisation", "PPO"]]
+
+
+def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
+    study = default_study(rig="symmetric_eha").with_shipped_gains()
+    assert study.tuned == []
+    gains = read_yaml(config_folder() / "agents" / "pid_symmetric_eha.yaml")
+    assert study.make("PID").gains.model_dump() == gains
+    assert shipped("ppo", study.task).features.config.plant == study.task.plant
+    assert gains_file("pid", TaskConfig()) is None
+    other = task_config(study.task, control_period=0.002)  # the shipped gains are for another period
+    assert gains_file("pid", other) is None
+    assert default_study(rig=config_folder() / "rigs" / "kovari_2015.yaml").with_shipped_gains().tuned != []
+
+
+def test_a_rig_that_is_named_alone_is_recorded_as_its_file_says(files, tmp_path):
+    rig, _ = files
+    common = ("record", "--duration", "0.1", "--leakage", "1", "--overwrite", "--output", tmp_path / "a.csv")
+    assert "drawn" not in hydro(*common, "--rig", rig).stdout
+    assert "; parameters of the plant drawn by --seed 3" in hydro(*common, "--seed", "3").stdout
+    assert "drawn" in hydro(*common, "--rig", rig, "--task", "default").stdout
+    assert task_config(exact_task(None, rig), rig=rig).randomisation == {}
+    assert exact_task("loaded", rig) == "loaded"
+    assert exact_task(None, None) is None

@@ -168,7 +168,7 @@ def test_a_saved_state_keeps_its_faults():
 @pytest.mark.parametrize(
     ("faults", "message"),
     [
-        ({"valve": 1.0}, "unknown fault 'valve'; known: valve_null_shift"),
+        ({"valve": 1.0}, "unknown fault 'valve'; did you mean valve_flow? known: valve_null_shift"),
         ({"valve_underlap": -0.1}, "faults.valve_underlap = -0.1: must be within 0 to 0.4"),
         ({"tank_pressure": float("nan")}, "faults.tank_pressure = nan: must be within 0 to 5e+06"),
         (3.0, "faults must be a mapping"),

@@ -201,7 +201,10 @@ def test_every_task_can_begin_on_every_rig(task, rig):
 
 
 WRONG = {
-    "unknown rig": ({"rig": "aalborg"}, f"rig 'aalborg': unknown; known: {', '.join(RIGS)}; or give the path"),
+    "unknown rig": (
+        {"rig": "aalborg"},
+        f"rig 'aalborg': unknown; did you mean aalborg_svsdp_2017? known: {', '.join(RIGS)}; or give the path",
+    ),
     "unknown task": ({"task": "hard"}, f"task 'hard': unknown; known: {', '.join(TASKS)}; or give the path"),
     "no file": ({"rig": "absent/rig.yaml"}, "absent/rig.yaml: cannot be read: No such file"),
     "two tasks": ({"task": "default", "config": {}}, "task: 'task' and 'config' are two names of one argument"),

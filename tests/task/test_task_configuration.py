@@ -290,7 +290,7 @@ def test_a_wrong_task_is_answered_with_one_line(changes, message):
 def test_a_wrong_file_is_named(tmp_path):
     path = tmp_path / "task.yaml"
     path.write_text("reward: {effort: -1}\n")
-    with pytest.raises(ConfigurationError, match=rf"^{path}: reward\.effort = -1: "):
+    with pytest.raises(ConfigurationError, match=rf"^{path}: line 1: reward\.effort = -1: "):
         ServoHydraulicEnv(path)
     with pytest.raises(ConfigurationError, match=r"absent\.yaml: cannot be read: No such file"):
         ServoHydraulicEnv(tmp_path / "absent.yaml")

@@ -1,0 +1,250 @@
+"""Mistakes in files, as clumsy hands make them: each is told, with its line, what is allowed and what was meant."""
+
+import pytest
+from command_line import hydro, own_lines
+
+from agents.study.settings import StudySettings
+from hydro_env import ConfigurationError
+from hydro_env.errors import UnknownKeyError
+from hydro_env.mistakes import MOST_MISTAKES, did_you_mean, kept, one_of, refuse, unknown
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import read_rig
+
+RIGS = {
+    "misspelt unit": (
+        "cylinder: {bore_diameter: 63 mn}",
+        "'63 mn': unit 'mn': must be one of mm, m, cm, in, um, µm (unit",
+    ),
+    "plural of a unit": (
+        "supply: {pressure: 160 bars}",
+        "must be one of bar, MPa, psi, kPa, Pa, mbar, GPa; did you mean bar?",
+    ),
+    "capitals of a unit": (
+        "valve: {rated_flow: 40 L/min}",
+        "must be one of l/min, cm³/min, l/s, cm³/s, m³/s; did you mean l/min?",
+    ),
+    "range for a number": ("cylinder: {stroke: 1:30}", "cylinder.stroke = '1:30': must be a number within 0.01 to 10"),
+    "decimal comma": (
+        "load:\n  mass: 120,5 kg",
+        "line 2: load.mass = '120,5 kg': must be a number within 0.01 to 1e+06 (unit: kg); decimals need a point",
+    ),
+    "decimal comma in braces": ("load: {mass: 1,5}", "load.5: a key must be text; decimals need a point"),
+    "decimal commas in a list": (
+        "randomisation: {load.mass: {factor: [0,9, 1,1]}}",
+        "[0, 9, 1, 1]: must be a list of 2 entries, each a number; decimals need a point",
+    ),
+    "nested list": (
+        "cylinder: {bore_diameter: [[63]]}",
+        "line 1: cylinder.bore_diameter: must be a number within 0.005 to 1 (unit: m)",
+    ),
+    "nothing": ("load:\n  mass:", "line 2: load.mass: is empty; must be a number within"),
+    "empty group": ("load:", "line 1: load: is empty; must be a group of settings"),
+    "begin of a name": (
+        "cylinder: {rod: 36 mm}",
+        "cylinder.rod = '36 mm': unknown key; did you mean rod_diameter? known here: bore",
+    ),
+    "capitals of a name": ("Load: {mass: 3}", "Load: unknown key; did you mean load? known here: cylinder, "),
+    "American spelling": ("randomization: {load.mass: {factor: [1, 2]}}", "unknown key; did you mean randomisation?"),
+    "field without its group": ("mass: 120 kg", "mass = '120 kg': unknown key; did you mean load.mass?"),
+    "path without its group": (
+        "randomisation: {mass: {factor: [1, 2]}}",
+        "'mass' is not a number of the plant; did you mean load.mass?",
+    ),
+    "leak of the task": (
+        "randomisation: {leakage.internal_resistance: {factor: [1, 2]}}",
+        "is drawn by the group 'leakage' of the task",
+    ),
+    "choice": ("supply: {model: accumulater}", "must be one of constant, accumulator, pump; did you mean accumulator?"),
+    "capitals of a choice": (
+        "friction: {model: Stribeck}",
+        "must be one of none, coulomb, stribeck, lugre; did you mean stribeck?",
+    ),
+    "no space after the colon": (
+        "cylinder:\n  stroke:3",
+        "cylinder = 'stroke:3': must be a group of settings; a space must follow the colon",
+    ),
+    "no space after a later colon": (
+        "load:\n  mass: 3\n  damping:5\n",
+        "not valid YAML in line 3: a colon with a space after it is missing",
+    ),
+    "tab": ("load:\n\tmass: 3", "not valid YAML in line 2: a tab; indent with spaces"),
+    "indentation": ("load:\n  mass: 3\n damping: 5", "not valid YAML in line 3: wrong indentation"),
+    "indentation of a value": (
+        "load: 3\n  mass: 3",
+        "not valid YAML in line 2: a colon where none can stand; is the indentation right?",
+    ),
+    "open brace": (
+        "\nload: {mass: 3\nfluid: {}",
+        "not valid YAML in line 2: the bracket that opens here is not closed",
+    ),
+    "open quotation mark": (
+        "load: {mass: '3 kg}",
+        "not valid YAML in line 1: the quotation mark that opens here is not closed",
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "message"), RIGS.values(), ids=RIGS)
+def test_one_mistake_in_a_rig_is_told_in_one_line(text, message, tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        read_rig(file)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(f"{file}: ")
+    assert "\n" not in str(caught.value)
+
+
+SEVERAL = """\
+cylinder:
+  bore: 63 mm
+  rod_diameter: 0,036
+valve: {rated_flow: 10 l/mni, model: spol}
+load: {mass: -3}
+friction:
+randomisation: {load.mas: {factor: [1, 2]}}
+sensors: {pressure_a: {hihg: 160 bar}}
+mass: 60
+"""
+
+
+def test_all_mistakes_of_a_file_are_told_in_the_order_of_their_lines(tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text(SEVERAL)
+    with pytest.raises(UnknownKeyError) as caught:
+        read_rig(file)
+    assert str(caught.value).splitlines() == [
+        f"{file}: 9 mistakes",
+        "  line 2: cylinder.bore = '63 mm': unknown key; did you mean bore_diameter?",
+        "  line 3: cylinder.rod_diameter = '0,036': must be a number within 0 to 0.95 (unit: m); decimals need a point",
+        "  line 4: valve.model = 'spol': must be one of drive, spool, ideal; did you mean spool?",
+        "  line 4: valve.rated_flow = '10 l/mni': unit 'l/mni': must be one of l/min, cm³/min, l/s, cm³/s, m³/s; "
+        "did you mean l/min? (unit: m³/s)",
+        "  line 5: load.mass = -3: must be a number within 0.01 to 1e+06 (unit: kg)",
+        "  line 6: friction: is empty; must be a group of settings",
+        "  line 7: randomisation.load.mas: 'load.mas' is not a number of the plant; did you mean load.mass?",
+        "  line 8: sensors.pressure_a.hihg = '160 bar': unknown key; did you mean high?",
+        "  line 9: mass = 60: unknown key; did you mean load.mass?",
+    ]
+
+
+def test_the_command_line_prints_them_within_the_terminal_and_ends_with_code_2(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.yaml").write_text(SEVERAL)
+    for command in (("simulate",), ("check-rig",), ("record", "-o", "a.csv"), ("study", "-o", "b")):
+        answer = hydro(*command, "--rig", "rig.yaml")
+        lines = own_lines(answer.stderr)
+        assert answer.returncode == 2
+        assert lines[0] == "hydro: rig.yaml: 9 mistakes"
+        assert sum(line.startswith("  line ") for line in lines) == 9
+        assert max(map(len, lines)) <= 120
+    assert [file.name for file in tmp_path.iterdir()] == ["rig.yaml"]
+
+
+def test_keywords_have_no_lines_and_keep_their_kinds_of_error():
+    with pytest.raises(UnknownKeyError) as caught:
+        task_config(contrl_period=3, episode_duration=-1, references={"weights": {"stp": 1, "sine": -1}})
+    heading, *lines = str(caught.value).splitlines()
+    assert heading == "task: 4 mistakes"
+    assert lines[0] == "  episode_duration = -1: must be a number within 0.01 to 3600 (unit: s)"
+    assert lines[1].startswith("  references.weights.stp = 1: unknown family 'stp'; did you mean step? known: step, ")
+    assert lines[2] == "  references.weights.sine = -1: must be a number within 0 to 1e+06"
+    assert lines[3].endswith("did you mean control_period?; unexpected keyword argument 'contrl_period'")
+    assert isinstance(caught.value, TypeError)
+    with pytest.raises(ConfigurationError) as caught:
+        task_config(control_period=-1, episode_duration=-1)
+    assert not isinstance(caught.value, TypeError)
+
+
+def test_a_keyword_that_replaces_a_value_of_the_file_is_not_blamed_on_its_line(tmp_path):
+    file = tmp_path / "task.yaml"
+    file.write_text("episode_duration: 2.0\ncontrol_period: 5\n")
+    with pytest.raises(ConfigurationError) as caught:
+        task_config(file, episode_duration=-1)
+    assert str(caught.value).splitlines()[1:] == [
+        "  episode_duration = -1: must be a number within 0.01 to 3600 (unit: s)",
+        "  line 2: control_period = 5: must be a number within 0.0005 to 0.02 (unit: s)",
+    ]
+
+
+def test_the_files_that_a_study_names_are_read_too(tmp_path):
+    (tmp_path / "task.yaml").write_text("plant: rig.yaml\ncontrol_period: 5\n")
+    (tmp_path / "rig.yaml").write_text("load: {mas: 3}\n")
+    (tmp_path / "pid.yaml").write_text("integral: -1\n")
+    study = tmp_path / "study.yaml"
+    study.write_text(
+        "task: task.yaml\nleakage_head: absent.yaml\n"
+        "controllers:\n  PID: {kind: PID}\nevaluation: {families: [step, sinus]}\n"
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        StudySettings.from_yaml(study)
+    expected = (
+        "study.yaml: mistakes in 3 places",
+        "  task.yaml: mistakes in 2 places",
+        "    rig.yaml: line 1: load.mas = 3: unknown key; did you mean mass?",
+        "    task.yaml: line 2: control_period = 5: must be a number within",
+        "  absent.yaml: cannot be read: No such file or directory",
+        "  study.yaml: 2 mistakes",
+        "    line 4: controllers.PID.kind = 'PID': unknown; did you mean pid?",
+        "    line 5: evaluation.families.1 = 'sinus': unknown family 'sinus'; did you mean sine?",
+    )
+    lines = str(caught.value).replace(f"{tmp_path}/", "").splitlines()
+    assert all(line.startswith(begin) for line, begin in zip(lines, expected, strict=True)), lines
+    study.write_text(
+        "controllers:\n  PID: {kind: pid, settings: pid.yaml}\n"
+        "  LQG: {kind: lqg, settings: {bandwidth: x}}\n"
+        "  PPO: {kind: ppo, corrects: PID,\n    settings: {total_stps: 3}}\n"
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        StudySettings.from_yaml(study)
+    lines = str(caught.value).replace(f"{tmp_path}/", "").splitlines()
+    assert lines[0] == "study.yaml: mistakes in 3 places"
+    assert lines[1].startswith("  pid.yaml: line 1: integral = -1: must be a number ")
+    assert lines[2].startswith("  study.yaml: line 3: controllers.LQG.settings.bandwidth = 'x': must be a number ")
+    assert lines[3].startswith("  study.yaml: line 5: controllers.PPO.settings.total_stps = 3: unknown key; did you ")
+
+
+def test_many_mistakes_are_cut(tmp_path):
+    file = tmp_path / "rig.yaml"
+    file.write_text("load:\n" + "".join(f"  wrong{number}: 1\n" for number in range(MOST_MISTAKES + 5)))
+    with pytest.raises(ConfigurationError) as caught:
+        read_rig(file)
+    lines = str(caught.value).splitlines()
+    assert lines[0] == f"{file}: {MOST_MISTAKES + 5} mistakes"
+    assert len(lines) == 1 + MOST_MISTAKES + 1
+    assert lines[-1] == "  and 5 more"
+
+
+def test_numbers_are_decimal(tmp_path):
+    """YAML 1.1 reads 060 as 48 and 1:30 as 90."""
+    file = tmp_path / "rig.yaml"
+    file.write_text(
+        "load: {mass: 060, spring_stiffness: 00.5e5, external_force: -1_000}\nvalve: {natural_frequency: 0x100}\n"
+    )
+    plant = read_rig(file).plant
+    assert (plant.load.mass, plant.load.spring_stiffness, plant.load.external_force) == (60.0, 5e4, -1000.0)
+    assert plant.valve.natural_frequency == 256.0
+
+
+def test_names_are_suggested_where_they_are_similar():
+    assert did_you_mean("PID", ["pid", "lqg"]) == "; did you mean pid?"
+    assert did_you_mean("flow-linearizing", ["pid", "flow_linearising"]) == "; did you mean flow_linearising?"
+    assert did_you_mean("mn", ["mm", "m"]) == ""
+    assert did_you_mean("zigzag", ["step", "sine"]) == ""
+    assert did_you_mean("x" * 100_000, ["step"]) == ""
+    assert unknown("lqq", ["pid", "lqg"]) == "unknown; did you mean lqg? known: pid, lqg"
+    assert unknown("x", ["pid"], "kind") == "unknown kind 'x'; known: pid"
+    assert one_of("spol", ["drive", "spool"]) == "must be one of drive, spool; did you mean spool?"
+
+
+def test_kept_errors_are_raised_together():
+    errors: list[ConfigurationError] = []
+    refuse(errors, "here")
+    with kept(errors):
+        raise ConfigurationError("a: wrong")
+    with pytest.raises(ConfigurationError, match=r"^a: wrong$"):
+        refuse(errors, "here")
+    with kept(errors):
+        raise UnknownKeyError("b: unknown")
+    with pytest.raises(UnknownKeyError, match=r"^here: mistakes in 2 places\n  a: wrong\n  b: unknown$"):
+        refuse(errors, "here")
