@@ -95,7 +95,8 @@ def controllers() -> None:
     table = pd.read_csv(TABLES / "robustness.csv").rename(
         columns={"equal_weight_low": "low", "equal_weight_high": "high"}
     )
-    looks = looks_of(table["controller"][::-1])
+    table["controller"] = table["controller"].replace(NAMES)
+    looks = looks_of(dict.fromkeys(["PID", "Flow linearisation", *NAMES.values(), *table["controller"][::-1]]))
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots()
@@ -158,7 +159,7 @@ def performance() -> None:
         axes = figure.subplots()
         axes.barh(range(len(parts)), list(parts.values()), color=COLOURS[0])
         row_axis(axes, list(parts))
-        axes.set(xlabel="ms per iteration of PPO (256 axes × 64 steps)")
+        axes.set(xlabel="ms per iteration (256 axes × 64 steps)")
 
     save("chart_speed.svg", speed, 3.0)
     save("chart_training_time.svg", training, 3.2)

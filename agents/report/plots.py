@@ -252,19 +252,24 @@ def example_plot(
     """
     names = list(example.position)
     jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP] if example.preview > 0.0 else np.empty(0)
+    ahead = setting(1e3 * example.preview)
 
     def paint(figure: Figure) -> None:
         above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
         above.plot(example.time, 1e3 * example.reference, color=INK, linewidth=1.0, label="reference")
+        if len(jumps):
+            seen: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": ":"}
+            above.plot(
+                example.time - example.preview, 1e3 * example.reference, label=f"preview, {ahead} ms ahead", **seen
+            )
         for name in names:
             look = looks[name]
             above.plot(example.time, 1e3 * example.position[name], label=name, linewidth=1.2, **look.stroke)
             middle.plot(example.time, 1e3 * (example.reference - example.position[name]), linewidth=1.2, **look.stroke)
             below.plot(example.time, 10.0 * example.command[name], linewidth=0.9, **look.stroke)
         for axes in panels:
-            for index, jump in enumerate(jumps):
-                label = "preview of a step" if axes is above and index == 0 else None
-                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5, label=label)
+            for jump in jumps:
+                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5)
         middle.axhline(0.0, color=INK, linewidth=0.6)
         above.set_ylabel("position, mm")
         middle.set_ylabel("error, mm")
@@ -283,7 +288,8 @@ def example_plot(
     ]
     note = f"Mean error of this run: {', '.join(errors)}."
     if len(jumps):
-        ahead = setting(1e3 * example.preview)
-        note += f" Grey: a preview shows the step {ahead} ms ahead; a controller may start then."
+        note += (
+            f" Dotted: the preview shows the reference {ahead} ms ahead, so the axis may start before the step (grey)."
+        )
     alt = f"Position, error and valve command over time: {example.title}. {note}"
     return make_plot(key, example.title[:1].upper() + example.title[1:], note, alt, paint, 4.6)

@@ -54,6 +54,14 @@ class Example:
     preview: float = 0.0  # s; the observation shows the reference this far ahead
     leak: float = 0.0  # l/min at 100 bar
 
+    def renamed(self, names: Mapping[str, str]) -> Example:
+        """The episode with new names of controllers."""
+        return replace(
+            self,
+            position={names.get(name, name): trace for name, trace in self.position.items()},
+            command={names.get(name, name): trace for name, trace in self.command.items()},
+        )
+
 
 @dataclass(frozen=True)
 class StudyRecord:
@@ -117,8 +125,8 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
         price_plots=[*price_plots(record.leak_price), energy],
         detection_plots=detection_plots(evaluation),
         detection_tables=detection_tables(evaluation),
-        learning_plots=learning_plots(record.training_curve, next(iter(looks)), record.validation_error_mm),
-        training_plots=training_plots(record.training_curve),
+        learning_plots=learning_plots(record.training_curve, next(iter(looks)), record.validation_error_mm, looks),
+        training_plots=training_plots(record.training_curve, looks),
         protocol=_protocol(evaluation),
         definitions=definitions(),
         versions=Table("Versions", ("Package", "Version"), list(record.versions.items())),
@@ -158,14 +166,7 @@ def _renamed(evaluation: Evaluation, record: StudyRecord, names: Mapping[str, st
     curve = record.training_curve
     if "controller" in curve:
         curve = curve.assign(controller=curve["controller"].replace(names))
-    examples = [
-        replace(
-            example,
-            position={names.get(name, name): trace for name, trace in example.position.items()},
-            command={names.get(name, name): trace for name, trace in example.command.items()},
-        )
-        for example in record.examples
-    ]
+    examples = [example.renamed(names) for example in record.examples]
     return replace(evaluation, **tables), replace(record, examples=examples, training_curve=curve)
 
 

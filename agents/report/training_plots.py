@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from agents.report.canvas import GREY, INK, Plot, add_legend, description, looks_of, make_plot, one_panel
+from agents.report.canvas import GREY, INK, Look, Plot, add_legend, description, looks_of, make_plot, one_panel
 from agents.report.text import number
 from agents.running.seeds import SEED_MARK
 
@@ -37,7 +37,9 @@ def _checked(curve: pd.DataFrame) -> pd.DataFrame:
     return curve if "controller" in curve else curve.assign(controller="policy")
 
 
-def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float) -> list[Plot]:
+def learning_plots(
+    curve: pd.DataFrame, baseline: str, baseline_error_mm: float, looks: Mapping[str, Look] | None = None
+) -> list[Plot]:
     """Error on validation plants over training, relative to a baseline; empty without a curve or a baseline's error.
 
     Args:
@@ -45,6 +47,7 @@ def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float)
             the line is their median, the band their range.
         baseline: name of the controller to which errors are relative.
         baseline_error_mm: its mean error on the same plants.
+        looks: of the controllers in the other figures of the page; default: by their order here.
     """
     curve = _checked(curve)
     if ERROR not in curve or not np.isfinite(baseline_error_mm):
@@ -56,7 +59,7 @@ def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float)
         name: curve[curve["name"] == name].groupby("steps")["ratio"].agg(["median", "min", "max"])
         for name in seeds.index
     }
-    looks = dict(zip(seeds.index, list(looks_of([baseline, *seeds.index]).values())[1:], strict=True))
+    looks = looks_of([baseline, *seeds.index]) | dict(looks or {})
     factor, unit = _unit(curve)
 
     def paint(axes: Axes) -> None:
@@ -83,25 +86,28 @@ def learning_plots(curve: pd.DataFrame, baseline: str, baseline_error_mm: float)
     return [one_panel("learning", title, note, description(title, rows, ""), paint)]
 
 
-def training_plots(curve: pd.DataFrame) -> list[Plot]:
+def training_plots(curve: pd.DataFrame, looks: Mapping[str, Look] | None = None) -> list[Plot]:
     """Figures of a training curve or log; none without a curve.
 
     Args:
         curve: column ``steps`` and any of ``mean_reward``, ``validation/…_mm`` and the columns of UPDATES, or the
             columns of stable-baselines3's log; ``controller`` if several were trained.
+        looks: of the controllers in the other figures of the page; default: by their order here.
     """
     curve = _checked(curve)
     if curve.empty:
         return []
+    known = looks_of(curve["controller"].unique())
+    looks = {name: (looks or known).get(name, look) for name, look in known.items()}
     errors = {name: _words(name) for name in curve if name.startswith("validation/") and name.endswith("_mm")}
     reward = "Higher is better; zero would be perfect tracking without effort. Measured on training plants."
     kl = "Change of the policy per update (KL divergence), and quality of the value function's prediction (1 is best)."
     updates = {name: words for name, words in UPDATES.items() if name in curve}
     validation = "Lower is better; no policy is trained on these plants."
     return [
-        *_plot(curve, "training", "Reward while learning", {"mean_reward": "mean reward"}, reward),
-        *_plot(curve, "validation", "Error on validation plants", errors, validation),
-        *_plot(curve, "updates", "Updates of the policy", updates, kl),
+        *_plot(curve, looks, "training", "Reward while learning", {"mean_reward": "mean reward"}, reward),
+        *_plot(curve, looks, "validation", "Error on validation plants", errors, validation),
+        *_plot(curve, looks, "updates", "Updates of the policy", updates, kl),
     ]
 
 
@@ -113,13 +119,14 @@ def _words(column: str) -> str:
     return column.removeprefix("validation/").removesuffix("_mm").replace("_", " ") + ", mm"
 
 
-def _plot(curve: pd.DataFrame, key: str, title: str, columns: Mapping[str, str], note: str) -> list[Plot]:
+def _plot(
+    curve: pd.DataFrame, looks: Mapping[str, Look], key: str, title: str, columns: Mapping[str, str], note: str
+) -> list[Plot]:
     """A panel per column that has values; no figure without such columns."""
     known = {name: words for name, words in columns.items() if name in curve and curve[name].notna().any()}
     if not known:
         return []
     factor, unit = _unit(curve)
-    looks = looks_of(curve["controller"].unique())
     cut = False
 
     def paint(figure: Figure) -> None:

@@ -71,9 +71,7 @@ def _best_in(record: Record) -> str:
         return ""
     rows = [row for row in ranking.to_dict("records") if int(row["best_in"]) > 0]
     parts = [f"{row['controller']} in {int(row['best_in'])}" for row in rows]
-    return (
-        f"Of {int(ranking['conditions'].max())} conditions {listed(parts)} {'is' if len(parts) == 1 else 'are'} best."
-    )
+    return f"Best, of {int(ranking['conditions'].max())} conditions: {listed(parts)}."
 
 
 def _cost(record: Record, name: str) -> str:

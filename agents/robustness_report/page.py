@@ -12,7 +12,7 @@ from agents.controllers.base import Controller
 from agents.experiments.series import run_experiments
 from agents.report.page import Page, make_page
 from agents.report.price_plots import price_plots
-from agents.report.text import Table, correction_name, setting
+from agents.report.text import Table, setting
 from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import SCALE, colour_share, heat_map
 from agents.robustness_report.pictures import (
@@ -87,6 +87,8 @@ def write_robustness_report(
 
 def render_page(record: Record) -> Page:
     """The page."""
+    bases = record.corrects().values()
+    record = record.with_full_names()
     facts = record.facts()
     return make_page(
         HERE / "page.html.j2",
@@ -94,7 +96,7 @@ def render_page(record: Record) -> Page:
         title=facts.get("title", "Robustness of servo axis controllers"),
         names=record.names,
         baseline=record.baseline,
-        corrects=[(name, correction_name(name, base), base) for name, base in record.corrects().items()],
+        corrects=dict(zip(record.corrects(), bases, strict=True)),
         findings=findings(record),
         problems=problems(record),
         heat=heat_map(record),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pandas as pd
 
 from agents.evaluation.statistics import Interval
 from agents.report.report import Example
+from agents.report.text import correction_name
 
 ALL = "all"
 """Name of the row over all conditions."""
+
+NAME_COLUMNS = ("controller", "against", "value")
+"""Columns that hold names of controllers; ``value`` is that of the facts, one of which is the baseline."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,15 @@ class Trace:
     rival: str
     ratio: float  # error over that of the rival
     example: Example
+
+    def renamed(self, names: Mapping[str, str]) -> Trace:
+        """The case with new names of controllers."""
+        controller, rival = (names.get(name, name) for name in (self.controller, self.rival))
+        title = self.example.title.replace(f" of {self.controller}:", f" of {controller}:")
+        title = title.replace(f"error of {self.rival} ", f"error of {rival} ")
+        return replace(
+            self, controller=controller, rival=rival, example=replace(self.example.renamed(names), title=title)
+        )
 
 
 @dataclass(frozen=True)
@@ -60,6 +73,16 @@ class Record:
         notes = {} if table.empty else dict(zip(table["controller"], table["note"].fillna(""), strict=True))
         start = "corrects "
         return {str(name): str(note).removeprefix(start) for name, note in notes.items() if str(note).startswith(start)}
+
+    def with_full_names(self) -> Record:
+        """The same with names that tell what a policy corrects: "PPO on flow linearisation" instead of "PPO"."""
+        names = {name: correction_name(name, base) for name, base in self.corrects().items()}
+        tables = {
+            key: table.assign(**{c: table[c].replace(names) for c in NAME_COLUMNS if c in table})
+            for key, table in self.tables.items()
+        }
+        traces = [trace.renamed(names) for trace in self.traces]
+        return replace(self, tables=tables, traces=traces)
 
     def label(self, condition: str) -> str:
         """Short text of a condition."""

@@ -30,7 +30,7 @@ def docstring(module: str, name: str) -> str:
 
 def parameters(module: str, name: str) -> str:
     """A table of all fields: name, default, unit, allowed values, where the number comes from or what it means."""
-    rows = ["| setting | default | unit | allowed | origin or meaning |", "|---|---|---|---|---|"]
+    rows = ["{.settings}", "| setting | default | unit | allowed | origin or meaning |", "|---|---|---|---|---|"]
     return "\n".join(rows + field_rows(getattr(importlib.import_module(module), name)(), ""))
 
 
@@ -101,7 +101,7 @@ def playground() -> str:
         return ""
     return (
         '<iframe class="playground" src="playground.html" loading="lazy" title="The axis, with a slider for the leak">'
-        "</iframe>"
+        '</iframe>\n\n[Open the playground alone](playground.html) · [what it computes](about_playground.md)\n'
     )
 
 

@@ -135,8 +135,14 @@ def place_in_source(domain: str, info: dict[str, str]) -> str | None:
 
 
 def copy_pages(app: Sphinx, error: Exception | None) -> None:
-    """Copy pages that a command of the project has made."""
+    """Copy pages that a command of the project has made.
+
+    Raises:
+        FileExistsError: a page of the site has the same name, and would be lost.
+    """
     for page in (ROOT / "docs").glob("*.html"):
+        if (ROOT / "docs" / f"{page.stem}.md").exists():
+            raise FileExistsError(f"docs/{page.name} and docs/{page.stem}.md are the same page of the site: rename one")
         shutil.copy(page, Path(app.outdir) / "docs" / page.name)
 
 

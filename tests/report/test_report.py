@@ -425,6 +425,14 @@ def test_the_preview_is_marked_beside_a_step():
     with_preview = example_plot(shown, "run", looks_of(["PID"]))
     without = example_plot(replace(shown, preview=0.0), "run", looks_of(["PID"]))
     assert "40 ms ahead" in with_preview.note
+    values = [
+        element.text for element in ElementTree.fromstring(with_preview.svg).iter("{http://www.w3.org/2000/svg}title")
+    ]
+    assert any("preview, 40 ms ahead" in value for value in values)  # a line of its own
+    assert not any(
+        "ahead" in element.text
+        for element in ElementTree.fromstring(without.svg).iter("{http://www.w3.org/2000/svg}title")
+    )
     assert "ahead" not in without.note
     assert len(with_preview.svg) > len(without.svg)
     smooth = replace(shown, reference=0.01 * time)
@@ -463,6 +471,11 @@ def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
     (plot,) = learning_plots(pd.concat(seeds), "PID", 0.5)
     assert "PPO: after 100 thousand steps 0.600, after 300 thousand steps 0.600" in plot.alt  # the median seed
     assert "median of 3 training seeds" in plot.note
+    looks = looks_of(["PID", "Flow linearisation", "PPO"])
+    (beside,) = learning_plots(pd.concat(seeds), "PID", 0.5, looks)
+    assert "var(--series-2)" in plot.svg
+    assert "var(--series-3)" in beside.svg  # as in the other figures of the page
+    assert "var(--series-2)" not in beside.svg
     assert learning_plots(pd.concat(seeds), "PID", float("nan")) == []
     assert len(learning_plots(seeds[0].head(1), "PID", 0.5)) == 1  # validated once
     assert learning_plots(pd.DataFrame({"steps": steps}), "PID", 0.5) == []

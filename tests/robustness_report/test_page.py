@@ -2,16 +2,18 @@
 
 import re
 
+import numpy as np
 import pytest
 from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
 from agents.report.findings import Finding
 from agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
+from agents.report.report import Example
 from agents.robustness_report.findings import findings
 from agents.robustness_report.heat import heat_map
 from agents.robustness_report.page import render_page
-from agents.robustness_report.record import Record
+from agents.robustness_report.record import Record, Trace
 from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
 
 
@@ -30,7 +32,7 @@ def test_the_first_sentences_name_winner_loser_and_price(record):
         Finding(item.lead.replace("\u00a0", " "), item.text.replace("\u00a0", " ")) for item in findings(record)
     )
     assert first.lead == "Good positions best: 30 % less error than PID."
-    assert "Of 5 conditions Good in 3, Fair in 1 and PID in 1 are best." in first.text
+    assert "Best, of 5 conditions: Good in 3, Fair in 1 and PID in 1." in first.text
     assert "valve travel 0.80 ×, reversals 1.10 × and energy from the supply 0.98 ×" in first.text
     assert good.lead == "Good beats PID in 3 of 4 conditions and loses in 1."
     assert "It loses under: latency 5 ms (1.40)." in good.text
@@ -101,8 +103,15 @@ def test_every_section_and_number_stands_on_the_page(page):
 
 def test_a_policy_that_corrects_is_called_so(record):
     sees = record.table("sees").assign(note=["", "corrects Fair", *[""] * (len(record.table("sees")) - 2)])
-    page = render_page(Record({**record.tables, "sees": sees})).html
-    assert "Good is a policy that adds a correction to the command of Fair: Good on fair." in page
+    example = Example(
+        "Worst case 1 of Good: 2 times the error of PID (x)", *[np.arange(2.0)] * 2, *[{"Good": np.ones(2)}] * 2
+    )
+    page = render_page(Record({**record.tables, "sees": sees}, [Trace("Good", "PID", 2.0, example)])).html
+    words = re.sub(r"\s+|\u00a0", " ", re.sub(r"<[^>]*>", " ", page))
+    assert "Good on fair is a policy that adds a correction to the command of Fair." in words
+    assert "Good on fair positions best: 30 % less error than PID." in words
+    assert "Worst case 1 of Good on fair: 2 times the error of PID (x)" in words
+    assert not re.search(r"\bGood(?! on fair)\b", words)
 
 
 def test_missing_tables_leave_their_sections_out():
