@@ -87,10 +87,15 @@ def problems_of(page):
     return [*page.problems, *page.evaluate(CUT_OFF)]
 
 
-def problems_everywhere(browser, path):
-    """Problems of a page from disk at every size and in both schemes, with all its parts unfolded."""
+def problems_everywhere(browser, path, hidden=""):
+    """Problems of a page from disk at every size and in both schemes, with all its parts unfolded.
+
+    ``hidden`` names parts that lie beside the window on purpose, as a selector of CSS.
+    """
     found = []
     with open_page(browser, path) as page:
+        if hidden:
+            page.add_style_tag(content=f"{hidden} {{ display: none }}")
         page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
         for scheme in SCHEMES:
             page.emulate_media(color_scheme=scheme)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from browser import SCHEMES, SIZES, open_page, problems_of
+from browser import open_page, problems_everywhere, problems_of
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -91,12 +91,41 @@ def test_the_site_builds_and_its_links_hold(site, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scheme", SCHEMES)
-@pytest.mark.parametrize("width", SIZES)
-def test_nothing_is_cut_off(site, browser, width, scheme):
-    for name in ("index", "environment", "model", "results", "tasks", "api"):
-        with open_page(browser, site / "docs" / f"{name}.html", width=width, scheme=scheme) as page:
-            page.add_style_tag(
-                content=".sidebar-drawer, .toc-drawer { display: none }"
-            )  # beside the window, on purpose
-            assert problems_of(page) == [], name
+def test_nothing_is_cut_off(site, browser):
+    sources = [site / "source" / "hydro_env" / "env.py.html", site / "source" / "agents" / "index.html"]
+    drawers = ".sidebar-drawer, .toc-drawer"
+    found = {
+        path.relative_to(site).as_posix(): problems_everywhere(browser, path, drawers)
+        for path in [*site.glob("*.html"), *site.glob("docs/**/*.html"), *sources]
+        if path != site / "index.html"  # leads to the front page at once
+    }
+    assert len(found) > 35
+    assert {name: problems for name, problems in found.items() if problems} == {}
+
+
+@pytest.mark.slow
+def test_the_front_page_holds_the_playground(site, browser):
+    with open_page(browser, site / "index.html") as page:
+        page.wait_for_url("**/docs/index.html")
+        page.locator("iframe.playground").scroll_into_view_if_needed()
+        inside = page.frame_locator("iframe.playground")
+        inside.locator(".figures dd").first.wait_for()
+        inside.locator("#leak").fill("0.602")
+        assert inside.locator("#leak-value").text_content().startswith("4")
+        assert page.problems == []
+
+
+def test_the_playground_and_the_page_about_it_are_two_pages():
+    generated = {page.stem for page in DOCS.glob("*.html")}
+    assert "playground" in generated
+    assert not generated & {page.stem for page in DOCS.glob("*.md")}
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in (DOCS / "images").glob("*.svg")))
+def test_no_word_of_a_picture_is_cut_off(browser, name, tmp_path):
+    page = tmp_path / "page.html"
+    drawing = (DOCS / "images" / name).read_text(encoding="utf-8")
+    page.write_text(f'<meta charset="utf-8"><body>{drawing[drawing.index("<svg") :]}', encoding="utf-8")
+    with open_page(browser, page, width=1600) as opened:
+        assert opened.locator("svg text, svg g[id*='text_']").count() > 3
+        assert problems_of(opened) == []

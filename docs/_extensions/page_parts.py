@@ -101,7 +101,7 @@ def playground() -> str:
         return ""
     return (
         '<iframe class="playground" src="playground.html" loading="lazy" title="The axis, with a slider for the leak">'
-        '</iframe>\n\n[Open the playground alone](playground.html) · [what it computes](about_playground.md)\n'
+        "</iframe>\n\n[Open the playground alone](playground.html) · [what it computes](about_playground.md)\n"
     )
 
 

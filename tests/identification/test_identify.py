@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import SEED, recorded_file
 
@@ -87,6 +88,10 @@ def test_the_new_rig_file_is_narrower_and_a_rig(folder, done):
     assert rig.plant.load.spring_stiffness == before.load.spring_stiffness  # given no range: known
     assert hydro("check-rig", "--rig", done[0] / "rig.yaml").returncode == 0
     ServoHydraulicVectorEnv(2, task_config(None, rig=done[0] / "rig.yaml")).reset(seed=0)
+
+
+def test_nothing_of_the_page_is_cut_off_in_a_browser(browser, done):
+    assert problems_everywhere(browser, done[0] / "identification.html") == []
 
 
 def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):
