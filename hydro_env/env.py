@@ -322,6 +322,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             history_time=self.config.control_period * np.arange(step + 1 - len(history), step + 1),
             history_position=history[:, 0],
             history_reference=history[:, 1],
+            sample_interval=self.config.control_period,
         )
 
     def close(self) -> None:

@@ -277,7 +277,7 @@ class _Picture(Canvas):
     def _history(self) -> None:
         view = self._view
         past = np.asarray(view.history_time, dtype=float)
-        interval = float(past[-1] - past[-2]) if len(past) > 1 else 0.0
+        interval = view.sample_interval or (float(past[-1] - past[-2]) if len(past) > 1 else 0.0)
         preview = np.asarray(view.reference_preview if interval > 0 else (), dtype=float)
         stride = (len(past) + len(preview)) // PLOT_POINTS + 1
         preview = preview[::-stride][::-1]  # keeps the last sample, so that the axis does not move from frame to frame

@@ -31,3 +31,4 @@ class View:
     history_time: NDArray[np.floating]  # (m,) past samples of the episode, as the two below
     history_position: NDArray[np.floating]
     history_reference: NDArray[np.floating]
+    sample_interval: float = 0.0  # s; 0: that of the history

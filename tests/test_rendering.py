@@ -57,6 +57,12 @@ def center(picture, row, color):
     return columns.mean()
 
 
+def test_the_first_picture_shows_the_whole_reference():
+    start = {"time": 0.0, "history_time": TIME[:1], "history_position": TIME[:1], "history_reference": TIME[:1] + 0.05}
+    _, columns = where(draw(**start, sample_interval=0.01), rendering.REFERENCE_COMING)
+    assert np.ptp(columns) > 0.8 * (rendering.PLOT_RIGHT - rendering.PLOT_LEFT)
+
+
 def test_frame_is_a_plain_array_of_its_own():
     renderer = AxisRenderer("rgb_array")
     first = renderer.draw(make_view())

@@ -73,7 +73,7 @@ def render(
     if not controllers:
         controllers["PID"] = opponent("pid", config, "PID")
         try:
-            controllers["PPO"] = opponent("ppo", config, "PPO")
+            controllers["PPO on flow linearisation"] = opponent("ppo", config, "PPO")
         except ConfigurationError as error:  # the shipped weights belong to another rig or task
             print(f"hydro: left out: {error}", file=sys.stderr)
     shown = panels(controllers, leakage or [])

@@ -55,7 +55,7 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
             va="bottom", fontsize=8, color=GREY,
         )  # fmt: skip
     readings = {"leakage head": diagnosis.head, "estimator": diagnosis.estimator}
-    looks = looks_of(["estimator", "leakage head"])
+    looks = looks_of(["leakage head", "estimator"])
     middle = 0.5 * (windows.begin + windows.end)
     shift = 0.12 * float(windows.end[0] - windows.begin[0]) if len(middle) else 0.0
     for name, reading in readings.items():

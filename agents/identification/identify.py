@@ -80,7 +80,7 @@ class Identification(NamedTuple):
         if not self.rig.randomisation:
             notes.append(
                 "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
-                "each unknown value under `randomisation`."
+                "each unknown value in its group randomisation."
             )
         if left_out:
             notes.append(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,6 +11,7 @@ from agents.diagnosis.picture import thinned
 from agents.identification.held_back import HeldBack
 from agents.identification.shown import shown
 from agents.report.canvas import COLOURS, GREY, row_axis
+from agents.report.text import number
 
 if TYPE_CHECKING:
     from agents.identification.identify import Identification
@@ -58,7 +59,14 @@ def paint_intervals(figure: Figure, found: Identification) -> None:
             axis.errorbar(middle[rows], places[rows], xerr=np.maximum(reach, 0.0), fmt="o", color=colour, label=label)
     row_axis(axis, names)
     limit = max(2.6, float(np.nanmax(np.abs([low, high]))) * 1.05)
-    axis.set_xlim(-min(limit, 6.0), min(limit, 6.0))
+    end = min(limit, 6.0)
+    axis.set_xlim(-end, end)
+    for row in np.flatnonzero(np.abs(middle) > end):  # an arrow at the edge instead of a point beyond it
+        side, colour = np.sign(middle[row]), COLOURS[0 if fit.determined[row] else 1]
+        axis.plot(side * end, places[row], ">" if side > 0 else "<", color=colour, markersize=7.0, clip_on=False)
+        words: dict[str, Any] = {"xytext": (-9.0 * side, 0), "textcoords": "offset points", "va": "center"}
+        text = f"at {number(float(middle[row]))}"
+        axis.annotate(text, (side * end, places[row]), ha="right" if side > 0 else "left", fontsize=8.0, **words)
     axis.set_xlabel("in standard deviations of the earlier range; shaded: about that range")
     axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, frameon=False)
 
