@@ -78,8 +78,9 @@ def _write_loop(path: Path, frames: Iterator[Image.Image], milliseconds: float) 
     first = next(frames)
     options: dict[str, Any] = {"save_all": True, "duration": round(milliseconds), "loop": 0}
     if path.suffix.lower() == ".gif":
-        later = (frame.quantize(GIF_COLOURS) for frame in frames)
-        first.quantize(GIF_COLOURS).save(path, append_images=later, optimize=True, **options)
+        octree = Image.Quantize.FASTOCTREE  # keeps the colours of small things, such as the arrows of the leak
+        later = (frame.quantize(GIF_COLOURS, octree) for frame in frames)
+        first.quantize(GIF_COLOURS, octree).save(path, append_images=later, optimize=True, **options)
     else:
         first.save(path, append_images=frames, quality=70, method=4, **options)
 

@@ -11,7 +11,7 @@ from agents.controllers import PID, PIDGains
 from agents.film.frames import Panel, film, film_size, panel_frames, panels
 from agents.film.writing import frame_rate, write_film
 from agents.running.folders import config_folder
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, rendering
 from tests.command_line import hydro
 
 CONFIG = TaskConfig(episode_duration=0.2)
@@ -75,6 +75,14 @@ def test_frames_fall_on_samples_and_last_as_long_as_they_should(tmp_path, ending
     tick = {".gif": 10, ".webp": 1, ".mp4": PIXELS}[ending]
     assert rate.milliseconds / tick == pytest.approx(round(rate.milliseconds / tick))
     assert 10.0 <= 1e3 / rate.milliseconds <= 50.0
+
+
+def test_a_gif_keeps_the_colour_of_the_leak(tmp_path, pid):
+    frames = film(CONFIG, panels({"PID": pid}, [1.0, 1.0]), 0, {"reference": "step"}, 20, 1280, 2)
+    write_film(tmp_path / "film.gif", frames, 100.0)
+    with Image.open(tmp_path / "film.gif") as picture:
+        colours = np.asarray(picture.convert("RGB"), dtype=int).reshape(-1, 3)
+    assert np.abs(colours - np.array(rendering.LEAK)).sum(axis=1).min() < 40
 
 
 def test_a_period_that_no_gif_can_hold_is_refused(tmp_path):
