@@ -86,7 +86,7 @@ def test_a_gif_keeps_the_colour_of_the_leak(tmp_path, pid):
 
 
 def test_a_period_that_no_gif_can_hold_is_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="multiples of 10 ms"):
+    with pytest.raises(ConfigurationError, match="multiple of 10 ms"):
         frame_rate(tmp_path / "film.gif", 0.0033331, 25.0, 1.0)
 
 
