@@ -48,6 +48,25 @@ def test_known_figures(quantity, at, value, tolerance):
     assert figure(quantity, at) == pytest.approx(value, rel=tolerance)
 
 
+def test_the_formulas_of_the_page_give_the_same_figures():
+    """docs/own_rig.md, The calculation by hand; the friction-free axis without leak, oil without air."""
+    rig = PlantParameters().replace(fluid={"air_fraction": 0.0}, lines={"volume_a": 1e-4, "wall_bulk_modulus": 3e8})
+    found = {row.quantity: row.value for row in check_rig(rig) if row.at in ("fully open", "x = +100.0 mm")}
+    area_a, area_b = math.pi / 4 * 0.04**2, math.pi / 4 * (0.04**2 - 0.028**2)
+    ratio, supply, tank = area_a / area_b, rig.supply.pressure, rig.supply.tank_pressure
+    gain = rig.valve.rated_flow / math.sqrt(rig.valve.rated_pressure_drop / 2)
+    out = gain / area_a * math.sqrt((ratio**3 * supply - ratio**2 * tank) / (1 + ratio**3))
+    back = gain / area_b * math.sqrt((supply - ratio * tank) / (1 + ratio**3))
+    assert found["no-load speed out"] == pytest.approx(1e3 * out, rel=2e-3)
+    assert found["no-load speed in"] == pytest.approx(1e3 * back, rel=2e-3)
+    volume_a, volume_b = (rig.cylinder.dead_volume + area * way for area, way in ((area_a, 0.3), (area_b, 0.1)))
+    soft_a = (volume_a + 1e-4) / rig.fluid.bulk_modulus + 1e-4 / 3e8
+    soft_b = (volume_b + rig.lines.volume_b) / rig.fluid.bulk_modulus + rig.lines.volume_b / 3e8
+    mass, spring = rig.load.mass + rig.cylinder.piston_mass, rig.load.spring_stiffness
+    frequency = math.sqrt((area_a**2 / soft_a + area_b**2 / soft_b + spring) / mass) / (2 * math.pi)
+    assert found["natural frequency, ports shut"] == pytest.approx(frequency, rel=2e-3)
+
+
 def test_leakage_damps_adds_margin_and_softens():
     def over_leaks(quantity, at):
         return [figure(quantity, at.format(leak)) for leak in ("0.01", "0.3", "1", "4")]

@@ -192,16 +192,19 @@ def rig_yaml(
         values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
     # The parameters stay in their groups; the narrowed ranges replace the old ones.
     values["randomisation"] = {
-        path: {key: ends if "times" in entry else _with_unit(path, ends, config.plant) for key, ends in entry.items()}
+        path: {
+            key: value if "times" in entry or key.endswith("probability") else _with_unit(path, value, config.plant)
+            for key, value in entry.items()
+        }
         for path, entry in narrowed(fit, config, ranges).items()
     }
     lines = [f"# {' '.join(note.split())}" for note in notes]
-    for key, group in values.items():
-        if not isinstance(group, Mapping):
-            lines.append(_line(key, group))
+    for key, content in values.items():
+        if not isinstance(content, Mapping):
+            lines.append(_line(key, content))
             continue
         lines.append(f"{key}:")
-        for field, value in group.items():
+        for field, value in content.items():
             mark = "  # found" if f"{key}.{field}" in found else ""
             if mark and field.endswith("_resistance"):
                 mark += f": {flow_from_resistance(found[f'{key}.{field}']):.3g} l/min at 100 bar"
