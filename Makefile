@@ -10,7 +10,9 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: study test slow-test mutants lint types check docs versions clean
+.PHONY: install study test slow-test mutants lint types check docs versions clean
+
+install: $(VENV)/.installed-agents
 
 study: $(VENV)/.installed-agents
 	$(BIN)/hydro study --output $(OUTPUT) --resume
@@ -59,7 +61,7 @@ $(VENV)/.torch: constraints.txt
 	@touch $@
 
 $(VENV)/.installed-agents: $(VENV)/.torch pyproject.toml
-	$(PIP_INSTALL) --constraint constraints.txt --editable '.[agents,render]'
+	$(PIP_INSTALL) --constraint constraints.txt --editable '.[agents,video,export]'
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.torch pyproject.toml

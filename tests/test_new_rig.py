@@ -132,6 +132,13 @@ def test_sensors_are_those_that_were_given(tmp_path):
     assert (sensors.spool_position.fitted, sensors.pressure_b.fitted) == (False, True)
 
 
+def test_the_accuracy_class_of_a_pressure_sensor_is_its_largest_constant_error(tmp_path):
+    text, _ = made(pressure_range="400 bar", pressure_accuracy="0.5 %")
+    (tmp_path / "rig.yaml").write_text(text)
+    sensors = task_config(rig=tmp_path / "rig.yaml").sensors
+    assert (sensors.pressure_a.bias, sensors.pressure_b.bias) == pytest.approx((2e5, 2e5))
+
+
 def test_every_question_has_an_answer_that_is_read(tmp_path):
     text, rig = new_rig(answers_from(EVERYTHING), EVERYTHING, "rig.yaml")
     (tmp_path / "rig.yaml").write_text(text)
@@ -172,6 +179,9 @@ WRONG = {
     "too strong a force": ({"external_force": "90 kN"}, "load.external_force = 90000 N"),
     "no pump": ({"accumulator": "4 l"}, "--accumulator: needs --pump-flow"),
     "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),
+    "a share without a unit": ({"overlap": "20"}, "--overlap '20': needs a unit, such as 10 %"),
+    "more than everything": ({"overlap": "120 %"}, "--overlap '120 %': must be below 100 %"),
+    "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "--pressure-accuracy: needs --pressure-range"),
     "an unknown sensor": ({"absent": "position"}, "--absent 'position': 'position': must be one of pressure_a"),
     "an unknown line": ({"line_kind": "wire"}, "--line-kind 'wire': 'wire': must be one of pipe, hose"),
 }
@@ -187,22 +197,51 @@ def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path
         new_rig(answers_from(texts), texts, "rig.yaml")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
-def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
+NEEDS_A_TERMINAL = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
+
+
+def typed_on_a_terminal(lines, file):
+    """Return code, standard output and standard error of the command that got these lines."""
     import pty
 
-    typed = {**LEAST, "absent": "spool_position"}
-    lines = ["63"] + [typed.get(question.key, "") for question in QUESTIONS]
     ours, theirs = pty.openpty()
-    file = tmp_path / "rig.yaml"
     process = subprocess.Popen(
-        [*COMMAND, "new-rig", "--output", file], stdin=theirs, stdout=subprocess.PIPE, env=environment(), cwd=ROOT
+        [*COMMAND, "new-rig", "--output", file],
+        stdin=theirs,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment(),
+        cwd=ROOT,
     )
     os.write(ours, ("\n".join(lines) + "\n").encode())
-    shown = process.communicate(timeout=300)[0].decode()
+    shown, errors = process.communicate(timeout=300)
     for end in (ours, theirs):
         os.close(end)
-    assert process.returncode == 0
+    return process.returncode, shown.decode(), errors.decode()
+
+
+@NEEDS_A_TERMINAL
+def test_answers_on_a_terminal_are_not_lost_when_they_contradict_each_other(tmp_path):
+    typed = LEAST | {"pump_flow": "60 l/min", "accumulator": "4 l", "precharge": "300 bar"}
+    code, _, errors = typed_on_a_terminal(
+        [typed.get(question.key, "") for question in QUESTIONS], tmp_path / "rig.yaml"
+    )
+    assert code == 2
+    assert not list(tmp_path.iterdir())
+    options = " ".join(f'--{question.name} "{typed[question.key]}"' for question in QUESTIONS if question.key in typed)
+    assert f"Your answers as options, to go on with: {options}" in errors
+    assert "precharge_pressure" in errors.splitlines()[-1]
+
+
+@NEEDS_A_TERMINAL
+def test_on_a_terminal_it_asks_again_until_it_can_read_the_answer(tmp_path):
+    typed = {**LEAST, "absent": "spool_position"}
+    file = tmp_path / "rig.yaml"
+    answers = [typed.get(question.key, "") for question in QUESTIONS]
+    # The second answer is wrong and then taken back: bore, rod, < (bore was asked before), rod.
+    code, shown, _ = typed_on_a_terminal(["63", answers[0], "50 mm", "<", *answers[1:]], file)
+    assert code == 0
+    assert read_rig(file).plant.cylinder.rod_diameter == 0.036
     assert "--bore '63': needs a unit, such as 63 mm" in shown
     assert shown.count("Diameter of the bore. (required, such as 63 mm)") == 2
     assert read_rig(file).plant.cylinder.bore_diameter == 0.063

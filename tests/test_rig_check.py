@@ -7,10 +7,12 @@ import pytest
 from command_line import ROOT, assert_one_clear_line, hydro, hydro_process
 
 from agents.rigs.brief import assumed, brief
-from agents.rigs.check import check_rig
+from agents.rigs.check import beyond_dead_band, check_rig
 from agents.rigs.check_table import check_csv, check_markdown
 from hydro_env import PlantParameters
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import STABLE_PRODUCT
+from hydro_env.plant.parts.valve import edge_openings
 from hydro_env.plant.probe import probe
 
 ROWS = check_rig(PlantParameters())
@@ -44,6 +46,25 @@ def figure(quantity, at=""):
 )
 def test_known_figures(quantity, at, value, tolerance):
     assert figure(quantity, at) == pytest.approx(value, rel=tolerance)
+
+
+def test_the_formulas_of_the_page_give_the_same_figures():
+    """docs/own_rig.md, The calculation by hand; the friction-free axis without leak, oil without air."""
+    rig = PlantParameters().replace(fluid={"air_fraction": 0.0}, lines={"volume_a": 1e-4, "wall_bulk_modulus": 3e8})
+    found = {row.quantity: row.value for row in check_rig(rig) if row.at in ("fully open", "x = +100.0 mm")}
+    area_a, area_b = math.pi / 4 * 0.04**2, math.pi / 4 * (0.04**2 - 0.028**2)
+    ratio, supply, tank = area_a / area_b, rig.supply.pressure, rig.supply.tank_pressure
+    gain = rig.valve.rated_flow / math.sqrt(rig.valve.rated_pressure_drop / 2)
+    out = gain / area_a * math.sqrt((ratio**3 * supply - ratio**2 * tank) / (1 + ratio**3))
+    back = gain / area_b * math.sqrt((supply - ratio * tank) / (1 + ratio**3))
+    assert found["no-load speed out"] == pytest.approx(1e3 * out, rel=2e-3)
+    assert found["no-load speed in"] == pytest.approx(1e3 * back, rel=2e-3)
+    volume_a, volume_b = (rig.cylinder.dead_volume + area * way for area, way in ((area_a, 0.3), (area_b, 0.1)))
+    soft_a = (volume_a + 1e-4) / rig.fluid.bulk_modulus + 1e-4 / 3e8
+    soft_b = (volume_b + rig.lines.volume_b) / rig.fluid.bulk_modulus + rig.lines.volume_b / 3e8
+    mass, spring = rig.load.mass + rig.cylinder.piston_mass, rig.load.spring_stiffness
+    frequency = math.sqrt((area_a**2 / soft_a + area_b**2 / soft_b + spring) / mass) / (2 * math.pi)
+    assert found["natural frequency, ports shut"] == pytest.approx(frequency, rel=2e-3)
 
 
 def test_leakage_damps_adds_margin_and_softens():
@@ -186,3 +207,37 @@ def test_the_console_fits_80_columns(tmp_path):
     assert max(map(len, lines[1:])) <= 80
     assert any(line.startswith("verdict") for line in lines[:12])
     assert "Not in the file, taken from the paper's rig (SI units):" in lines
+
+
+def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
+    rig = PlantParameters().replace(
+        valve={"model": "spool", "overlap": 0.2, "underlap": 0.002}, supply={"model": "constant"}
+    )
+    straight = beyond_dead_band(rig)
+    assert beyond_dead_band(straight) == straight
+    # The edges open as before, from where the overlap ends: the same flow at the same way beyond it.
+    dead, alive = plant_coefficients(rig), plant_coefficients(straight)
+    for way in (0.0, 0.01, 0.3, 0.8):
+        opened, _ = edge_openings(0.2 + way, dead)
+        same, _ = edge_openings(way, alive)
+        assert alive.edge_gain * same == pytest.approx(dead.edge_gain * opened, rel=1e-12)
+    rows = check_rig(rig)
+    [dead_band] = [row.value for row in rows if row.quantity == "dead band"]
+    assert dead_band == pytest.approx(2.0)
+    # The flow gain there is 1 / 0.8 of that without an overlap, so that the stable gain is 0.8 times as large.
+    limits = [
+        next(row.value for row in found if row.quantity == "largest stable gain" and "0.3 l/min" in row.at)
+        for found in (rows, check_rig(rig.replace(valve={"overlap": 0.0, "underlap": 0.0016})))
+    ]
+    assert limits[0] / limits[1] == pytest.approx(0.8, rel=0.02)
+    assert "the valve is dead within ±2 V" in dict(brief(rows, rig))["verdict"]
+
+
+def test_values_that_the_chosen_models_do_not_use_are_not_told():
+    rig = PlantParameters().replace(valve={"model": "spool"}, supply={"model": "pump"}, friction={"model": "lugre"})
+    told = {entry.split(" = ")[0] for _, entries in assumed({}, rig) for entry in entries}
+    assert {"bristle_stiffness", "bristle_damping", "line_volume"} <= told
+    assert "coil_inductance" not in told
+    told = {entry.split(" = ")[0] for _, entries in assumed({}, PlantParameters()) for entry in entries}
+    assert "coil_inductance" in told
+    assert not {"bristle_stiffness", "bristle_damping", "line_volume"} & told

@@ -23,9 +23,11 @@ from agents.code_generation.exported import MODEL_FILE, TASK_FILE, onnx_session
 from agents.code_generation.plant_code import render
 from agents.code_generation.vectors import Vectors, make_vectors
 from agents.controllers.base import Controller
+from agents.controllers.gains_file import gain_rows
 from agents.controllers.registry import CONTROLLERS
 from agents.learning.validation import validation_cases, validation_errors
 from hydro_env import HydroError, TaskConfig, __version__
+from hydro_env.files import Group
 from hydro_env.units import FULL_VOLTAGE
 
 LARGEST_DIFFERENCE = 1e-5
@@ -72,6 +74,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "sample_time": config.control_period,
         "signals": graph.signals.signals,
         "state_size": sum(part.size for part in graph.memory),
+        "gains": gain_rows(gains) if isinstance(gains := getattr(controller, "gains", None), Group) else [],
     }
     test_program = render("test_controller.c.j2", values)
     found = check_onnx(model, vectors)

@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -81,7 +82,6 @@ def common(
     del version
 
 
-@app.command()
 def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
     """Compute the paper's figures again, and further figures that the paper does not show: one or a few minutes.
 
@@ -94,7 +94,6 @@ def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overw
     say(reproduce_to_folder(output, overwrite, command_line(), rig))
 
 
-@app.command()
 def benchmark(
     output: Output = Path("results/benchmark"),
     only: Annotated[
@@ -120,22 +119,36 @@ def benchmark(
     say(*benchmark_to_folder(output, only or [], quick, resume, overwrite, command_line()))
 
 
-app.command("simulate")(simulate)
-app.command("record")(record)
-app.command("render")(render)
-app.command("diagnose")(diagnose)
-app.command("new-rig")(new_rig)
-app.command("identify")(identify)
-app.command("check-rig")(check_rig)
-app.command("train")(train)
-app.command("evaluate")(evaluate)
-app.command("bound")(bound)
-app.command("alarms")(alarms)
-app.command("leak-bound")(leak_bound)
-app.command("test-move")(design_test_move)
-app.command("study")(study)
-app.command("ladder")(ladder)
-app.command("export")(export)
+GROUPS: dict[str, dict[str, Callable[..., None]]] = {
+    "A rig": {
+        "new-rig": new_rig,
+        "check-rig": check_rig,
+        "identify": identify,
+        "simulate": simulate,
+        "record": record,
+    },
+    "Controllers": {
+        "study": study,
+        "train": train,
+        "evaluate": evaluate,
+        "render": render,
+        "export": export,
+        "bound": bound,
+        "ladder": ladder,
+    },
+    "The leak": {
+        "diagnose": diagnose,
+        "alarms": alarms,
+        "test-move": design_test_move,
+        "leak-bound": leak_bound,
+    },
+    "The paper, and this machine": {"reproduce": reproduce, "benchmark": benchmark},
+}
+"""All commands by name, under the headings of the help."""
+
+for heading, commands in GROUPS.items():
+    for name, command in commands.items():
+        app.command(name, rich_help_panel=heading)(command)
 
 
 class _Stopped(KeyboardInterrupt):

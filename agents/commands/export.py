@@ -26,8 +26,8 @@ def export(
         str,
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector. playground: a page to "
-            "try out. Or a controller: pid, flow_linearising, adrc, lqg, ppo, the path of weights, or "
-            "module:attribute.",
+            "try out. Or a controller: results/study/controllers/NAME of a study on your rig; as shipped, for the "
+            "paper's rig: pid, flow_linearising, adrc, lqg, ppo; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],
@@ -110,9 +110,10 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
     from agents.code_generation.controller_folder import FILES, exported_files
     from agents.code_generation.exported import ExportedController
     from agents.code_generation.onnx_writer import onnx_package
+    from agents.controllers.registry import CONTROLLERS
     from agents.evaluation.opponents import trained_for
     from agents.running.folders import output_folder
-    from hydro_env import ConfigurationError
+    from hydro_env import ConfigurationError, PlantParameters
     from hydro_env.files import write_whole
 
     onnx_package()  # report a missing package at the start
@@ -122,6 +123,12 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    if what in CONTROLLERS and config.plant != PlantParameters():
+        print(
+            f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "
+            "tunes them; then export results/study/controllers/NAME",
+            file=sys.stderr,
+        )
     with output_folder(output, JOB, FILES, overwrite=overwrite):
         files, report = exported_files(controller, config, command_line())
         for name, content in files.items():
@@ -132,7 +139,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
 def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from agents.controllers.registry import CONTROLLERS
-    from agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent, shipped
+    from agents.evaluation.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
     from agents.learning.policy import PolicyController
     from agents.running.weights import weight_files
     from hydro_env import ConfigurationError
@@ -140,17 +147,35 @@ def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple
     from hydro_env.task.configuration import task_config
 
     known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
-    if what not in known and ":" not in what and not (Path(what).is_dir() or weight_files(what)[1].is_file()):
+    path = Path(found_in(what))
+    if what not in known and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
         raise ConfigurationError(
-            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights, or module:attribute"
+            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights or gains, or module:attribute"
         )
     config = task_config(task, rig=rig)
     if task is None and rig is None:
         controller: Controller | None = None
         if what in SHIPPED_WEIGHTS:
             controller = shipped(what, config)
-        elif ":" not in what and weight_files(what)[0].is_file():
-            controller = PolicyController.load(what)
+        elif ":" not in what and weight_files(path)[0].is_file():
+            controller = PolicyController.load(path)
         if isinstance(controller, PolicyController):
             return controller, controller.features.config
+        if path.suffix == ".yaml":
+            config = _task_of_gains(path)
     return opponent(what, config, what), config
+
+
+def _task_of_gains(gains: Path) -> TaskConfig:
+    """The task of the study in whose folder a file of gains lies.
+
+    Raises:
+        ConfigurationError: it lies in no folder of a study.
+    """
+    from agents.study.run import TUNED_FILE
+    from agents.study.settings import StudySettings
+
+    study = gains.absolute().parent.parent.parent / TUNED_FILE  # controllers/NAME/gains.yaml
+    if not study.is_file():
+        raise ConfigurationError(f"{gains}: gains belong to a rig, and the file does not tell which; give --rig FILE")
+    return StudySettings.from_yaml(study).task

@@ -14,6 +14,9 @@ from agents.commands.options import say
 from agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 
+BACK = "<"
+"""Typed as an answer: asks the question before once more."""
+
 
 def _with_an_option_per_question(command: Callable[..., None]) -> Callable[..., None]:
     """The command with one option per question; typer reads them from its signature."""
@@ -65,8 +68,17 @@ def new_rig(
     given = {key: text for key, text in texts.items() if text is not None}
     required = {question.key for question in QUESTIONS if question.required}
     if not required <= given.keys() and sys.stdin.isatty():
-        given |= _asked([question for question in QUESTIONS if question.key not in given])
-    text, rig = written_rig(answers_from(given), given, str(output))
+        try:
+            _ask([question for question in QUESTIONS if question.key not in given], given)
+            text, rig = written_rig(answers_from(given), given, str(output))
+        except (ConfigurationError, EOFError, KeyboardInterrupt) as error:
+            options = " ".join(f'--{key.replace("_", "-")} "{answer}"' for key, answer in given.items())
+            print(f"\nNothing was written. Your answers as options, to go on with: {options}", file=sys.stderr)
+            if isinstance(error, EOFError):
+                raise ConfigurationError("new-rig: the input has ended") from None
+            raise
+    else:
+        text, rig = written_rig(answers_from(given), given, str(output))
     write_text(output, text)
     say(
         f"{output}: {len(given)} values given, ranges for {len(rig.randomisation)} uncertain ones",
@@ -74,29 +86,33 @@ def new_rig(
     )
 
 
-def _asked(questions: list[Question]) -> dict[str, str]:
-    """The answers that the user types; a skipped question has none."""
-    print("Give figures with their unit; Enter skips what you do not know.")
-    texts, group = {}, ""
-    for question in questions:
+def _ask(questions: list[Question], texts: dict[str, str]) -> None:
+    """Add the answers that the user types to ``texts``; a skipped question has none."""
+    print(f"Give figures with their unit; Enter skips what you do not know, {BACK} goes back to the question before.")
+    group, number = "", 0
+    while number < len(questions):
+        question = questions[number]
         if question.group != group:
             group = question.group
             print(f"\n{group.capitalize()}")
         text = _answer(question)
+        texts.pop(question.key, None)
+        if text == BACK:
+            number = max(number - 1, 0)
+            continue
         if text:
             texts[question.key] = text
-    return texts
+        number += 1
 
 
 def _answer(question: Question) -> str:
     """One answer; an unreadable one is asked for again."""
     hint = f"{'required, ' if question.required else ''}such as {question.example}"
     while True:
+        text = input(f"  {question.what} ({hint}) ").strip()
         try:
-            text = input(f"  {question.what} ({hint}) ").strip()
-        except EOFError:
-            raise ConfigurationError("new-rig: the input has ended; nothing was written") from None
-        try:
+            if text == BACK:
+                return text
             if text:
                 parsed(question, text)
         except ConfigurationError as error:

@@ -26,7 +26,8 @@ def record(
     ] = None,
     rig: Rig = None,
     controller: Annotated[
-        str, typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights.")
+        str,
+        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
     ] = "pid",
     leakage: Annotated[
         float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn from the task's ranges.")
@@ -43,7 +44,10 @@ def record(
         float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
     ] = None,
     family: Annotated[
-        str | None, typer.Option(help="Family of references, such as point_to_point; default: drawn.")
+        str | None,
+        typer.Option(
+            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop; default: drawn."
+        ),
     ] = None,
     seed: Annotated[
         int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
@@ -62,7 +66,10 @@ def record(
     from agents.recordings.simulated import named_faults, record_axis
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
+    from hydro_env.task.reference_signals import FAMILIES
 
+    if family is not None and family not in FAMILIES:
+        raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
     if (output is None) == (minari is None):
         raise ConfigurationError("record: needs either --output FILE or --minari NAME")
     faults = named_faults(fault or [])

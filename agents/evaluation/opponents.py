@@ -7,6 +7,7 @@ from pathlib import Path
 
 from agents.code_generation.exported import ExportedController
 from agents.controllers.base import Controller, ObservationLayout
+from agents.controllers.gains_file import GAINS_FILE, controller_from_gains
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
 from agents.learning.trainers import TRAINERS, Trainer
@@ -61,8 +62,8 @@ def opponent(
 
     Args:
         what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
-            :func:`~agents.controllers.registry.make_controller`), the path of weights, or a folder of
-            ``hydro export``.
+            :func:`~agents.controllers.registry.make_controller`), the path of weights, a YAML file of tuned gains,
+            a folder ``controllers/NAME`` of a study, or a folder of ``hydro export``.
         config: the task.
         name: for messages.
         trainer: trainer that loads weights; default PPO.
@@ -72,7 +73,7 @@ def opponent(
     """
     try:
         controller: Controller
-        what = str(what) if isinstance(what, Path) else what
+        what = found_in(what) if isinstance(what, str | Path) else what
         if not isinstance(what, str):
             controller = what
         elif what in (*CONTROLLERS, *SHIPPED_WEIGHTS):
@@ -82,6 +83,8 @@ def opponent(
                 f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
                 "and give module:attribute"
             )
+        elif what.endswith(".yaml"):
+            controller = controller_from_gains(what, config)
         elif Path(what).is_dir():
             controller = ExportedController.load(what)
         elif _ATTRIBUTE.fullmatch(what):
@@ -98,6 +101,14 @@ def opponent(
     except ConfigurationError as error:
         raise type(error)(f"{name}: {error}") from error
     return controller
+
+
+def found_in(what: str | Path) -> str:
+    """The weights or gains in a controller's folder of a study; any other text as it is."""
+    for name in ("policy.json", GAINS_FILE):  # beside weights the gains are those of the controller that they correct
+        if (Path(what) / name).is_file():
+            return str(Path(what) / name).removesuffix(".json")
+    return str(what)
 
 
 def trained_for(controller: Controller) -> PlantParameters | None:

@@ -10,9 +10,10 @@ import yaml
 
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
 from agents.identification.fit import Fit
+from agents.identification.shown import reading_unit
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.units import orifice_gain_from_flow, resistance_from_flow
+from hydro_env.units import flow_from_resistance, orifice_gain_from_flow, resistance_from_flow
 
 DIGITS = 6
 """Significant digits of the numbers in the file."""
@@ -185,10 +186,44 @@ def rig_yaml(
         notes: lines of the comment at the top.
     """
     values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
-    for path, value in found_values(fit, config).items():
+    found = found_values(fit, config)
+    for path, value in found.items():
         group, field = path.split(".")
-        values.setdefault(group, {})[field] = value if math.isinf(value) else float(f"{value:.{DIGITS}g}")
+        values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
     # The parameters stay in their groups; the narrowed ranges replace the old ones.
-    values["randomisation"] = narrowed(fit, config, ranges)
-    head = "".join(f"# {' '.join(note.split())}\n" for note in notes)
-    return head + str(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, default_flow_style=None))
+    values["randomisation"] = {
+        path: {
+            key: value if "times" in entry or key.endswith("probability") else _with_unit(path, value, config.plant)
+            for key, value in entry.items()
+        }
+        for path, entry in narrowed(fit, config, ranges).items()
+    }
+    lines = [f"# {' '.join(note.split())}" for note in notes]
+    for key, content in values.items():
+        if not isinstance(content, Mapping):
+            lines.append(_line(key, content))
+            continue
+        lines.append(f"{key}:")
+        for field, value in content.items():
+            mark = "  # found" if f"{key}.{field}" in found else ""
+            if mark and field.endswith("_resistance"):
+                mark += f": {flow_from_resistance(found[f'{key}.{field}']):.3g} l/min at 100 bar"
+            lines.append(f"  {_line(field, value)}{mark}")
+    return "\n".join(lines) + "\n"
+
+
+def _with_unit(path: str, value: Any, plant: PlantParameters) -> Any:
+    """A number in SI, or a list of two, as text in the unit of data sheets; words and infinity as they are."""
+    if isinstance(value, list):
+        return [_with_unit(path, end, plant) for end in value]
+    if not isinstance(value, float) or math.isinf(value):
+        return value
+    size, unit = reading_unit(path, plant)
+    number = float(f"{value / size:.{DIGITS}g}")
+    return number if not unit or unit[0].isdigit() else f"{number:.{DIGITS}g} {unit}"
+
+
+def _line(key: str, value: Any) -> str:
+    """One entry of a YAML mapping in one line."""
+    text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, default_flow_style=True, width=math.inf)
+    return str(text).strip()[1:-1]

@@ -9,9 +9,13 @@ import numpy as np
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from agents.report.text import decimals_for, number
 from hydro_env import PlantParameters
+from hydro_env.units import UNITS
 
-UNITS = {"Pa": (1e-5, "bar"), "m³/s": (6e4, "l/min"), "m": (1e3, "mm"), "m³": (1e6, "cm³"), "m²": (1e6, "mm²")}
-"""Factor from SI and displayed unit of a quantity, by its SI unit."""
+READ_IN = {"Pa": "bar", "m³/s": "l/min", "m": "mm", "m³": "cm³", "rad/s": "Hz", "m/s": "mm/s"}
+"""Unit in which a person reads a quantity, by its SI unit."""
+
+SHARES = ("overlap", "underlap", "null_shift", "air_fraction")
+"""Fields without a unit that data sheets give in per cent."""
 
 _BIAS_UNITS = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
 
@@ -38,6 +42,15 @@ class Shown(NamedTuple):
         return number(self.factor * value, decimals, 4)
 
 
+def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
+    """SI per unit, and the unit, in which a person reads a number of the rig: that of data sheets."""
+    group, field = path.split(".")
+    schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
+    si = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
+    unit = "%" if field in SHARES else "GPa" if field.endswith("bulk_modulus") else READ_IN.get(si, si)
+    return UNITS.get(si, {}).get(unit, 1.0), unit
+
+
 def shown(name: str, plant: PlantParameters) -> Shown:
     """Display of an unknown of :mod:`agents.estimation.names`."""
     if name == LEAKAGE:
@@ -49,10 +62,8 @@ def shown(name: str, plant: PlantParameters) -> Shown:
         factor, unit = _BIAS_UNITS.get(channel, (1e-5, "bar"))
         return Shown(f"offset of the sensor: {channel.replace('_', ' ')}", factor, unit)
     group, field = name.split(".")
-    schema = type(getattr(plant, group)).model_fields[field].json_schema_extra
-    unit = str(schema.get("unit", "")) if isinstance(schema, dict) else ""
-    factor, unit = UNITS.get(unit, (1.0, unit))
-    return Shown(f"{group}: {field.replace('_', ' ')}", factor, unit)
+    size, unit = reading_unit(name, plant)
+    return Shown(f"{group}: {field.replace('_', ' ')}", 1.0 / size, unit)
 
 
 def share_in_words(share: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from agents.rigs.check import LEAKS, MILLIMETRE, Row, leak_text
+from agents.rigs.check import LEAKS, MILLIMETRE, Row, beyond_dead_band, leak_text
 from hydro_env import PlantParameters
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.parameters import PARAMETER_PATHS
@@ -62,12 +62,12 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
 
 
 def _gains(healthy: Row, leaking: Row, leak: str, parameters: PlantParameters) -> str:
-    """The gain in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed."""
+    """The gain in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band."""
 
     def both(row: Row) -> str:
         if isinstance(row.value, str):
             return row.value
-        full_speed = sum(speed_limits(parameters)) / 2.0
+        full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
         return f"{row.value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {row.value * full_speed:.3g} 1/s)"
 
     return f"{both(healthy)} with a healthy seal, {both(leaking)} with {leak}; use half of it"
@@ -75,6 +75,11 @@ def _gains(healthy: Row, leaking: Row, leak: str, parameters: PlantParameters) -
 
 def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
     watch = []
+    if dead := rows.get("dead band"):
+        watch.append(
+            f"the valve is dead within ±{dead[0].text(3)} V: its amplifier or the controller must jump over that "
+            "(the gains above suppose it)"
+        )
     for direction in ("out", "in"):
         lasting = rows.get(f"lasting speed {direction}")
         full = rows[f"no-load speed {direction}"][0].value
@@ -95,8 +100,17 @@ def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
     return f"it works{'; ' if watch else ''}{'; '.join(watch)}"
 
 
+USED_WITH = {
+    "valve.coil_inductance": ("valve.model", "drive"),
+    "friction.bristle_stiffness": ("friction.model", "lugre"),
+    "friction.bristle_damping": ("friction.model", "lugre"),
+    "supply.line_volume": ("supply.model", "pump"),
+}
+"""Fields that act with one choice of another field alone."""
+
+
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
-    """Fields that are missing in a rig's file, with their default values, by group.
+    """Fields that are missing in a rig's file and have an effect, with their default values, by group.
 
     Args:
         values: content of the file.
@@ -104,6 +118,11 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tupl
     """
     missing = [path.split(".") for path in PARAMETER_PATHS]
     missing = [[group, field] for group, field in missing if field not in (values.get(group) or {})]
+    own = parameters.model_dump()
+    for path, (choice, needed) in USED_WITH.items():
+        group, field = choice.split(".")
+        if own[group][field] != needed:
+            missing = [parts for parts in missing if ".".join(parts) != path]
     result = []
     for group, fields in groupby(missing, key=lambda path: path[0]):
         entries = [f"{field} = {_shown(getattr(getattr(parameters, group), field))}" for _, field in fields]

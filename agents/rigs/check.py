@@ -26,7 +26,7 @@ from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
 from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
-from hydro_env.units import LITRE_PER_MINUTE
+from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAKS = (0.01, 0.3, 1.0, 4.0)
 """l/min at 100 bar: a healthy seal, and three leaking ones."""
@@ -111,6 +111,7 @@ def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
     c = plant_coefficients(parameters)
     supply, valve = parameters.supply, parameters.valve
     edge = c.edge_gain / LITRE_PER_MINUTE * math.sqrt(BAR)
+    spool_per_volt = c.drive_rate / c.coil_rate * c.spool_gain
     free = speed_limits(parameters)
     limits = force_limits(parameters)
     flow = c.edge_gain * math.sqrt(0.5 * (supply.pressure - supply.tank_pressure))
@@ -123,7 +124,8 @@ def _flows_and_speeds(parameters: PlantParameters) -> list[Row]:
     rows = [
         Row("valve", "gain K of one edge", "fully open", edge, "l/(min √bar)"),
         Row("valve", "rated flow", rated, valve.rated_flow / LITRE_PER_MINUTE, "l/min"),
-        Row("valve", "spool at 10 V", "full = 1", min(10.0 * c.drive_rate / c.coil_rate * c.spool_gain, 1.0), "1"),
+        Row("valve", "spool at 10 V", "full = 1", min(FULL_VOLTAGE * spool_per_volt, 1.0), "1"),
+        *([Row("valve", "dead band", "to each side", valve.overlap / spool_per_volt, "V")] if valve.overlap else []),
         Row("valve", "no-load flow", f"{drop:g} bar over both edges", flow / LITRE_PER_MINUTE, "l/min"),
     ]
     for direction, speed, slow, area in (
@@ -188,7 +190,7 @@ def _loop(parameters: PlantParameters, place: float) -> list[Row]:
     thumb, stable = "gain 2 ζ ω / speed (no sampling)", f"largest stable gain {timing}"
     rows, sampled = [], []
     for leak in LEAKS:
-        plant, at = _leaking(parameters, leak), f"{_position(place)}, {leak_text(leak)}"
+        plant, at = beyond_dead_band(_leaking(parameters, leak)), f"{_position(place)}, {leak_text(leak)}"
         rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
         sampled.append(Row("position loop", stable, at, _figure(_largest_gain, plant, place), "1/m"))
         worst = _worst_gain(plant, places)
@@ -229,6 +231,21 @@ def _integration(parameters: PlantParameters, place: float) -> list[Row]:
 
 def _words(name: str) -> str:
     return name.replace("_", " ")
+
+
+def beyond_dead_band(parameters: PlantParameters) -> PlantParameters:
+    """The rig with a controller that jumps over the dead band of its valve; without an overlap the rig itself.
+
+    Within the dead band the valve passes next to nothing, so that almost any gain seems stable there. Each edge opens
+    as before, from where its overlap ends: y = (o + √(o² + x_0²)) / 2 with o = x_s / (1 − x_d).
+    """
+    valve = parameters.valve
+    if valve.overlap == 0.0:
+        return parameters
+    rest = 1.0 - valve.overlap
+    return parameters.replace(
+        valve={"overlap": 0.0, "rated_flow": valve.rated_flow / rest, "underlap": valve.underlap * rest}
+    )
 
 
 def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:

@@ -75,6 +75,8 @@ def new_rig(answers: Answers, texts: Mapping[str, str], source: str) -> tuple[st
         raise ConfigurationError("--accumulator: needs --pump-flow; without a pump the supply counts as constant")
     if ("line_length" in answers) != ("line_diameter" in answers):
         raise ConfigurationError("--line-length and --line-diameter: give both, or none")
+    if "pressure_accuracy" in answers and "pressure_range" not in answers:
+        raise ConfigurationError("--pressure-accuracy: needs --pressure-range, of which it is a share")
     values = _Values(answers, texts)
     area = 0.25 * math.pi * values.number("bore") ** 2
     entries = [
@@ -312,6 +314,10 @@ def _sensors(values: _Values) -> dict[str, dict[str, str]]:
         for channel, key in (("position", "position"), ("pressure_a", "pressure"), ("pressure_b", "pressure")):
             if f"{key}_{what}" in texts:
                 sensors[channel][field] = texts[f"{key}_{what}"].strip()
+    if "pressure_accuracy" in values.answers:
+        largest = values.number("pressure_accuracy") * values.number("pressure_range")
+        for channel in ("pressure_a", "pressure_b"):
+            sensors[channel]["bias"] = in_unit(largest, "bar", "Pa")
     for channel in str(values.answers.get("absent", "")).split(","):
         if channel:
             sensors[channel] = {"fitted": "false"}

@@ -43,12 +43,12 @@ QUESTIONS = (
     Question("dead-volume", "cylinder", "m³", "100 cm3", "Oil beyond the stroke, each side: ports, end position."),
     Question("piston-mass", "cylinder", "kg", "8 kg", "Mass of piston and rod."),
     Question("rated-flow", "valve", "m³/s", "40 l/min", "Rated flow of the valve.", required=True),
-    Question("rated-drop", "valve", "Pa", "70 bar", "Pressure drop at the rated flow, over both edges together."),
+    Question("rated-drop", "valve", "Pa", "70 bar", "Pressure drop at the rated flow, over both edges: 2 x 35 bar."),
     Question("bandwidth", "valve", "rad/s", "60 Hz", "Frequency at which the spool lags by 90 degrees, small signals."),
     Question("step-time", "valve", "s", "12 ms", "Time of a step of the spool from 0 to 100 %."),
     Question("full-signal", "valve", SIGNAL, "10 V", "Input for full opening: a voltage, or a current of the coil."),
     Question("null-flow", "valve", "m³/s", "0.5 l/min", "Leakage flow of the valve at null, at the supply pressure."),
-    Question("overlap", "valve", "1", "10 %", "Dead band to each side of the null, of full stroke."),
+    Question("overlap", "valve", "1", "10 %", "Dead band to each side of null, of full stroke; 0 % if compensated."),
     Question("spool-ratio", "valve", "1", "0.5", "Edges of chamber b over those of chamber a; 0.5 for a 2:1 spool."),
     Question("supply-pressure", "supply", "Pa", "160 bar", "Supply pressure at the valve.", required=True),
     Question("tank-pressure", "supply", "Pa", "2 bar", "Pressure in the return line at the valve."),
@@ -65,6 +65,7 @@ QUESTIONS = (
     Question("position-resolution", "sensors", "m", "5 um", "Smallest step of the position reading."),
     Question("pressure-range", "sensors", "Pa", "250 bar", "Upper end of the range of the pressure sensors."),
     Question("pressure-noise", "sensors", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),
+    Question("pressure-accuracy", "sensors", "1", "0.5 %", "Accuracy class of the pressure sensors, of their range."),
     Question("pressure-resolution", "sensors", "Pa", "0.01 bar", "Smallest step of the pressure readings."),
     Question("absent", "sensors", "", "spool_position", f"Sensors that the rig lacks: {', '.join(CHANNELS[1:])}."),
 )
@@ -90,8 +91,11 @@ def parsed(question: Question, text: str) -> float | str:
         number = float(value)
     except ValueError:
         raise ConfigurationError(f"{place}: must be a number with its unit, such as {question.example}") from None
-    if isinstance(value, str) and number != 0.0 and question.unit != "1":
+    share = question.example.endswith("%")
+    if isinstance(value, str) and number != 0.0 and (question.unit != "1" or share):
         raise ConfigurationError(f"{place}: needs a unit, such as {question.example}")
+    if share and number >= 1.0:
+        raise ConfigurationError(f"{place}: must be below 100 %")
     if question.key != "external_force" and not number >= 0.0:
         raise ConfigurationError(f"{place}: must not be negative")
     if number == 0.0 and (question.required or question.key in DIVISORS):

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from agents.controllers.base import ClassicalController, Controller
+from agents.controllers.gains_file import GAINS_FILE
 from agents.controllers.registry import make_controller
 from agents.evaluation.opponents import opponent
 from agents.evaluation.protocol import Evaluation
@@ -27,7 +28,6 @@ from agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, prin
 from agents.study.settings import StudySettings
 from agents.study.training import (
     CHECKPOINTS,
-    GAINS,
     HEAD_CHECKPOINTS,
     HEAD_FILES,
     HEAD_WEIGHTS,
@@ -150,7 +150,7 @@ def _tuned(
     own = folder / "controllers" / name
     if f"tune {name}" in phases.done:
         display.say(f"{name}: already tuned")
-        return make_controller(study.controllers[name].kind, study.task, read_yaml(own / GAINS))
+        return make_controller(study.controllers[name].kind, study.task, read_yaml(own / GAINS_FILE))
     return phases.run(f"tune {name}", lambda: tune_controller(study, name, own, seed, display))
 
 

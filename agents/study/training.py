@@ -9,6 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from agents.controllers.base import Controller
+from agents.controllers.gains_file import GAINS_FILE, gains_text
 from agents.controllers.registry import CONTROLLERS, make_controller
 from agents.leakage.head import LeakageHead
 from agents.leakage.training import HeadTrainingSettings, train_head
@@ -17,7 +18,7 @@ from agents.learning.tuning import Tuned, tune
 from agents.running.console import ProgressDisplay
 from agents.study.settings import StudySettings, TuningSettings
 from hydro_env import TaskConfig
-from hydro_env.files import Group, validate, write_yaml
+from hydro_env.files import Group, validate, write_text
 
 WEIGHTS = "policy"
 HEAD_WEIGHTS = "leakage_head"
@@ -26,9 +27,8 @@ HEAD_CHECKPOINTS = "head_checkpoint*"
 TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
 """Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
 
-GAINS = "gains.yaml"
 TUNING_LOG = "tuning.csv"
-TUNING_FILES = (GAINS, TUNING_LOG)
+TUNING_FILES = (GAINS_FILE, TUNING_LOG)
 """Files that the tuning of a controller writes."""
 
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
@@ -100,7 +100,7 @@ def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, di
     assert entry.tune is not None
     start = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
     tuned = tune_gains(
-        entry.kind, study.task, entry.tune, start, folder / GAINS, log, seed, log.exists(), display, f"tune {name}"
+        entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, log, seed, log.exists(), display, f"tune {name}"
     )
     return make_controller(entry.kind, study.task, tuned.gains.model_dump())
 
@@ -137,7 +137,7 @@ def tune_gains(
     """
 
     def write(best: Tuned) -> None:
-        write_yaml(file, best.gains.model_dump(mode="json"))
+        write_text(file, gains_text(best.gains))
 
     def report(best: Tuned) -> None:
         note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"

@@ -1,6 +1,7 @@
 """From the recording of a hidden rig to the rig that was found, and recordings that contradict the rig."""
 
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -92,6 +93,15 @@ def test_the_new_rig_file_is_narrower_and_a_rig(folder, done):
 
 def test_nothing_of_the_page_is_cut_off_in_a_browser(browser, done):
     assert problems_everywhere(browser, done[0] / "identification.html") == []
+
+
+def test_the_new_rig_file_is_written_for_a_person(done):
+    text = (done[0] / "rig.yaml").read_text(encoding="utf-8")
+    assert re.search(r"^  rated_flow: [\d.]+ l/min  # found$", text, re.MULTILINE)
+    assert re.search(r"^  mass: [\d.]+ kg  # found$", text, re.MULTILINE)
+    assert re.search(r"^  internal_resistance: .* Pa s/m³  # found: 0\.[45]\d* l/min at 100 bar$", text, re.MULTILINE)
+    assert re.search(r"^  valve.rated_flow: {uniform: \[[\d.]+ l/min, [\d.]+ l/min\]}$", text, re.MULTILINE)
+    assert max(map(len, text.splitlines())) < 300
 
 
 def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):

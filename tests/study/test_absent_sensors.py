@@ -88,7 +88,7 @@ def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
 
 
 def test_the_head_names_the_sensors_that_it_misses():
-    with pytest.raises(ConfigurationError, match="leakage_head: reads spool_position, and this rig has no such sensor"):
+    with pytest.raises(ConfigurationError, match="leakage_head: reads spool_position, but this rig has no such sensor"):
         HeadTrainingSettings().check(TaskConfig(sensors=SPOOL))
 
 
