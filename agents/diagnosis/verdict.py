@@ -41,6 +41,13 @@ HALF_WIDTH = 1.645
 """Half width of a 90 % interval, in standard deviations."""
 
 
+NO_COMMANDS = "commands are missing in the window"
+"""Why a window is not read."""
+
+
+SHORTER = "shorter ones (--window 0.5) may fit between the gaps, and read the leak less exactly"
+
+
 class Kind(StrEnum):
     """The four verdicts."""
 
@@ -123,7 +130,7 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         if besides:
             return Verdict(Kind.OTHER, besides, None, "estimator")
         share = number(100.0 * _share(estimator.misfits), 0)
-        why = f"the model does not describe this rig: it explains too little in {share} % of the windows"
+        why = f"the model does not describe this rig: it explains too little in {share} % of the windows; check --rig"
         return Verdict(Kind.UNKNOWN, why, None, "estimator")
     if reading is None:
         return Verdict(*(Kind.OTHER, besides) if besides else (Kind.UNKNOWN, _why_nothing(estimator, head)), None, "")
@@ -180,5 +187,6 @@ def _why_nothing(*readings: Reading | None) -> str:
     """The most frequent reason of the first detector that ran."""
     for reading in readings:
         if reading is not None and any(reading.why):
-            return Counter(why for why in reading.why if why).most_common(1)[0][0]
+            why = Counter(why for why in reading.why if why).most_common(1)[0][0]
+            return f"commands are missing in every window; {SHORTER}" if why == NO_COMMANDS else why
     return "the recording is shorter than one window"

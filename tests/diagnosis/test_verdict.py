@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.diagnosis.verdict import Kind, Limits, Reading, combined, judge
+from agents.diagnosis.verdict import NO_COMMANDS, Kind, Limits, Reading, combined, judge
 from agents.recordings.findings import Finding, Weight
 
 LIMITS = Limits(0.03, 0.1)
@@ -62,6 +62,13 @@ CASES = {
         None,
         Kind.UNKNOWN,
         "cannot tell: more motion is needed",
+    ),
+    "gaps": (
+        [],
+        reading(0.2, holds=False, why=NO_COMMANDS),
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: commands are missing in every window; shorter ones (--window 0.5)",
     ),
     "interval holds both": ([], reading(0.05, 0.05, width=0.06), None, Kind.UNKNOWN, "may be healthy or faulty"),
     "small but sure": ([], reading(0.05, 0.05), None, Kind.LEAK, "internal leak of 0.050"),
