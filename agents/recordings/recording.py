@@ -33,7 +33,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
     CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
-    Columns are separated by semicolons or tabs, which allow decimal commas, or by commas. The end of the name identifies
+    Semicolons or tabs, which allow decimal commas, or commas separate the columns. The end of the name identifies
     Parquet, MDF4, TDMS and MAT files (:mod:`agents.recordings.files`).
 
     Args:
