@@ -8,9 +8,11 @@ The first rule that applies decides:
 3. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this rig.
 4. No detector has read a window → **cannot tell**: why not.
 5. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any other
-fault is named too. 6. A sensor sticks or loses readings, or most windows show another fault → **something else**:
-which. 7. The interval lies below the smallest leak that counts as a fault → **healthy**. 8. The interval contains
-healthy and faulty leaks → **cannot tell**.
+   fault is named too.
+6. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
+7. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither pressure
+   was recorded.
+8. The interval contains healthy and faulty leaks → **cannot tell**.
 
 The estimator decides if it has read at least one window, because its model shows when it is not valid; otherwise the
 leakage head decides.
@@ -26,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.recordings.findings import Finding, Weight
+from agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from agents.report.text import decimals_for, number
 
 Floats = NDArray[np.float64]
@@ -142,10 +144,19 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         )
     if besides:
         return Verdict(Kind.OTHER, besides, leak, leader)
+    if leak.high < limits.fault and _without_pressures(findings):
+        why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
+        return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
     if leak.high < limits.fault:
         return Verdict(Kind.HEALTHY, "", leak, leader)
     why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
     return Verdict(Kind.UNKNOWN, why, leak, leader)
+
+
+def _without_pressures(findings: Sequence[Finding]) -> bool:
+    """Whether neither pressure was recorded."""
+    absent = {finding.signal for finding in findings if finding.what == NOT_RECORDED}
+    return {"pressure_a", "pressure_b"} <= absent
 
 
 def named_fault(reading: Reading) -> str:

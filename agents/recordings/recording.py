@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
 from agents.recordings.files import read_columns, together
-from agents.recordings.findings import Finding, severe_if
+from agents.recordings.findings import NOT_RECORDED, Finding, severe_if
 from hydro_env import ConfigurationError
 
 FEWEST_ROWS = 3
@@ -66,7 +66,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
     for signal in MEASURED:
         if getattr(columns, signal) is None:
-            findings.append(Finding(signal, "was not recorded", severe_if(signal == "command")))
+            findings.append(Finding(signal, NOT_RECORDED, severe_if(signal == "command")))
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS:
         example = str(cells["time"].iloc[0])[:40]
