@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -165,7 +166,11 @@ def structure(windows: int) -> None:
         recordings[name] = record(CONFIG, seeds, leak, sizes)
     print("\nHealthy seals, structures that the model does not have:")
     for name, signals in recordings.items():
-        describe(name, estimate(signals[:, :, LATER : LATER + SAMPLES], CONFIG), leak, 0.04)
+        found = estimate(signals[:, :, LATER : LATER + SAMPLES], CONFIG)
+        describe(name, found, leak, 0.04)
+        named = Counter(unknown for window in range(windows) for unknown in found.unlikely(window))
+        most = ", ".join(f"{unknown} in {count} of {windows}" for unknown, count in named.most_common(2))
+        print(f"{'':34} unlikely: {most or 'nothing'}", flush=True)
     print("\nThe same with null shift and tank pressure unknown too:")
     more = (*default_unknowns(CONFIG), "valve.null_shift", "supply.tank_pressure")
     for name in ("null shift 1 %", "underlap + 0.03", "rated flow - 30 %", "tank pressure + 4 bar"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -119,11 +120,11 @@ def _lines_of(file: str, within: str) -> Callable[[Sequence[int | str], Any], in
     return line_of
 
 
-def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
-    """Read a UTF-8 text of at most ``largest`` bytes.
+def read_text(path: str | Path, largest: int = LARGEST_FILE, other_encoding: str | None = None) -> str:
+    """Read a UTF-8 text of at most ``largest`` bytes; one that is not UTF-8 is read in the other encoding, if given.
 
     Raises:
-        ConfigurationError: the file is missing, unreadable, too large, or not UTF-8.
+        ConfigurationError: the file is missing, unreadable, too large, or in neither encoding.
     """
     try:
         with open(path, "rb") as file:
@@ -134,10 +135,11 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE) -> str:
         raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
     if len(content) > largest:
         raise ConfigurationError(f"{path}: is larger than {largest / 1e6:g} MB")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8") from None
+    for encoding in ("utf-8-sig", other_encoding):
+        if encoding is not None:
+            with contextlib.suppress(UnicodeDecodeError):
+                return content.decode(encoding)
+    raise ConfigurationError(f"{path}: cannot be read: not a text in UTF-8")
 
 
 class _Loader(yaml.SafeLoader):

@@ -53,7 +53,10 @@ def test_the_file_of_a_rig_makes_an_environment(text, tmp_path):
 
 def test_the_map_of_columns_reads_a_file(tmp_path):
     file = tmp_path / "map.yaml"
-    file.write_text(blocks("diagnose.md", "yaml")[0], encoding="utf-8")
+    whole, names = blocks("diagnose.md", "yaml")
+    file.write_text(names, encoding="utf-8")
+    assert read_map(file).columns()["pressure_b"].column == "Druck B"
+    file.write_text(whole, encoding="utf-8")
     columns = read_map(file).columns()
     assert columns["command"].rows_early == 1
     assert columns["position"].offset == -200.0

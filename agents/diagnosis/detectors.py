@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.diagnosis.verdict import HALF_WIDTH, Reading
+from agents.diagnosis.verdict import HALF_WIDTH, NO_COMMANDS, Reading
 from agents.diagnosis.windows import Windows
 from agents.estimation.estimate import Estimate, estimate
 from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
@@ -143,7 +143,6 @@ def read_estimator(windows: Windows, config: TaskConfig, progress: Progress | No
     return Reading(leak, low, high, holds, tuple(fault.tolist()), tuple(why.tolist()), misfits)
 
 
-NO_COMMANDS = "commands are missing in the window"
 MISFIT = "the model does not explain the readings"
 OUTSIDE = "unlike all that the leakage head was trained on"
 UNDETERMINED = "the window does not determine the leak; more motion is needed"

@@ -24,7 +24,7 @@ from agents.recordings.recording import Recording, read_recording
 from agents.report.canvas import WIDE, render
 from agents.report.page import FIGURE_FILES
 from agents.running.folders import output_folder
-from hydro_env import TaskConfig
+from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import write_text, write_whole
 
 PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
@@ -38,6 +38,7 @@ class Diagnosis(NamedTuple):
     """All results for a recording."""
 
     recording: Recording
+    plant: PlantParameters  # of the rig that was assumed
     checked: Checked
     windows: Windows
     estimator: Reading | None
@@ -81,7 +82,7 @@ def diagnose(
         fits = 2 * int(windows.commanded.sum())
 
         def done(finished: int) -> None:
-            if progress is not None:
+            if progress is not None and fits:
                 progress("estimator", finished, fits)
 
         done(0)
@@ -90,7 +91,7 @@ def diagnose(
             reading = read_head(windows, head)
             watched = watch(checked.samples, head, alarm) if alarm is not None else None
     verdict = judge(checked.findings, estimator, reading, limits)
-    return Diagnosis(recording, checked, windows, estimator, reading, limits, verdict, watched, note)
+    return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
 
 
 def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:

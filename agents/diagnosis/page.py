@@ -12,6 +12,8 @@ from agents.report.canvas import WIDE, Plot, make_plot
 from agents.report.page import Page, make_page
 from agents.report.text import Table, number, setting
 from agents.running.machine import Origin
+from hydro_env import PlantParameters
+from hydro_env.units import UNITS
 
 if TYPE_CHECKING:
     from agents.diagnosis.diagnose import Diagnosis
@@ -51,6 +53,7 @@ def render_page(diagnosis: Diagnosis, origin: Origin) -> Page:
     samples = diagnosis.checked.samples
     facts = [
         ("Recording", recording.source),
+        ("Rig assumed", rig_line(diagnosis.plant)),
         ("Duration", f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows"),
         ("Control period", f"{1e3 * samples.period:g} ms, {len(samples.time)} samples"),
         ("Windows", _counts(diagnosis)),
@@ -70,6 +73,15 @@ def render_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         head=head_line(diagnosis.head),
         note=diagnosis.note,
         facts=Table("", ("Fact", "Value"), facts),
+    )
+
+
+def rig_line(plant: PlantParameters) -> str:
+    """The nameplate of a rig in one line, by which a person sees whether it is the recorded one."""
+    cylinder, supply = plant.cylinder, plant.supply.pressure / UNITS["Pa"]["bar"]
+    return (
+        f"bore {1e3 * cylinder.bore_diameter:g} mm, rod {1e3 * cylinder.rod_diameter:g} mm, "
+        f"stroke {1e3 * cylinder.stroke:g} mm, supply {supply:g} bar"
     )
 
 

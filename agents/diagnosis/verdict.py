@@ -8,9 +8,11 @@ The first rule that applies decides:
 3. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this rig.
 4. No detector has read a window → **cannot tell**: why not.
 5. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any other
-fault is named too. 6. A sensor sticks or loses readings, or most windows show another fault → **something else**:
-which. 7. The interval lies below the smallest leak that counts as a fault → **healthy**. 8. The interval contains
-healthy and faulty leaks → **cannot tell**.
+   fault is named too.
+6. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
+7. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither pressure
+   was recorded.
+8. The interval contains healthy and faulty leaks → **cannot tell**.
 
 The estimator decides if it has read at least one window, because its model shows when it is not valid; otherwise the
 leakage head decides.
@@ -26,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.recordings.findings import Finding, Weight
+from agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from agents.report.text import decimals_for, number
 
 Floats = NDArray[np.float64]
@@ -39,6 +41,13 @@ CHANGED = 3.0
 
 HALF_WIDTH = 1.645
 """Half width of a 90 % interval, in standard deviations."""
+
+
+NO_COMMANDS = "commands are missing in the window"
+"""Why a window is not read."""
+
+
+SHORTER = "shorter ones (--window 0.5) may fit between the gaps, and read the leak less exactly"
 
 
 class Kind(StrEnum):
@@ -123,7 +132,7 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         if besides:
             return Verdict(Kind.OTHER, besides, None, "estimator")
         share = number(100.0 * _share(estimator.misfits), 0)
-        why = f"the model does not describe this rig: it explains too little in {share} % of the windows"
+        why = f"the model does not describe this rig: it explains too little in {share} % of the windows; check --rig"
         return Verdict(Kind.UNKNOWN, why, None, "estimator")
     if reading is None:
         return Verdict(*(Kind.OTHER, besides) if besides else (Kind.UNKNOWN, _why_nothing(estimator, head)), None, "")
@@ -135,10 +144,19 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         )
     if besides:
         return Verdict(Kind.OTHER, besides, leak, leader)
+    if leak.high < limits.fault and _without_pressures(findings):
+        why = f"the leak past the piston is {leak.text()}, but without pressures a faulty seal can look healthy"
+        return Verdict(Kind.UNKNOWN, f"{why}; record one pressure at least", leak, leader)
     if leak.high < limits.fault:
         return Verdict(Kind.HEALTHY, "", leak, leader)
     why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
     return Verdict(Kind.UNKNOWN, why, leak, leader)
+
+
+def _without_pressures(findings: Sequence[Finding]) -> bool:
+    """Whether neither pressure was recorded."""
+    absent = {finding.signal for finding in findings if finding.what == NOT_RECORDED}
+    return {"pressure_a", "pressure_b"} <= absent
 
 
 def named_fault(reading: Reading) -> str:
@@ -180,5 +198,6 @@ def _why_nothing(*readings: Reading | None) -> str:
     """The most frequent reason of the first detector that ran."""
     for reading in readings:
         if reading is not None and any(reading.why):
-            return Counter(why for why in reading.why if why).most_common(1)[0][0]
+            why = Counter(why for why in reading.why if why).most_common(1)[0][0]
+            return f"commands are missing in every window; {SHORTER}" if why == NO_COMMANDS else why
     return "the recording is shorter than one window"

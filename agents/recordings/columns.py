@@ -96,7 +96,8 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
     if missing:
         shown = ", ".join(heading[:30] for heading in headings[:12])
         raise ConfigurationError(
-            f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns (headings: {shown})"
+            f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns, as in "
+            f"docs/diagnose.md; headings: {shown}"
         )
     return validate(ColumnMap, found, source)
 

@@ -6,6 +6,7 @@ Channels of MDF4 and TDMS have their own time stamps, which are kept. If the sta
 
 from __future__ import annotations
 
+import csv
 import importlib
 import io
 import warnings
@@ -18,11 +19,15 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from agents.recordings.findings import Finding, Weight
+from agents.recordings.preamble import find_table
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
 LARGEST_RECORDING = 200_000_000
 """Largest size in bytes; about three hours at 200 rows per second as CSV."""
+
+OTHER_ENCODING = "cp1252"
+"""Of texts that are not UTF-8: that of Western Windows programs."""
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
@@ -120,26 +125,24 @@ def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
 
 
 def _read_csv(path: Path) -> Columns:
-    """Columns under the first line that is neither empty nor a comment (#)."""
-    text = read_text(path, LARGEST_RECORDING)
-    start, skipped = 0, 0
-    while start < len(text):
-        end = text.find("\n", start)
-        line = text[start : end if end >= 0 else len(text)].strip()
-        if line and not line.startswith("#"):
-            break
-        start, skipped = (end + 1 if end >= 0 else len(text)), skipped + 1
-    if start >= len(text):
+    """The table of a text file: its headings stand in the line above the first line of numbers (:func:`find_table`)."""
+    text = read_text(path, LARGEST_RECORDING, OTHER_ENCODING)
+    try:
+        found = find_table(text)
+    except csv.Error as error:
+        raise ConfigurationError(f"{path}: is not a table: {error}") from None
+    if found is None:
         raise ConfigurationError(f"{path}: holds no table")
-    separator = next((mark for mark in ";\t" if mark in line), ",")
-    decimal = "," if separator != "," and "," in text[start + len(line) : start + 100_000] else "."
+    decimal = "," if found.separator != "," and "," in text[found.start : found.start + 100_000] else "."
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
             table = pd.read_csv(
-                io.StringIO(text[start:]),
-                sep=separator,
+                io.StringIO(text[found.start :]),
+                sep=found.separator,
                 decimal=decimal,
+                header=None,
+                names=range(len(found.headings)),
                 index_col=False,
                 skipinitialspace=True,
                 low_memory=False,
@@ -150,7 +153,7 @@ def _read_csv(path: Path) -> Columns:
         raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
     if not len(table):
         raise ConfigurationError(f"{path}: holds headings but no rows")
-    return _of_table(table, skipped + 2)
+    return _of_table(table.set_axis(found.headings, axis=1), found.first_line)
 
 
 def _of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from agents.report.text import number
 
+NOT_RECORDED = "was not recorded"
+"""What is found about a signal without a column."""
+
 
 class Weight(StrEnum):
     """Effect of a finding on the verdict."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
 from agents.recordings.files import read_columns, together
-from agents.recordings.findings import Finding, severe_if
+from agents.recordings.findings import NOT_RECORDED, Finding, severe_if
 from hydro_env import ConfigurationError
 
 FEWEST_ROWS = 3
@@ -32,12 +32,12 @@ class Recording(NamedTuple):
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     """Read a recording.
 
-    CSV: the first line holds the headings; lines before it that are empty or begin with ``#`` are skipped. Columns are
-        separated by semicolons or tabs, which allow decimal commas, or by commas. The end of the name identifies
-        Parquet, MDF4, TDMS and MAT files (:mod:`agents.recordings.files`).
+    CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
+    Semicolons or tabs, which allow decimal commas, or commas separate the columns. The end of the name identifies
+    Parquet, MDF4, TDMS and MAT files (:mod:`agents.recordings.files`).
 
     Args:
-        path: the file; text in UTF-8.
+        path: the file; text in UTF-8 or Windows-1252.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
 
     Raises:
@@ -66,10 +66,14 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
     for signal in MEASURED:
         if getattr(columns, signal) is None:
-            findings.append(Finding(signal, "was not recorded", severe_if(signal == "command")))
+            findings.append(Finding(signal, NOT_RECORDED, severe_if(signal == "command")))
     known = np.isfinite(time)
     if known.sum() < FEWEST_ROWS:
-        raise ConfigurationError(f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp")
+        example = str(cells["time"].iloc[0])[:40]
+        raise ConfigurationError(
+            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
+            "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
+        )
     if not known.all():
         share = float(1.0 - known.mean())
         findings.append(
@@ -92,10 +96,17 @@ def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Find
 
 
 def _time_stamps(cells: pd.Series) -> Floats | None:
-    """Seconds since the first date and time (ISO 8601); ``None`` if the cells are numbers."""
+    """Seconds since the first date and time; ``None`` if the cells are numbers or other text.
+
+    ``2026-03-01T08:00:00.005`` (ISO 8601) and ``01.03.2026 08:00:00,005`` (day, month, year) are understood.
+    """
     if pd.api.types.is_numeric_dtype(cells):
         return None
     stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
+    if stamps.isna().mean() > 0.5:
+        texts = cells.astype(str).str.strip().str.replace(",", ".")
+        texts = texts.where(texts.str.count(r"\.") == 3, texts + ".0")  # two in the date, one before parts of a second
+        stamps = pd.to_datetime(texts, errors="coerce", utc=True, format="%d.%m.%Y %H:%M:%S.%f")
     if stamps.isna().mean() > 0.5:
         return None
     seconds: Floats = (stamps - stamps.dropna().iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64).copy()

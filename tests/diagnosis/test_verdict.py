@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from agents.diagnosis.verdict import Kind, Limits, Reading, combined, judge
-from agents.recordings.findings import Finding, Weight
+from agents.diagnosis.verdict import NO_COMMANDS, Kind, Limits, Reading, combined, judge
+from agents.recordings.findings import NOT_RECORDED, Finding, Weight
 
 LIMITS = Limits(0.03, 0.1)
+NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
 NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
 STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
 WRONG = Finding("position", "reads metres", Weight.SEVERE)
@@ -27,6 +28,9 @@ HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
 CASES = {
     "healthy": ([], HEALTHY, None, Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
     "leak": ([], LEAK, None, Kind.LEAK, "internal leak of 1.000 ["),
+    "no pressures, seems tight": (NO_PRESSURES, HEALTHY, None, Kind.UNKNOWN, "record one pressure"),
+    "one pressure, tight": (NO_PRESSURES[:1], HEALTHY, None, Kind.HEALTHY, "healthy"),
+    "no pressures, leak": (NO_PRESSURES, LEAK, None, Kind.LEAK, "internal leak"),
     "notes change nothing": ([NOTE], LEAK, None, Kind.LEAK, ""),
     "severe finding": ([NOTE, WRONG], LEAK, LEAK, Kind.UNKNOWN, "cannot tell: position reads metres"),
     "several severe findings": ([WRONG, WRONG], LEAK, LEAK, Kind.UNKNOWN, "(and 1 more)"),
@@ -62,6 +66,13 @@ CASES = {
         None,
         Kind.UNKNOWN,
         "cannot tell: more motion is needed",
+    ),
+    "gaps": (
+        [],
+        reading(0.2, holds=False, why=NO_COMMANDS),
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: commands are missing in every window; shorter ones (--window 0.5)",
     ),
     "interval holds both": ([], reading(0.05, 0.05, width=0.06), None, Kind.UNKNOWN, "may be healthy or faulty"),
     "small but sure": ([], reading(0.05, 0.05), None, Kind.LEAK, "internal leak of 0.050"),

@@ -59,6 +59,30 @@ def test_other_writings_hold_the_same(tmp_path, text):
     np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals, SIGNALS, rtol=1e-6)
 
 
+def test_a_logger_writes_a_head_a_line_of_units_dates_and_decimal_commas_in_its_own_encoding(tmp_path):
+    """As German measuring programs do, in Windows-1252."""
+    names = "Zeit;Weg;Druck A;Druck B;Schieber;Stellgröße"
+    head = ["Anlage;Gerüst 3", "Rate;200;Hz", "Kanäle;6", "", names, ";mm;bar;bar;%;V"]
+    scale = np.array([1e3, 1e-5, 1e-5, 100.0, 10.0])[:, None]
+    rows = [
+        ";".join([f"01.03.2026 08:00:00,{round(1e3 * t):03d}", *(f"{value:.4f}".replace(".", ",") for value in row)])
+        for t, row in zip(TIME, (scale * SIGNALS).T, strict=True)
+    ]
+    (tmp_path / "a.csv").write_bytes("\r\n".join([*head, *rows]).encode("cp1252"))
+    signals = ("time", "position", "pressure_a", "pressure_b", "spool_position", "command")
+    lines = [f"{signal}: {name}" for signal, name in zip(signals, names.split(";"), strict=True)]
+    file = written(tmp_path, "\n".join(lines), "map.yaml")
+    found = read_recording(tmp_path / "a.csv", read_map(file))
+    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    assert found.findings == []
+
+
+def test_a_first_row_with_empty_cells_is_no_heading(tmp_path):
+    text = "time [s],position [mm],pressure_a [bar],command [V]\n0,,,0.5\n0.005,,,0.6\n0.01,1,50,0.7\n"
+    np.testing.assert_allclose(read_recording(written(tmp_path, text)).signals[4], [0.05, 0.06, 0.07])
+
+
 def test_a_map_gives_columns_units_signs_and_offsets(tmp_path):
     rows = [
         f"2026-11-21T10:00:00.{5 * k:03d},{200 + 1e3 * x:.4f},{-u:.3f}" for k, (x, u) in enumerate(SIGNALS[[0, 4]].T)

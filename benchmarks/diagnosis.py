@@ -1,0 +1,148 @@
+"""What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
+
+Run: python benchmarks/diagnosis.py [--only faults sensors handling] [--share 1.0]
+
+Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
+detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from agents.diagnosis.diagnose import Diagnosis, diagnose
+from agents.diagnosis.verdict import Kind
+from agents.evaluation.opponents import shipped
+from agents.leak_protocol.operations import MOTIONS
+from agents.leakage.head import LeakageHead
+from agents.recordings.simulated import record_axis
+from agents.running.folders import pretrained_folder
+from agents.running.seeds import TEST_SEEDS
+from hydro_env import TaskConfig
+
+TASK = TaskConfig(episode_duration=4.0)
+LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
+FIRST_SEED = TEST_SEEDS[80_000]
+
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+class Axis(NamedTuple):
+    """One row of a table: axes that are alike."""
+
+    name: str
+    recordings: int
+    leak: float = 0.01  # l/min at 100 bar
+    faults: Mapping[str, float] = {}
+    task: TaskConfig = TASK
+    change: Change = lambda table: table  # what is done to the file
+
+
+def without(*signals: str) -> Change:
+    """Columns that are missing."""
+    return lambda table: table[[name for name in table if name.split()[0] not in signals]]
+
+
+def exchanged(table: pd.DataFrame) -> pd.DataFrame:
+    """The pressures of the chambers stand in each other's column."""
+    names = {"pressure_a [bar]": "pressure_b [bar]", "pressure_b [bar]": "pressure_a [bar]"}
+    return table.rename(columns=names)
+
+
+TABLES: dict[str, tuple[Axis, ...]] = {
+    "faults": (
+        Axis("healthy, 0.01 l/min", 30),
+        *(Axis(f"leak of {leak:g} l/min", 12, leak) for leak in (0.05, 0.1, 0.3, 1.0)),
+        Axis("null shift 1 %", 8, faults={"valve_null_shift": 0.01}),
+        Axis("underlap + 3 %", 8, faults={"valve_underlap": 0.03}),
+        Axis("rated flow × 0.7", 8, faults={"valve_flow": -0.3}),
+        Axis("return line + 5 bar", 8, faults={"tank_pressure": 5e5}),
+        Axis("external leak 1.5 l/min", 8, faults={"external_leak": 1.5}),
+        Axis("offset of pressure sensor a, 3 %", 8, faults={"pressure_a_offset": 0.03}),
+        Axis("offset of the spool sensor, −1 %", 8, faults={"spool_position_offset": -0.01}),
+        Axis("hysteresis 2 %", 8, faults={"valve_hysteresis": 0.02}),
+        Axis("pressure sensor b frozen", 8, faults={"pressure_b_freeze": 1.0}),
+        Axis("gain of pressure sensor a, 1.05", 8, faults={"pressure_a_gain": 0.05}),
+        Axis("LuGre friction, leak of 1 l/min", 6, 1.0, task=LUGRE),
+    ),
+    "sensors": tuple(
+        Axis(f"{name}, {leak:g} l/min", 8, leak, change=without(*absent))
+        for name, absent in (
+            ("no spool position", ("spool_position",)),
+            ("no position", ("position",)),
+            ("no pressures", ("pressure_a", "pressure_b")),
+            ("pressure b alone", ("pressure_a", "position", "spool_position")),
+            ("position alone", ("pressure_a", "pressure_b", "spool_position")),
+        )
+        for leak in (0.01, 0.1, 0.5)
+    ),
+    "handling": (
+        *(
+            Axis(f"{motion}, {leak:g} l/min", 8, leak, task=MOTIONS[motion].change(TASK))
+            for motion in ("standing still", "slow")
+            for leak in (0.01, 0.1, 0.5)
+        ),
+        Axis("pressures exchanged, 0.5 l/min", 8, 0.5, change=exchanged),
+        Axis("every second row (10 ms), 0.5 l/min", 8, 0.5, change=lambda table: table.iloc[::2]),
+    ),
+}
+
+
+def diagnosed(axis: Axis, seeds: range, head: LeakageHead, folder: Path) -> list[Diagnosis]:
+    """The diagnosis of one recording per seed."""
+    controller, file, found = shipped("pid", axis.task), folder / "axis.csv", []
+    for seed in seeds:
+        record_axis(file, axis.task, controller, seed, axis.leak, faults=axis.faults)
+        axis.change(pd.read_csv(file)).to_csv(file, index=False)
+        found.append(diagnose(file, TASK, head))
+    return found
+
+
+def row(axis: Axis, found: list[Diagnosis]) -> str:
+    """One row of a table in Markdown."""
+    # the name of a fault without its size, so that equal answers are counted together
+    verdicts = Counter(
+        f"{one.verdict.kind.value} ({one.verdict.why.split(' (')[0]})"
+        if one.verdict.why and one.verdict.kind is not Kind.UNKNOWN
+        else one.verdict.kind.value
+        for one in found
+    )
+    answers = ", ".join(f"{verdict} {count}" for verdict, count in verdicts.most_common())
+    leaks = [one.verdict.leak for one in found if one.verdict.leak is not None]
+    error = f"{np.median([abs(leak.value - axis.leak) for leak in leaks]):.2g}" if leaks else "–"
+    inside = f"{sum(leak.low <= axis.leak <= leak.high for leak in leaks)} of {len(leaks)}" if leaks else "–"
+    return f"| {axis.name} | {len(found)} | {answers} | {error} | {inside} |"
+
+
+def main() -> None:
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=list(TABLES), default=list(TABLES))
+    parser.add_argument("--share", type=float, default=1.0, help="of the recordings, for a quick look")
+    arguments = parser.parse_args()
+    head, begun = LeakageHead.load(pretrained_folder() / "leakage_head"), time.monotonic()
+    first = FIRST_SEED
+    with tempfile.TemporaryDirectory() as folder:
+        for name, axes in TABLES.items():
+            if name in arguments.only:
+                print(f"\n{name}\n\n| axis | recordings | verdicts | size error, median | interval holds |", flush=True)
+                print("|---|---:|---|---:|---:|", flush=True)
+            for axis in axes:
+                if name in arguments.only:
+                    count = max(round(arguments.share * axis.recordings), 1)
+                    print(row(axis, diagnosed(axis, range(first, first + count), head, Path(folder))), flush=True)
+                first += axis.recordings
+    print(f"\n{time.monotonic() - begun:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
