@@ -19,6 +19,7 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
+from hydro_env.task.record import OPTION_NAMES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
@@ -274,5 +275,7 @@ def task_config(
         unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
         if unknown is None:
             raise
+        if unknown in OPTION_NAMES:
+            error = UnknownKeyError(f"task: {unknown}: belongs to an episode: reset(options={{'{unknown}': …}})")
         # If the message has Python's wording, libraries omit the keyword and try again.
         raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
