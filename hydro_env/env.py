@@ -105,7 +105,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     | argument of ``gym.make`` | meaning |
     |---|---|
     | ``task`` | name in ``configs/tasks``, or a YAML file |
-    | ``rig`` | name in ``configs/rigs``, or a YAML file of a rig; sizes of references, sensors and reward follow from it |
+    | ``rig`` | name in ``configs/rigs``, or a YAML file of a rig; references, sensors and reward follow |
     | a field of :class:`TaskConfig` | for example ``control_period=0.002``, ``leakage={"healthy_share": 0.5}`` |
     | ``config`` | the whole task: a :class:`TaskConfig`, a mapping, or the same as ``task`` |
     | ``render_mode`` | ``"rgb_array"``, or ``"human"`` for a window in real time |
@@ -141,9 +141,9 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Version History
 
-    * v0: first version. Returns before and after version 0.1.0 of the package differ: now an episode begins where a controller
-      that reads the biased sensor would hold the axis (``start="actual"`` brings the old start back), and a plant that
-      cannot hold its start is drawn again. The changelog lists all changes.
+    * v0: first version. Returns before and after version 0.1.0 of the package differ: now an episode begins where a
+      controller that reads the biased sensor would hold the axis (``start="actual"`` brings the old start back), and a
+      plant that cannot hold its start is drawn again. The changelog lists all changes.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}

@@ -12,6 +12,7 @@ from agents.leakage.head import LeakageHead
 from agents.learning.trainers import TRAINERS, Trainer
 from agents.running.cases import check_predict
 from agents.running.folders import config_folder, pretrained_folder
+from agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
 
@@ -67,6 +68,11 @@ def opponent(
             controller = ExportedController.load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
+        elif "/" not in what and not any(file.is_file() for file in weight_files(what)):
+            known = ", ".join((*CONTROLLERS, *SHIPPED_WEIGHTS))
+            raise ConfigurationError(
+                f"'{what}': unknown; known: {known}; or give module:attribute, or a path of weights"
+            )
         else:
             controller = (trainer or TRAINERS["ppo"]).load(Path(what))
         check_predict(controller)

@@ -275,7 +275,8 @@ def task_config(
         unknown = next((name for name in overrides if name not in TaskConfig.model_fields), None)
         if unknown is None:
             raise
+        fault = str(error)
         if unknown in OPTION_NAMES:
-            error = UnknownKeyError(f"task: {unknown}: belongs to an episode: reset(options={{'{unknown}': …}})")
+            fault = f"task: {unknown}: belongs to an episode: reset(options={{'{unknown}': …}})"
         # If the message has Python's wording, libraries omit the keyword and try again.
-        raise UnknownKeyError(f"{error}; unexpected keyword argument {unknown[:60]!r}") from None
+        raise UnknownKeyError(f"{fault}; unexpected keyword argument {unknown[:60]!r}") from None
