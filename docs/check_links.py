@@ -40,7 +40,7 @@ class _Page(HTMLParser):
 def complaints(folder: Path) -> list[str]:
     """One line per fault of the site."""
     pages = {path.resolve(): _Page(path.read_text(encoding="utf-8")) for path in folder.rglob("*.html")}
-    faults = []
+    faults = [] if pages else [f"{folder}: holds no pages"]
     for path, page in pages.items():
         here = path.relative_to(folder.resolve())
         faults += [f"{here}: image without alternative text: {source}" for source in page.silent_images]

@@ -64,24 +64,30 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     A ``Box`` of ``float32``; each entry is the measured value (SI) divided by a fixed scale. ``observation_names``,
     ``observation_units`` and ``observation_scale`` list them: ``observation * observation_scale`` is SI.
 
-    | index | observation | scale | unit |
-    |---|---|---|---|
-    | 0 | reference | 0.1 | m |
-    | 1–4 | preview: reference in 5, 10, 20, 40 ms minus reference now | 0.01 | m |
-    | 5 | position | 0.1 | m |
-    | 6 | velocity estimate (filtered difference of position) | 0.1 | m/s |
-    | 7, 8 | pressure of chamber a (bore), b (rod) | 50 bar | Pa |
-    | 9 | spool position | 1 | full stroke |
-    | 10 | previous command | 1 | 10 V |
-    | 11 | tracking error, reference minus measured position | 0.01 | m |
-    | 12 | leaky integral of that error (time constant 0.5 s, limited to ±10 mm s) | 0.001 | m s |
+    | index | observation | scale | unit | min, max |
+    |---|---|---|---|---|
+    | 0 | reference | 0.1 | m | ±3 |
+    | 1–4 | preview: reference in 5, 10, 20, 40 ms minus reference now | 0.01 | m | ±40 |
+    | 5 | position | 0.1 | m | ±3 |
+    | 6 | velocity estimate (filtered difference of position) | 0.1 | m/s | ±20 |
+    | 7, 8 | pressure of chamber a (bore), b (rod) | 50 bar | Pa | ±8 |
+    | 9 | spool position | 1 | full stroke | ±1 |
+    | 10 | previous command | 1 | 10 V | ±1 |
+    | 11 | tracking error, reference minus measured position | 0.01 | m | ±50 |
+    | 12 | leaky integral of that error (time constant 0.5 s, limited to ±10 mm s) | 0.001 | m s | ±10 |
 
     Signals carry the noise, bias, delay and 16-bit steps of the rig's transducers.
 
     ## Rewards
 
-    The sum of named terms, each at most zero; ``info["reward_terms"]`` holds their values: ``tracking``
-    (−|error|/10 mm, at most 5), ``effort`` (−0.05 (change of command)²), ``failure`` (−250, once).
+    The sum of three terms, none above zero, in every control period; ``info["reward_terms"]`` holds their values. The
+    error is that of the true position, so the bias of the sensor counts (``reward={"frame": "sensor"}`` leaves it out).
+
+    | term | value |
+    |---|---|
+    | ``tracking`` | −(size of the error) / 10 mm, at least −5 |
+    | ``effort`` | −0.05 (change of command)² |
+    | ``failure`` | −250, once |
 
     ## Starting State
 
@@ -96,36 +102,48 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Arguments
 
-    ``config``: YAML file, mapping or :class:`TaskConfig`; every field of ``TaskConfig`` is also a keyword:
-    ``gym.make("ServoHydraulic-v0", control_period=0.002, leakage={"healthy_share": 0.5})``.
-    ``task``: name in ``configs/tasks`` or YAML file. ``rig``: name in ``configs/rigs`` or YAML file of a rig;
-    references, sensors, randomisation and reward then follow from it.
-    ``render_mode``: ``"rgb_array"``, or ``"human"`` for a window in real time. ``info``: ``True``; ``False`` for none;
-    ``"flat"`` for numbers only, as array libraries need them: indices of family and failure, reward terms as
-    ``reward_tracking`` and so on.
+    | argument of ``gym.make`` | meaning |
+    |---|---|
+    | ``task`` | name in ``configs/tasks``, or a YAML file |
+    | ``rig`` | name in ``configs/rigs``, or a YAML file of a rig; references, sensors and reward follow |
+    | a field of :class:`TaskConfig` | for example ``control_period=0.002``, ``leakage={"healthy_share": 0.5}`` |
+    | ``config`` | the whole task: a :class:`TaskConfig`, a mapping, or the same as ``task`` |
+    | ``render_mode`` | ``"rgb_array"``, or ``"human"`` for a window in real time |
+    | ``info`` | ``True``; ``False`` for none; ``"flat"`` for numbers only, as array libraries need them |
 
-    ``reset(options=...)`` fixes parts of the next episode: ``leakage_resistance`` (Pa s/m³) or ``leakage_flow_lpm``
-    (l/min at 100 bar), ``reference`` (array in m, one value per control period, or the name of a family),
-    ``parameters`` (``{"load": {"mass": 80.0}}``), ``initial_position`` (m, as the sensor measures it), ``faults``
-    (``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS`). With ``persist: True`` they
-    also apply to the automatic resets that follow.
+    ``reset(options={...})`` fixes parts of the next episode:
 
-    ``info`` (for evaluation, not for the controller): ``leakage_resistance``, ``leakage_flow_lpm``, ``leakage_class``
-    (0 healthy, 1 incipient, 2 moderate, 3 severe), ``position``, ``velocity``, ``reference``, ``tracking_error`` (SI),
-    ``reference_family``, ``failure``, ``reward_terms``, ``faults`` (magnitude now of each fault besides the leak).
+    | option | value |
+    |---|---|
+    | ``leakage_flow_lpm`` | l/min at 100 bar across the piston, 0 to 20; or ``leakage_resistance`` in Pa s/m³ |
+    | ``reference`` | name of a family; or an array in m, one value per control period, whose last value is repeated |
+    | ``parameters`` | of the rig: ``{"load": {"mass": 80.0}}`` |
+    | ``initial_position`` | m, as the sensor measures it |
+    | ``faults`` | ``{"valve_null_shift": 0.01}``; names and units: :data:`hydro_env.task.faults.FAULTS` |
+    | ``persist`` | ``True``: the options also apply to the automatic resets that follow |
+
+    ``info`` tells what the controller must not know; it serves evaluation alone:
+
+    | entry | meaning |
+    |---|---|
+    | ``leakage_flow_lpm``, ``leakage_resistance`` | the leak now, l/min at 100 bar and Pa s/m³ |
+    | ``leakage_class`` | 0 healthy, 1 incipient, 2 moderate, 3 severe |
+    | ``position``, ``velocity``, ``reference``, ``tracking_error`` | true values, SI |
+    | ``reference_family`` | name of the kind of reference |
+    | ``failure`` | why the episode was terminated; ``"none"`` until then |
+    | ``reward_terms`` | the three terms of the reward |
+    | ``faults`` | size now of each fault besides the leak |
+
+    With ``info="flat"``, family and failure are indices, and the terms are called ``reward_tracking`` and so on.
 
     ``get_state()`` and ``set_state(state)`` save and restore everything, random numbers included: two continuations
     from the same state are equal bit for bit.
 
     ## Version History
 
-    * v0: first version. Since 0.2: a plant that cannot hold its initial position is drawn again, which was an error
-      before; an episode whose integration takes too many steps ends as a failure; ``get_state``, ``set_state``,
-      ``info="flat"``, ``spec.max_episode_steps``. Since 0.3: an episode begins where a controller that reads the biased
-      sensor would hold the axis. Before, the true position was on the reference, and the mean of the first errors
-      revealed the bias: subtracting it "improved" controllers by 7 to 20 %; ``start="actual"`` restores that.
-      Plants, leaks, references and noise of a seed are the same as before. Since 0.4: ``faults`` of valve, sensors,
-      return line and rod seal, none by default.
+    * v0: first version. Returns before and after version 0.1.0 of the package differ: now an episode begins where a
+      controller that reads the biased sensor would hold the axis (``start="actual"`` brings the old start back), and a
+      plant that cannot hold its start is drawn again. The changelog lists all changes.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
@@ -186,7 +204,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
         """
         command = numbers(action)
         if command is None or command.shape != (1,) or not abs(command[0]) < np.inf:
-            raise ConfigurationError(f"action = {shown(action)}: must be one finite number within -1 to 1, shape (1,)")
+            raise ConfigurationError(f"action = {shown(action)}: must be finite, of shape (1,), such as [0.5]")
         if not self._begun:
             raise ConfigurationError("step: call reset first")
         self._axes.step(command)

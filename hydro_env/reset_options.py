@@ -15,21 +15,11 @@ from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParame
 from hydro_env.task.configuration import LEAKAGE_LIMIT, TaskConfig
 from hydro_env.task.faults import FAULTS, fault_limits
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
-from hydro_env.task.record import Fixed
+from hydro_env.task.record import OPTION_NAMES, Fixed
 from hydro_env.task.reference_signals import FAMILIES, REFERENCE_FAMILIES, USER_FAMILY
 from hydro_env.task.settings import draws_of
 from hydro_env.units import flow_from_resistance
 
-OPTION_NAMES = (
-    "leakage_resistance",
-    "leakage_flow_lpm",
-    "reference",
-    "parameters",
-    "initial_position",
-    "faults",
-    "persist",
-    "reset_mask",
-)
 MUST_EXCEED_ANOTHER = ("cylinder.bore_diameter", "friction.breakaway_force", "supply.pressure")
 """Parameters that must exceed another one (rod, Coulomb force, precharge): their lowest draw is critical."""
 

@@ -27,6 +27,8 @@ def test_an_unknown_keyword_is_also_a_type_error(make):
             make().reset(options={"leak": 1.0})
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):  # as torchrl looks for it
         gym.make(ID, frameskip=4)
+    with pytest.raises(TypeError, match=r"reset\(options={'leakage_flow_lpm': …}\).*unexpected keyword argument"):
+        make(leakage_flow_lpm=2.0)
     with pytest.raises(TypeError, match="unknown key") as caught:
         make(config={"frameskip": 4})
     assert "keyword argument" not in str(caught.value)

@@ -219,9 +219,7 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(action):
     for each in (env, untouched):
         each.reset(seed=1)
         each.step(np.full(1, 0.5))
-    with pytest.raises(
-        ConfigurationError, match=r"action = .*: must be one finite number within -1 to 1, shape"
-    ) as caught:
+    with pytest.raises(ConfigurationError, match=r"action = .*: must be finite, of shape \(1,\)") as caught:
         env.step(action)
     assert len(str(caught.value).splitlines()) == 1
     np.testing.assert_array_equal(env.step(np.full(1, 0.5))[0], untouched.step(np.full(1, 0.5))[0])

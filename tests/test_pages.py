@@ -28,6 +28,8 @@ PYTHON = [
     if kind == "python"
 ]
 SLOW = ("docs/bound.md", "docs/leak_bound.md")
+NO_DEPENDENCIES = ("control", "torchrl")
+"""Packages that some blocks of a page import, and that are no dependencies."""
 ELSEWHERE = {"docs/ray.md": "ray", "docs/dask.md": "dask"}
 """Pages whose code needs a package that is no dependency; tests/robustness/test_backends.py runs it where it is."""
 
@@ -60,10 +62,12 @@ def test_python_runs(page, number, given):
     if page in ELSEWHERE:
         compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
         pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
-    if "import control" in FENCE.findall(TEXTS[page])[number][1] and importlib.util.find_spec("control") is None:
-        pytest.skip("python-control is not installed: tests/test_libraries.py uses it where it is")
+    block = FENCE.findall(TEXTS[page])[number][1]
+    for package in NO_DEPENDENCIES:
+        if re.search(rf"^(import|from) {package}\b", block, re.MULTILINE) and not importlib.util.find_spec(package):
+            pytest.skip(f"{package} is not installed: tests/test_libraries.py uses it where it is")
     space = {**given, "__name__": "__main__"}
-    exec(compile(FENCE.findall(TEXTS[page])[number][1], f"{page}, block {number}", "exec"), space)
+    exec(compile(block, f"{page}, block {number}", "exec"), space)
 
 
 def lines_of_commands():

@@ -52,6 +52,7 @@ def test_the_animation_is_small_and_moves(monkeypatch):
 
 def test_the_check_of_links_finds_faults(tmp_path, monkeypatch):
     check = script(DOCS / "check_links.py", monkeypatch)
+    assert check.complaints(tmp_path) == [f"{tmp_path}: holds no pages"]
     (tmp_path / "a.html").write_text('<p id="here"></p><a href="b.html#there">b</a><a href="#here">here</a>')
     (tmp_path / "b.html").write_text(
         '<a href="c.html">c</a><a href="a.html#gone">a</a><img src="https://host/x.png" alt=""><a href="https://x.y">x</a>'

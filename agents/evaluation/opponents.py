@@ -89,6 +89,11 @@ def opponent(
             controller = ExportedController.load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
+        elif "/" not in what and not any(file.is_file() for file in weight_files(what)):
+            known = ", ".join((*CONTROLLERS, *SHIPPED_WEIGHTS))
+            raise ConfigurationError(
+                f"'{what}': unknown; known: {known}; or give module:attribute, or a path of weights"
+            )
         else:
             try:
                 controller = (trainer or TRAINERS["ppo"]).load(Path(what))

@@ -71,7 +71,6 @@ class Entry(NamedTuple):
     height: float  # inches
     equations: str = ""
     in_paper: bool = False
-    headline: bool = False  # in the summary although it is not in the paper
     words: str = ""  # template; the key by default
 
 
@@ -120,7 +119,7 @@ FIGURES = (
     ),
     Entry(
         "stability_limit", "Further: the largest stable gain, and the speed it allows",
-        limit_table, paint_stability, stability_facts, 6.0, headline=True,
+        limit_table, paint_stability, stability_facts, 6.0,
     ),
     Entry(
         "holding_error", "Further: error while holding",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -50,13 +51,15 @@ def render_page(figures: list[PageFigure], origin: Origin, rig: Rig) -> Page:
     table = equation_table()
     equations = Table("Equations", tuple(table.columns), list(table.itertuples(index=False, name=None)))
     bounds = TaskConfig().leakage.class_bounds
-    verdicts = Table(
-        "Conclusions", ("conclusion", "verdict", "finding", "figure"), [_row(v) for v in all_verdicts(figures)]
-    )
+    judged = all_verdicts(figures)
+    rows = [(each.conclusion, each.verdict, each.finding, each.figure) for each in judged]
     return make_page(
-        HERE / "page.html.j2", origin, figures=figures, equations=equations, verdicts=verdicts, rig=rig, bounds=bounds
+        HERE / "page.html.j2",
+        origin,
+        figures=figures,
+        equations=equations,
+        verdicts=Table("Conclusions", ("conclusion", "verdict", "finding", "figure"), rows),
+        counts=Counter(each.verdict for each in judged),
+        rig=rig,
+        bounds=bounds,
     )
-
-
-def _row(verdict: Verdict) -> tuple[str, ...]:
-    return verdict.conclusion, verdict.verdict, verdict.finding, verdict.figure

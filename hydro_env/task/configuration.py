@@ -20,6 +20,7 @@ from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
+from hydro_env.task.record import OPTION_NAMES
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
@@ -267,5 +268,8 @@ def task_config(
         foreign = next((name for name in overrides if name not in TaskConfig.model_fields), None)
         if foreign is None:
             raise
+        fault = str(error)
+        if foreign in OPTION_NAMES:
+            fault = f"task: {foreign}: belongs to an episode: reset(options={{'{foreign}': …}})"
         # If the message has Python's wording, libraries omit the keyword and try again.
-        raise UnknownKeyError(f"{error}; unexpected keyword argument {foreign[:60]!r}") from None
+        raise UnknownKeyError(f"{fault}; unexpected keyword argument {foreign[:60]!r}") from None

@@ -106,6 +106,18 @@ class Fixed(NamedTuple):
     faults: NDArray[np.float64]  # (N, faults), magnitudes
 
 
+OPTION_NAMES = (
+    "leakage_resistance",
+    "leakage_flow_lpm",
+    "reference",
+    "parameters",
+    "initial_position",
+    "faults",
+    "persist",
+    "reset_mask",
+)
+"""Names of the options of ``reset``."""
+
 FAILURES = (
     "none",
     "end stop hit at speed",
