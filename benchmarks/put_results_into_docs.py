@@ -2,8 +2,8 @@
 
 Run: python benchmarks/put_results_into_docs.py [results]
 
-The folder holds what commands wrote: ``study``, ``robustness``, ``leakage``, ``reproduce``. A part that is absent keeps
-what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
+The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``. A part that is
+absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
 ``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
 """
 
@@ -45,6 +45,20 @@ def _study_rows(table: pd.DataFrame) -> list[dict[str, str]]:
         }
         for _, row in table.iterrows()
     ]
+
+
+SEED_DECIMALS = {"%": 1, "curve": 4, "s": 0}
+"""Decimals of a figure over the seeds, by the last word of its name; all others have three."""
+
+
+def _seed_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    rows = []
+    for _, row in table.iterrows():
+        decimals = SEED_DECIMALS.get(row["figure"].split()[-1], 3)
+        seeds = {name: f"{row[name]:.{decimals}f}" for name in table if name.startswith("seed ")}
+        spread = {"mean over the seeds": _with_interval(row, "mean", "low", "high", decimals=decimals)}
+        rows.append({"trained": row["of"], "figure": row["figure"]} | seeds | spread)
+    return rows
 
 
 def _robustness_rows(table: pd.DataFrame) -> list[dict[str, str]]:
@@ -102,11 +116,13 @@ class Source(NamedTuple):
 
     file: str
     keep: Callable[[pd.DataFrame], pd.DataFrame]
-    rows: Callable[[pd.DataFrame], list[dict[str, str]]]
+    rows: Callable[[pd.DataFrame], list[dict[str, str]]] | None = None  # None: only a chart shows it
 
 
 SOURCES = {
     "study": Source("study/tables/ratios.csv", _study, _study_rows),
+    "seeds": Source("seeds/tables/over_seeds.csv", pd.DataFrame.copy, _seed_rows),
+    "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),
     "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
     "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
     "floors": Source("leakage/tables/floors.csv", pd.DataFrame.copy, _floor_rows),
@@ -123,7 +139,11 @@ def markdown(rows: list[dict[str, str]]) -> str:
 
 def tables() -> dict[str, str]:
     """The tables of the pages, from the kept results."""
-    return {name: markdown(source.rows(pd.read_csv(TABLES / f"{name}.csv"))) for name, source in SOURCES.items()}
+    return {
+        name: markdown(source.rows(pd.read_csv(TABLES / f"{name}.csv")))
+        for name, source in SOURCES.items()
+        if source.rows is not None
+    }
 
 
 def main(results: str = "results") -> int:
