@@ -91,6 +91,8 @@ def over_seeds(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame
     table = pd.DataFrame(columns).rename_axis(["of", "figure"])
     intervals = [seeds_interval(row)._asdict() for row in table.to_numpy(dtype=np.float64)]
     spread = pd.DataFrame(intervals, index=table.index).rename(columns={"value": "mean"})
+    shares = table.index.get_level_values("figure").str.endswith("%")
+    spread[shares] = spread[shares].clip(0.0, 100.0)
     return pd.concat([spread, table], axis=1).reset_index()
 
 
