@@ -17,9 +17,10 @@ from agents.running.console import ProgressDisplay
 from agents.running.folders import output_folder
 from agents.running.seeds import SEED_MARK
 from agents.study.phases import Phases
-from agents.study.run import HEAD_PHASE, TUNED_FILE, is_finished, run_study
+from agents.study.run import TUNED_FILE, is_finished, run_study
 from agents.study.settings import StudySettings
 from agents.study.training import read_curve
+from agents.study.work import HEAD_PHASE
 from hydro_env.files import write_whole
 
 TABLE, CURVES, CURVE_FILE = "tables/over_seeds.csv", "tables/learning_curves.csv", "learning_curve.svg"

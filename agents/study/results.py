@@ -12,6 +12,7 @@ import pandas as pd
 from rich.table import Table
 
 from agents.controllers.base import Controller
+from agents.evaluation.opponents import shipped_weights
 from agents.evaluation.protocol import Evaluation, evaluate
 from agents.experiments.leak_price import leak_price
 from agents.leakage.head import LeakageHead
@@ -88,9 +89,9 @@ def evaluate_study(
         validation_error_mm=validation_errors(study.task, first)[0] if len(curve) else float("nan"),
     )
     write_report(folder / REPORT_FILE, evaluation, record)
-    paths = weights or {}
+    paths, ships, corrects = weights or {}, shipped_weights("ppo", study.task).name, record.corrects
     cards = {
-        name: controller_card(name, controller, evaluation, command, record.corrects.get(name), paths.get(name))
+        name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
         for name, controller in working.items()
     }
     if head is not None:
