@@ -2,8 +2,8 @@
 
 Run: python benchmarks/put_results_into_docs.py [results]
 
-The folder holds what commands wrote: ``study``, ``robustness``, ``leakage``, ``reproduce``. A part that is absent keeps
-what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
+The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``. A part that is
+absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
 ``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
 """
 
@@ -31,6 +31,11 @@ def _detectors(table: pd.DataFrame) -> pd.DataFrame:
     return kept[["detector", "level", "at_1_percent", "at_1_percent_low", "at_1_percent_high", "windows"]]
 
 
+def _seeds(table: pd.DataFrame) -> pd.DataFrame:
+    """All but the ranges of large leaks, which "≥ 0.3 l/min" holds."""
+    return table[~table["figure"].str.contains("leaks of (?:0.3–|0.5–|1–|2–)", regex=True)]
+
+
 def _with_interval(row: pd.Series, value: str, low: str, high: str, factor: float = 1.0, decimals: int = 3) -> str:
     numbers = [f"{factor * row[name]:.{decimals}f}" for name in (value, low, high)]
     return f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
@@ -45,6 +50,21 @@ def _study_rows(table: pd.DataFrame) -> list[dict[str, str]]:
         }
         for _, row in table.iterrows()
     ]
+
+
+SEED_DECIMALS = {"%": 2, "curve": 4, "s": 0}
+"""Decimals of a figure over the seeds, by the last word of its name; all others have three."""
+
+
+def _seed_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    rows = []
+    for _, row in table.iterrows():
+        decimals = SEED_DECIMALS.get(row["figure"].split()[-1], 3)
+        seeds = {name: f"{row[name]:.{decimals}f}" for name in table if name.startswith("seed ")}
+        whole = _with_interval(row, "mean", "low", "high", decimals=decimals)
+        mean = f"{row['mean']:.0f}" if row["figure"] == "training, s" else whole  # the machine did other work as well
+        rows.append({"trained": row["of"], "figure": row["figure"]} | seeds | {"mean over the seeds": mean})
+    return rows
 
 
 def _robustness_rows(table: pd.DataFrame) -> list[dict[str, str]]:
@@ -102,11 +122,13 @@ class Source(NamedTuple):
 
     file: str
     keep: Callable[[pd.DataFrame], pd.DataFrame]
-    rows: Callable[[pd.DataFrame], list[dict[str, str]]]
+    rows: Callable[[pd.DataFrame], list[dict[str, str]]] | None = None  # None: only a chart shows it
 
 
 SOURCES = {
     "study": Source("study/tables/ratios.csv", _study, _study_rows),
+    "seeds": Source("seeds/tables/over_seeds.csv", _seeds, _seed_rows),
+    "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),
     "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
     "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
     "floors": Source("leakage/tables/floors.csv", pd.DataFrame.copy, _floor_rows),
@@ -123,7 +145,11 @@ def markdown(rows: list[dict[str, str]]) -> str:
 
 def tables() -> dict[str, str]:
     """The tables of the pages, from the kept results."""
-    return {name: markdown(source.rows(pd.read_csv(TABLES / f"{name}.csv"))) for name, source in SOURCES.items()}
+    return {
+        name: markdown(source.rows(pd.read_csv(TABLES / f"{name}.csv")))
+        for name, source in SOURCES.items()
+        if source.rows is not None
+    }
 
 
 def main(results: str = "results") -> int:

@@ -31,7 +31,7 @@ extensions = [
     "repository_links",
 ]
 root_doc = "docs/index"
-include_patterns = ["docs/**.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = ["docs/**.md", "agents/pretrained/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
 exclude_patterns = [
     ".*",
     "build",
@@ -39,7 +39,6 @@ exclude_patterns = [
     "mutants",
     "results",
     "hydro_env",
-    "agents",
     "tests",
     "configs",
     "benchmarks",

@@ -33,7 +33,9 @@ from agents.report.canvas import (
     ticks,
 )
 from agents.report.text import correction_name
+from agents.report.training_plots import learning_plots
 from agents.running.folders import config_folder
+from agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
 
@@ -130,6 +132,12 @@ def detectors() -> None:
     save("chart_detectors.svg", paint, 3.0)
 
 
+def learning() -> None:
+    """Error of PPO while it learns over that of the PID, with a band over the training seeds."""
+    (plot,) = learning_plots(relative(pd.read_csv(TABLES / "learning_curves.csv")), "PID", 1.0)
+    (FOLDER / "chart_learning.svg").write_bytes(plot.file + data_mark("chart_learning.svg").encode())
+
+
 def performance() -> None:
     """Speed over the number of axes, and where the time of a training goes, from the tables of docs/performance.md."""
     rows = [
@@ -172,6 +180,7 @@ def _is_number(text: str) -> bool:
 CHARTS = {
     "chart_controllers.svg": "tables/robustness.csv",
     "chart_detectors.svg": "tables/detectors.csv",
+    "chart_learning.svg": "tables/learning_curves.csv",
     "chart_speed.svg": "performance.md",
     "chart_training_time.svg": "performance.md",
 }
@@ -242,6 +251,7 @@ if __name__ == "__main__":
     animation()
     controllers()
     detectors()
+    learning()
     performance()
     if len(sys.argv) > 1:
         results(Path(sys.argv[1]) / "tables")

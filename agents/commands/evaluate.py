@@ -69,6 +69,7 @@ def evaluate(
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
+    from agents.evaluation.opponents import SHIPPED_WEIGHTS
     from agents.evaluation.protocol import ProtocolSettings
     from agents.running.console import ProgressDisplay
     from agents.running.folders import output_folder
@@ -104,18 +105,28 @@ def evaluate(
         study = study.model_copy(update={"evaluation": changed})
     if rig is not None:
         study = study.with_shipped_gains()
-    controllers, unfit = study.fitting(named_agents(agent))
+    agents = named_agents(agent)
+    controllers, unfit = study.fitting(agents)
     for reason in unfit:
         print(f"hydro: left out: {reason}", file=sys.stderr)
     tell_rigs(study, controllers)
     watching = _watching(head, study.task)
+    weights = {name: what for name, what in agents.items() if what not in SHIPPED_WEIGHTS}
+    weights |= {"leakage_head": str(head)} if head is not None else {}
     settings_file = "evaluation.yaml"
     with output_folder(output, "evaluate", [settings_file, *REPORT_FILES], overwrite=overwrite):
         write_yaml(output / settings_file, study.model_dump(mode="json"))
         text = (output / settings_file).read_text(encoding="utf-8")
         with ProgressDisplay() as display:
             evaluation = evaluate_study(
-                study, controllers, watching, output, display, configuration=text, command=command_line()
+                study,
+                controllers,
+                watching,
+                output,
+                display,
+                configuration=text,
+                command=command_line(),
+                weights=weights,
             )
         print_summary(evaluation, display)
         display.say(f"report: {(output / REPORT_FILE).resolve()}")

@@ -32,13 +32,18 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
         ConfigurationError: the kind is not shipped.
     """
     if kind in SHIPPED_WEIGHTS:
-        usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
-        own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
-        return TRAINERS[kind].load(own if weight_files(own)[0].is_file() else usual)
+        return TRAINERS[kind].load(shipped_weights(kind, config))
     settings = gains_file(kind, config) or config_folder() / "agents" / f"{kind}.yaml"
     if not settings.exists():
         raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
     return make_controller(kind, config, read_yaml(settings))
+
+
+def shipped_weights(kind: str, config: TaskConfig) -> Path:
+    """The weights of a kind that ship: those made for the task's rig if there are such."""
+    usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+    own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
+    return own if weight_files(own)[0].is_file() else usual
 
 
 def shipped_rig(config: TaskConfig) -> str:

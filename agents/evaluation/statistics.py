@@ -1,4 +1,4 @@
-"""Means and paired ratios with bootstrap intervals over plants, conditional value at risk, shares."""
+"""Means and paired ratios with bootstrap intervals over plants, means over seeds, value at risk, shares."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, bootstrap
+from scipy.stats import binomtest, bootstrap, ttest_1samp
 
 Array = NDArray[np.floating[Any]]
 CONFIDENCE = 0.95
@@ -34,6 +34,18 @@ def mean_interval(per_plant: Array, seed: int = 0) -> Interval:
     if len(values) == 0:
         return Interval(np.nan, np.nan, np.nan)
     return _interval((values,), lambda x, axis: np.mean(x, axis=axis), seed)
+
+
+def seeds_interval(per_seed: Array) -> Interval:
+    """Mean over training seeds with a 95 % interval of Student's t: too few values for a bootstrap."""
+    values = np.asarray(per_seed, dtype=np.float64)
+    mean = float(values.mean()) if len(values) else np.nan
+    if len(values) < LEAST_SAMPLES:
+        return Interval(mean, np.nan, np.nan)
+    if np.ptp(values) == 0.0:
+        return Interval(mean, mean, mean)
+    interval = ttest_1samp(values, 0.0).confidence_interval(CONFIDENCE)
+    return Interval(mean, float(interval.low), float(interval.high))
 
 
 def ratio_interval(per_plant: Array, reference_per_plant: Array, seed: int = 0) -> Interval:

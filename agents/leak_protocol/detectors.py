@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from hydro_env import TaskConfig
 from hydro_env.files import Group
@@ -53,7 +53,7 @@ class Detector(Protocol):
 class DetectorChoice(Group):
     """A detector of a protocol, and how many windows it reads."""
 
-    kind: Literal["head", "estimator"]
+    kind: str = Field(description="head, estimator, or module:attribute for your own")
     weights: str | None = Field(None, description="of a head: a path; default: the shipped one")
     task: dict[str, Any] = Field(
         default_factory=dict,
@@ -68,6 +68,13 @@ class DetectorChoice(Group):
     batch: int = Field(
         500, ge=1, le=10_000, description="windows per job; fixed: results must not depend on the machine"
     )
+
+    @field_validator("kind")
+    @classmethod
+    def _known(cls, kind: str) -> str:
+        if kind not in ("head", "estimator") and ":" not in kind:
+            raise ValueError("must be head, estimator, or module:attribute")
+        return kind
 
 
 def logit(probability: NDArray[Any]) -> Floats:

@@ -50,6 +50,8 @@ def floors_table(tables: LeakTables, protocol: LeakProtocol) -> pd.DataFrame:
         if name not in measured:
             continue
         find = _Finder(tables, protocol, name)
+        if ":" in choice.kind:
+            continue  # floors and aims are those of the project's own detectors
         floors += find.estimator(bool(choice.task)) if choice.kind == "estimator" else find.head()
         floors += find.shared()
     floors += _alarm_floors(tables.alarms)

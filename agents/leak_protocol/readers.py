@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.controllers.base import ObservationLayout
+from agents.controllers.registry import imported
 from agents.estimation.estimate import Estimate, estimate
 from agents.estimation.names import EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from agents.estimation.unknowns import default_unknowns, priors_of
@@ -27,7 +28,7 @@ from agents.leak_protocol.detectors import (
 from agents.leakage.features import LABELS
 from agents.leakage.head import LeakageEstimate, LeakageHead
 from agents.running.folders import pretrained_folder
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
 from hydro_env.units import flow_from_resistance
@@ -181,8 +182,15 @@ def make_detector(choice: DetectorChoice, head: LeakageHead | None = None) -> De
         head: replaces the head of the choice.
 
     Raises:
-        ConfigurationError: its weights cannot be read.
+        ConfigurationError: its weights cannot be read, or the object that it names is no detector.
     """
+    if ":" in choice.kind:
+        named = imported(choice.kind)
+        own: Detector = named() if isinstance(named, type) else named
+        missing = [part for part in ("threshold", "refuses", "read") if not hasattr(own, part)]
+        if missing:
+            raise ConfigurationError(f"'{choice.kind}': is no leak detector, it has no {', '.join(missing)}")
+        return own
     if choice.kind == "estimator":
         return EstimatorReader(choice.task, choice.unknowns)
     return HeadReader(head or LeakageHead.load(choice.weights or pretrained_folder() / HEAD_FILE))

@@ -97,6 +97,10 @@ class TrainingCallback(BaseCallback):
         if every and (steps // every > (steps - rollout) // every or steps >= self._settings.total_steps):
             for name, value in self._validate().items():
                 self.logger.record(f"validation/{name}", value)
+        env = self.model.get_env()
+        assert isinstance(env, AxisVecEnv)
+        for name, value in env.mean_rewards().items():
+            self.logger.record(f"reward/{name}", value)
         lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
         self.logger.record("rollout/mean_reward", self._mean_reward())
         self.logger.record("rollout/ep_len_mean", float(np.mean(lengths)) if lengths else math.nan)

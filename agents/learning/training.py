@@ -194,7 +194,8 @@ def train_ppo(
         if settings.residual and base is not None and math.isnan(base_error):
             base_error = validation_errors(config, base)[0]
         mean, worst, failures = validation_errors(config, current())
-        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, "base_mean_error_mm": base_error}
+        beside = {"base_mean_error_mm": base_error, "error_to_corrected": mean / base_error}
+        return {"mean_error_mm": mean, "worst_error_mm": worst, "failures": failures, **beside}
 
     callback = TrainingCallback(
         settings,

@@ -16,9 +16,13 @@ from agents.learning.privileged import Privileged
 from agents.learning.settings import Prices
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import AxesState
+from hydro_env.task.rewards import REWARD_TERMS
 
 Array = NDArray[Any]
 ENV = "env."
+
+REWARD_PARTS = (*REWARD_TERMS, "prices", "learned")
+"""The terms of the task; the prices, relative to the twin; and what the policy learns from, before ``reward_scale``."""
 
 
 class AxisVecEnv(VecEnv):
@@ -88,6 +92,8 @@ class AxisVecEnv(VecEnv):
         self._actions: NDArray[np.float32] = np.zeros((count, 1), dtype=np.float32)
         self._returns = np.zeros(count)
         self._lengths = np.zeros(count, dtype=np.int64)
+        self._parts = np.zeros(len(REWARD_PARTS))
+        self._periods = 0
         self._stagger = stagger
         self._prices = prices if prices is not None else Prices()
         self.told_critic = told_critic
@@ -148,7 +154,8 @@ class AxisVecEnv(VecEnv):
         axes = self.env.axes
         change = axes.column("change").copy()
         observation, rewards, terminated, truncated, _ = self.env.step(command)
-        worth = rewards - self._prices_of_commands(change, axes.column("change"))
+        price = self._prices_of_commands(change, axes.column("change"))
+        worth, costs = rewards - price, axes.column("costs")[:count].mean(axis=0)
         reward = rewards[:count]
         ended = terminated | truncated
         done = ended[:count]
@@ -156,9 +163,12 @@ class AxisVecEnv(VecEnv):
         self._lengths += 1
         infos: list[dict[str, Any]] = [{} for _ in range(count)]
         if self._paired:  # an axis and its twin restart together
-            worth = worth[:count] - worth[count:]
+            worth, price = (part[:count] - part[count:] for part in (worth, price))
             done = done | ended[count:]
-        worth -= self._prices_of_correction(axes.column("command")[:count])
+        correction = self._prices_of_correction(axes.column("command")[:count])
+        worth = worth - correction
+        self._parts += [*-costs, -(price + correction).mean(), worth.mean()]
+        self._periods += 1
         if done.any():
             self._fill_infos(infos, np.flatnonzero(done), observation, terminated)
             mask = np.concatenate([done, done]) if self._paired else done
@@ -167,6 +177,12 @@ class AxisVecEnv(VecEnv):
         self._returns[done] = 0.0
         self._lengths[done] = 0
         return inputs, (worth * self.reward_scale).astype(np.float32), done, infos
+
+    def mean_rewards(self) -> dict[str, float]:
+        """Mean of each part of the reward (REWARD_PARTS) per axis and control period since the last call."""
+        means = self._parts / max(self._periods, 1)
+        self._parts[:], self._periods = 0.0, 0
+        return dict(zip(REWARD_PARTS, means.tolist(), strict=True))
 
     def _prices_of_commands(self, before: Array, change: Array) -> Array:
         """Cost of a period's change of each command, given the previous change."""

@@ -24,6 +24,11 @@ UPDATES = {
     "train/loss": "total loss",
 }
 ERROR = "validation/mean_error_mm"
+BASE_ERROR = "validation/base_mean_error_mm"
+"""Error of the controller that is corrected, on the same plants."""
+
+CLOSE = 1.3
+"""Curves below this multiple of the corrected controller's error are drawn on a scale that does not begin at zero."""
 
 DISCARDED = 0.05
 """First share of the training, which does not set the scale: values of the untrained policy would flatten the rest."""
@@ -44,7 +49,8 @@ def learning_plots(
 
     Args:
         curve: as for :func:`training_plots`. Trainings of one controller on several seeds are named NAME#0, NAME#1, …;
-            the line is their median, the band their range.
+            the line is their median, the band their range. A correction is compared with the controller that it
+            corrects as well, if BASE_ERROR is known.
         baseline: name of the controller to which errors are relative.
         baseline_error_mm: its mean error on the same plants.
         looks: of the controllers in the other figures of the page; default: by their order here.
@@ -61,21 +67,37 @@ def learning_plots(
     }
     looks = looks_of([baseline, *seeds.index]) | dict(looks or {})
     factor, unit = _unit(curve)
+    corrected = (curve[BASE_ERROR].dropna() / baseline_error_mm).unique() if BASE_ERROR in curve else np.array([])
+    late = [band.iloc[min(1, len(band) - 1) :] for band in bands.values()]
+    lowest, highest = (float(pd.concat([band[end] for band in late]).agg(end)) for end in ("min", "max"))
+    near = len(corrected) > 0 and highest < CLOSE * corrected.max()
 
     def paint(axes: Axes) -> None:
         for name, band in bands.items():
             steps, look = band.index / factor, looks[name]
             axes.fill_between(steps, band["min"], band["max"], color=look.colour, alpha=0.2, linewidth=0)
             axes.plot(steps, band["median"], label=name, marker=look.marker, **look.stroke)
-        axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
-        highest = max([1.0, *(float(band["max"].iloc[min(1, len(band) - 1) :].max()) for band in bands.values())])
-        axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}", ylim=(0.0, 1.1 * highest))
+        if len(corrected):
+            last = curve["steps"].max() / factor
+            axes.hlines(corrected, 0.0, last, color=GREY, linestyle=":", label="corrected controller")
+        if near:
+            low, high = min(lowest, *corrected), max(highest, *corrected)
+            room = 0.15 * (high - low) or 0.01
+            axes.set_ylim(low - room, high + room)
+        else:
+            axes.axhline(1.0, color=INK, linewidth=1.0, label=baseline)
+            axes.set_ylim(0.0, 1.1 * max(1.0, highest))
+        axes.set(xlabel=f"training, {unit}", ylabel=f"error ÷ error of {baseline}")
         axes.set_xlim(left=0.0)
 
     title = f"Error while learning, against {baseline}"
     note = f"Mean error on validation plants over that of {baseline} on the same plants; no policy is trained on them."
     if seeds.max() > 1:
         note += f" Line: median of {seeds.max()} training seeds; band: from the lowest to the highest."
+    if len(corrected):
+        note += " Dotted: the controller that is corrected."
+    if near:
+        note += " The scale does not begin at zero."
     rows = {
         name: [
             (f"after {number(steps / factor)} {unit}", float(band["median"].loc[steps]))

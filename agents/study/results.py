@@ -12,6 +12,7 @@ import pandas as pd
 from rich.table import Table
 
 from agents.controllers.base import Controller
+from agents.evaluation.opponents import shipped_weights
 from agents.evaluation.protocol import Evaluation, evaluate
 from agents.experiments.leak_price import leak_price
 from agents.leakage.head import LeakageHead
@@ -50,10 +51,12 @@ def evaluate_study(
     seed: int = 0,
     phases: Phases | None = None,
     training_curve: pd.DataFrame | None = None,
+    weights: Mapping[str, str] | None = None,
 ) -> Evaluation:
-    """Evaluate controllers; write tables and report into the folder.
+    """Evaluate controllers; write tables, report and model cards into the folder.
 
-    If a controller fails, a message on standard error names it; the results of the others are written.
+    If a controller fails, a message on standard error names it; the results of the others are written. The code on the
+    cards loads ``weights``, paths by name of the controller or ``leakage_head``; default: the shipped ones.
     """
 
     def work() -> Evaluation:
@@ -86,9 +89,13 @@ def evaluate_study(
         validation_error_mm=validation_errors(study.task, first)[0] if len(curve) else float("nan"),
     )
     write_report(folder / REPORT_FILE, evaluation, record)
-    cards = {name: controller_card(name, controller, evaluation, command) for name, controller in working.items()}
+    paths, ships, corrects = weights or {}, shipped_weights("ppo", study.task).name, record.corrects
+    cards = {
+        name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
+        for name, controller in working.items()
+    }
     if head is not None:
-        cards["leakage_head"] = head_card(head, evaluation, command)
+        cards["leakage_head"] = head_card(head, evaluation, command, paths.get("leakage_head"))
     for name, card in cards.items():
         if card is not None:
             write_text(folder / CARDS / card_file(name), card)

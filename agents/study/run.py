@@ -97,6 +97,7 @@ def run_study(
             seed=seed,
             phases=phases,
             training_curve=pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(),
+            weights={name: f"controllers/{name}/{WEIGHTS}" for name in study.trained} | {"leakage_head": HEAD_WEIGHTS},
         )
     print_summary(evaluation, display)
     display.say("times: " + ", ".join(f"{phase} {seconds:.0f} s" for phase, seconds in phases.seconds.items()))
@@ -104,13 +105,27 @@ def run_study(
     return evaluation
 
 
+def is_finished(study: StudySettings, folder: Path, seed: int) -> bool:
+    """Whether a folder holds the whole study with these settings and this seed, so that nothing is left to do."""
+    file = folder / CONFIG_FILE
+    if not file.exists() or not (folder / REPORT_FILE).exists():
+        return False
+    return bool(read_yaml(file) == _described(study, seed)) and "evaluate" in Phases(folder).done
+
+
+def _described(study: StudySettings, seed: int) -> dict[str, Any]:
+    """The settings as its file holds them."""
+    described: dict[str, Any] = json.loads(json.dumps({**study.model_dump(mode="json"), "seed": seed}))
+    return described
+
+
 def _write_settings(study: StudySettings, folder: Path, seed: int) -> None:
     """Write the settings into the folder; its earlier results must have the same settings."""
-    described: dict[str, Any] = {**study.model_dump(mode="json"), "seed": seed}
+    described = _described(study, seed)
     file = folder / CONFIG_FILE
     if file.exists():
-        before, now = read_yaml(file), json.loads(json.dumps(described))
-        changed = next((key for key in TRAINED_BY if before.get(key) != now[key]), None)
+        before = read_yaml(file)
+        changed = next((key for key in TRAINED_BY if before.get(key) != described[key]), None)
         if changed is not None:
             raise ConfigurationError(
                 f"{file}: was made with another seed or other settings ('{changed}' differs); --overwrite begins anew"

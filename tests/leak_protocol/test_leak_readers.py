@@ -6,7 +6,8 @@ import pytest
 from agents.estimation.unknowns import default_unknowns, priors_of
 from agents.leak_protocol.detectors import EXTERNAL, NONE, RETURN, SENSOR, VALVE, DetectorChoice, logit
 from agents.leak_protocol.readers import EstimatorReader, HeadReader, make_detector, named_fault
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
 
 CONFIG = TaskConfig()
 MORE = ("valve.null_shift", "supply.tank_pressure")
@@ -61,6 +62,17 @@ def test_the_shipped_head_reads_the_windows_of_its_task_and_no_others():
     other = TaskConfig(control_period=0.01)
     assert "another rig" in reader.refuses(other, 400)
     assert np.isfinite(reader.threshold)
+
+
+def test_a_detector_of_ones_own_is_named_by_module_and_attribute():
+    reader = make_detector(DetectorChoice(kind="small_leaks:Spread"))
+    assert (type(reader).__name__, reader.refuses(CONFIG, 60)) == ("Spread", "")
+    with pytest.raises(ConfigurationError, match="is no leak detector, it has no threshold, refuses, read"):
+        make_detector(DetectorChoice(kind="small_leaks:SMALL"))
+    with pytest.raises(ConfigurationError, match="has no 'Absent'"):
+        make_detector(DetectorChoice(kind="small_leaks:Absent"))
+    with pytest.raises(ConfigurationError, match="kind = 'network': must be head, estimator, or module:attribute"):
+        validate(DetectorChoice, {"kind": "network"}, "own.yaml")
 
 
 def test_the_estimator_reads_everything():

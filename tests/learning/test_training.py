@@ -119,6 +119,8 @@ def test_log_of_a_training(tmp_path):
     assert worst > mean > 0.0
     base = validation_errors(CONFIG, BASE)
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
+    assert rows[-1]["validation/error_to_corrected"] == mean / base[0]
+    assert all(row["reward/tracking"] < 0.0 == row["reward/prices"] for row in rows)
 
 
 def test_the_log_is_found_by_stable_baselines3s_own_reader(tmp_path):
@@ -252,6 +254,6 @@ def test_tensorboard_gets_the_same_figures_where_it_is_installed(tmp_path):
     stored = events.EventAccumulator(str(tmp_path))
     stored.Reload()
     rows = read_progress(tmp_path / PROGRESS_FILE)
-    for name in ("train/approx_kl", "rollout/mean_reward"):
+    for name in ("train/approx_kl", "rollout/mean_reward", "reward/tracking", "reward/learned"):
         assert [scalar.step for scalar in stored.Scalars(name)] == [row[STEPS] for row in rows]
         np.testing.assert_allclose([s.value for s in stored.Scalars(name)], [row[name] for row in rows], rtol=1e-5)

@@ -5,8 +5,10 @@ import pytest
 
 from agents.controllers import PID, ObservationLayout, PIDGains
 from agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
+from agents.learning.settings import Prices
 from agents.learning.vec_env import AxisVecEnv
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.rewards import REWARD_TERMS
 
 CONFIG = TaskConfig(episode_duration=0.1)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -43,6 +45,27 @@ def test_paired_reward_of_the_pid_against_itself_is_zero():
     for _ in range(3):
         _, reward, _, _ = env.step(np.ones((6, 1)))
     assert np.all(reward < 0.0)
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_the_parts_of_the_reward_add_up(paired):
+    env = make(seed=4, paired=paired, prices=Prices(change=0.5, travel=0.1, reversal=2.0), reward_scale=0.25)
+    env.reset()
+    generator, learned, failures = np.random.default_rng(1), [], 0
+    for _ in range(30):
+        _, reward, _, infos = env.step(generator.uniform(-1.0, 1.0, (6, 1)))
+        learned.append(reward.mean() / 0.25)
+        failures += sum(not info.get("TimeLimit.truncated", True) for info in infos)
+    parts = env.mean_rewards()
+    assert list(parts) == ["tracking", "effort", "failure", "prices", "learned"]
+    assert parts["learned"] == pytest.approx(np.mean(learned), rel=1e-5)
+    assert parts["tracking"] < 0.0
+    assert parts["failure"] == pytest.approx(-failures * CONFIG.reward.failure / (30 * 6))
+    task = sum(parts[name] for name in REWARD_TERMS)
+    if not paired:
+        assert parts["learned"] == pytest.approx(task + parts["prices"], rel=1e-5)
+    assert parts["prices"] < 0.0
+    assert set(env.mean_rewards().values()) == {0.0}  # nothing since then
 
 
 def test_infos_of_ended_axes():

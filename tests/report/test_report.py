@@ -481,6 +481,17 @@ def test_learning_is_told_against_the_baseline_with_a_band_over_seeds():
     assert learning_plots(pd.DataFrame({"steps": steps}), "PID", 0.5) == []
 
 
+@pytest.mark.parametrize(("base", "near"), [(0.34, True), (0.1, False)])
+def test_a_small_correction_is_shown_beside_what_it_corrects(base, near):
+    columns = {"validation/mean_error_mm": [0.36, 0.33, 0.32], "validation/base_mean_error_mm": base}
+    curve = pd.DataFrame({"steps": [1e5, 2e5, 3e5], **columns})
+    (plot,) = learning_plots(curve, "PID", 0.5)
+    assert "Dotted: the controller that is corrected." in plot.note
+    assert ("does not begin at zero" in plot.note) is near
+    (alone,) = learning_plots(curve.drop(columns="validation/base_mean_error_mm"), "PID", 0.5)
+    assert "Dotted" not in alone.note
+
+
 def test_a_correction_is_named_after_what_it_corrects():
     assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
     assert correction_name("PPO", "PID mended") == "PPO on PID mended"

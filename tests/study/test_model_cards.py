@@ -1,5 +1,6 @@
 """A model card holds the numbers of the tables, in a head that hubs read, and code that runs."""
 
+import json
 import re
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from agents.running.folders import pretrained_folder
 from agents.study.model_cards import card_file, controller_card, head_card
 from hydro_env import TaskConfig
 
+SHIPPED = sorted(pretrained_folder().glob("*.safetensors"))
 RATIOS = pd.DataFrame(
     [
         ("PPO", "PID", "all", "", 0.68895443, 0.66924653, 0.70719858),
@@ -27,7 +29,30 @@ RATES = pd.DataFrame(
     [("PID", "class", "healthy", 0.002, 0.001, 0.005), ("PID", "range", "0.1–0.2", 0.95, 0.92, 0.97)],
     columns=["controller", "group", "value", "flagged_share", "low", "high"],
 )
-EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES)
+ERRORS = {
+    "PID": (1.0, 2.0, 3.0),
+    "Flow linearisation": (0.5, 1.0, 1.5),
+    "PPO": (0.4, 0.8, 1.2),
+    "other": (9.0, 9.0, 9.0),
+}
+CASES = pd.DataFrame(
+    [
+        {
+            "controller": name,
+            "family": family,
+            "leakage_flow_lpm": 0.3,
+            "plant": plant,
+            "mean_error_mm": error,
+            "valve_travel_per_s": 0.5 if name == "PPO" else 1.0,
+            "reversals_per_s": 2.0,
+            "failed": float((name, plant, family) == ("PPO", 2, "step")),
+        }
+        for name, errors in ERRORS.items()
+        for family in ("step", "ramp")
+        for plant, error in enumerate(errors)
+    ]
+)
+EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES, cases=CASES, controllers=list(ERRORS))
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +65,29 @@ def parts(card):
     return yaml.safe_load(front), text
 
 
-def test_the_card_of_a_policy_holds_its_ratios(policy):
-    front, text = parts(controller_card("PPO", policy, EVALUATION, "hydro study"))
+def test_the_card_of_a_policy_holds_errors_and_their_price(policy):
+    front, text = parts(controller_card("PPO", policy, EVALUATION, "hydro study", "Flow linearisation"))
     assert front["library_name"] == "stable-baselines3"
     (result,) = front["model-index"][0]["results"]
-    assert [one["value"] for one in result["metrics"]] == [0.689, 0.7, 0.5, 0.62]
-    assert result["metrics"][1]["name"] == "mean error / PID's, leak of 0.3 l/min"
-    assert len({one["type"] for one in result["metrics"]}) == 4
+    values = {one["name"]: one["value"] for one in result["metrics"]}
+    assert values == {
+        "mean error / PID's, all": 0.689,
+        "mean error / PID's, every kind of reference weighs the same": 0.62,
+        "mean error / Flow linearisation's, all": 0.8,
+        "mean error / Flow linearisation's, every kind of reference weighs the same": 0.8,
+        "valve travel / PID's, all": 0.5,
+        "reversals of the valve / PID's, all": 1.0,
+        "share of runs that failed": 0.1667,
+    }
+    assert front["metrics"] == [one["type"] for one in result["metrics"]]
+    assert len(set(front["metrics"])) == len(values)
+    assert front["metrics"][0] == "mean_error_pid_all"
     assert "| mean error / PID's, all | 0.689 | 0.6692 to 0.7072 |" in text
-    training, task = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S))
+    assert "| mean error / PID's, leak of 0.3 l/min | 0.7 | 0.6 to 0.8 |" in text
+    assert "bore 40 mm, stroke" in text
+    assert "control period of 5 ms" in text
+    (training,) = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S))
     assert training == policy.training
-    assert TaskConfig(**task) == policy.features.config
 
 
 def test_the_card_of_a_head_holds_its_rates():
@@ -65,12 +102,41 @@ def test_a_controller_without_training_has_no_card():
     assert controller_card("PID", shipped("pid", TaskConfig()), EVALUATION, "") is None
 
 
-def test_the_code_on_the_cards_runs(policy, monkeypatch):
-    monkeypatch.chdir(pretrained_folder())
+def run(card):
+    """Run the code on a card; returns the loaded weights."""
+    (code,) = re.findall(r"```python\n(.*?)```", card, re.S)
+    space = {}
+    exec(code, space)
+    if "policy" in space:
+        assert space["over"]
+        return space["policy"]
+    assert space["probability"] > 0.5
+    assert 0.4 < space["flow_lpm"] < 0.65  # 0.5 l/min
+    return space["head"].settings
+
+
+def test_the_code_on_the_cards_runs(policy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    policy.save(tmp_path / "controllers" / "PPO" / "policy")
+    card = controller_card("PPO", policy, EVALUATION, "", weights="controllers/PPO/policy")
+    assert run(card).training == policy.training
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
-    for card in (controller_card("PPO", policy, EVALUATION, ""), head_card(head, EVALUATION, "")):
-        (code,) = re.findall(r"```python\n(.*?)```", card, re.S)
-        exec(code.replace("PPO/policy", "policy"), {})
+    head.save(tmp_path / "leakage_head")
+    assert run(head_card(head, EVALUATION, "", weights="leakage_head")) == head.settings
+
+
+@pytest.mark.parametrize("weights", SHIPPED, ids=lambda path: path.stem)
+def test_the_card_beside_shipped_weights_is_theirs_and_its_code_runs(weights):
+    front, text = parts(weights.with_suffix(".md").read_text(encoding="utf-8"))
+    stored = json.loads(weights.with_suffix(".json").read_text())
+    (training,) = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", text, re.S))
+    assert training == stored["training"], "run: python benchmarks/model_cards.py"
+    (result,) = front["model-index"][0]["results"]
+    rows = {name: float(value) for name, value in re.findall(r"^\| (.+?) \| ([\d.e-]+) \|", text, re.M)}
+    assert len(rows) > 10
+    assert {one["name"]: one["value"] for one in result["metrics"]}.items() <= rows.items()
+    assert "python benchmarks/model_cards.py policy" in text
+    assert run(text).training == training
 
 
 @pytest.mark.parametrize(("name", "file"), [("PPO", "PPO.md"), ("../a b", "_a_b.md"), ("PPO 2.5", "PPO_2.5.md")])

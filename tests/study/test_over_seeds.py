@@ -1,0 +1,126 @@
+"""A study over training seeds: its table and curves against known values, and what a second run does again."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import assert_one_clear_line, hydro
+
+from agents.evaluation.statistics import seeds_interval
+from agents.learning.validation import validation_errors
+from agents.study import over_seeds
+from agents.study.settings import StudySettings
+from hydro_env.files import write_yaml
+
+HEAD = {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64}
+PPO = {"kind": "ppo", "corrects": "Flow linearisation", "settings": {"total_steps": 100}}
+STUDY = StudySettings(
+    controllers={"PID": {"kind": "pid"}, "Flow linearisation": {"kind": "flow_linearising"}, "PPO": PPO},
+    leakage_head=HEAD,
+)
+
+
+def ratios(seed):
+    values = {"Flow linearisation": (0.7, 0.6), "PPO": (0.70 - 0.01 * seed, 0.54)}
+    return pd.DataFrame(
+        [
+            {"controller": name, "against": "PID", "group": group, "value": "", "ratio": ratio}
+            for name, pair in values.items()
+            for group, ratio in zip(("all", "equal_weight"), pair, strict=True)
+        ]
+    )
+
+
+def made(folder, seed):
+    """A finished study, as the tests need it."""
+    own = folder / "controllers" / "PPO"
+    own.mkdir(parents=True)
+    (folder / "tables").mkdir()
+    ratios(seed).to_csv(folder / "tables" / "ratios.csv", index=False)
+    rates = {
+        "controller": ["PID", "PPO"],
+        "group": "range",
+        "value": "0.1–0.2",
+        "flagged_share": [0.9 + 0.05 * seed, 0.5],
+    }
+    pd.DataFrame(rates).to_csv(folder / "tables" / "detection_rates.csv", index=False)
+    summary = {"controller": ["PID"], "auroc": 0.99, "false_alarm_rate": 0.01 + 0.001 * seed}
+    summary |= {"median_size_error_factor": 1.05}
+    pd.DataFrame(summary).to_csv(folder / "tables" / "detection_summary.csv", index=False)
+    log = {"time/total_timesteps": [50, 75, 100], "validation/mean_error_mm": [0.2, np.nan, 0.1 + 0.01 * seed]}
+    pd.DataFrame(log | {"validation/base_mean_error_mm": 0.12}).to_csv(own / "progress.csv", index=False)
+    (folder / "state.json").write_text(
+        '{"format": "hydro_env study, state 1", "done": ["evaluate"],'
+        f' "seconds": {{"train PPO": {100 + seed}, "train leakage head": 50}}}}'
+    )
+    (folder / "study.yaml").write_text("")
+    write_yaml(folder / "study.yaml", {**STUDY.model_dump(mode="json"), "seed": seed})
+    (folder / "report.html").write_text("")
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Calls of run_study, which here writes a finished study at once."""
+    calls = []
+
+    def run(study, folder, seed, resume, overwrite, command):
+        calls.append((folder.name, seed, resume, overwrite))
+        made(folder, seed)
+
+    monkeypatch.setattr(over_seeds, "run_study", run)
+    return calls
+
+
+def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path):
+    file = over_seeds.run_over_seeds(STUDY, tmp_path, range(3))
+    assert runs == [(f"seed {seed}", seed, False, False) for seed in range(3)]
+    table = pd.read_csv(file).set_index(["of", "figure"])
+    row = table.loc["PPO", "mean error ÷ PID's"]
+    np.testing.assert_allclose(row[["seed 0", "seed 1", "seed 2"]].astype(float), [0.70, 0.69, 0.68])
+    half = 4.302652729911275 * 0.01 / np.sqrt(3.0)  # Student's t for two degrees of freedom, from a table
+    np.testing.assert_allclose(row[["mean", "low", "high"]].astype(float), [0.69, 0.69 - half, 0.69 + half])
+    np.testing.assert_allclose(table.loc["PPO", "mean error ÷ that of Flow linearisation"]["mean"], 0.69 / 0.7)
+    equal = table.loc["PPO", "mean error, kinds of reference weigh the same ÷ that of Flow linearisation"]
+    np.testing.assert_allclose(equal[["mean", "low", "high"]].astype(float), 0.9)
+    assert table.loc["PPO", "training, s"]["mean"] == 101.0
+    assert table.loc["leakage head, under PID", "leaks of 0.1–0.2 l/min flagged, %"]["seed 1"] == 95.0
+    assert (
+        table.loc["leakage head, under PID", "leaks of 0.1–0.2 l/min flagged, %"]["high"] == 100.0
+    )  # no more than all
+    np.testing.assert_allclose(table.loc["leakage head, under PID", "false alarms, %"]["mean"], 1.1)
+
+
+def test_the_learning_curves_hold_every_validation(runs, tmp_path):
+    over_seeds.run_over_seeds(STUDY, tmp_path, range(4, 6))
+    curves = pd.read_csv(tmp_path / over_seeds.CURVES)
+    assert list(curves["controller"]) == ["PPO#4", "PPO#4", "PPO#5", "PPO#5"]
+    assert list(curves["steps"]) == [50, 100, 50, 100]
+    np.testing.assert_allclose(curves["validation/mean_error_mm"], [0.2, 0.14, 0.2, 0.15])
+    error, _, _ = validation_errors(STUDY.task, STUDY.make("PID"))
+    np.testing.assert_allclose(curves[over_seeds.FIRST_ERROR], error)
+    np.testing.assert_allclose(over_seeds.relative(curves)["validation/base_mean_error_mm"], 0.12 / error)
+    assert (tmp_path / over_seeds.CURVE_FILE).read_bytes().startswith(b"<?xml")
+
+
+def test_a_second_run_keeps_finished_studies_of_the_same_settings(runs, tmp_path):
+    over_seeds.run_over_seeds(STUDY, tmp_path, range(2))
+    (tmp_path / "seed 1" / "report.html").unlink()
+    assert over_seeds.is_finished(STUDY, tmp_path / "seed 0", 0)
+    assert not over_seeds.is_finished(STUDY, tmp_path / "seed 0", 1)
+    assert not over_seeds.is_finished(STUDY.model_copy(update={"title": "Another"}), tmp_path / "seed 0", 0)
+    assert not over_seeds.is_finished(STUDY, tmp_path / "seed 1", 1)
+    del runs[:]
+    with pytest.raises(FileExistsError):  # this stand-in cannot go on
+        over_seeds.run_over_seeds(STUDY, tmp_path, range(2), resume=True)
+    assert runs == [("seed 1", 1, True, False)]
+
+
+def test_two_seeds_have_no_interval():
+    assert seeds_interval(np.array([1.0, 3.0])).value == 2.0
+    assert np.isnan(seeds_interval(np.array([1.0, 3.0])).low)
+    assert seeds_interval(np.array([2.0, 2.0, 2.0])) == (2.0, 2.0, 2.0)
+
+
+def test_the_command_line_says_what_is_in_the_way(tmp_path):
+    (tmp_path / "seed 0").write_text("mine")
+    assert_one_clear_line(hydro("study", "--seeds", 2, "-o", tmp_path), "seed 0: is a file")
+    assert_one_clear_line(hydro("study", "--seeds", 2, "--config", "none"), "none")
