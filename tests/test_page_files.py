@@ -10,6 +10,7 @@ import yaml
 from agents.code_generation.compiler import c_compiler
 from agents.code_generation.controller_folder import exported_files
 from agents.evaluation.opponents import opponent
+from agents.leak_protocol.protocol import LeakProtocol
 from agents.recordings.columns import read_map
 from agents.robustness.conditions import protocol_named
 from hydro_env import ServoHydraulicEnv, TaskConfig
@@ -33,6 +34,7 @@ def test_every_block_has_a_test():
         ("own_rig.md", "yaml"),
         ("diagnose.md", "yaml"),
         ("robustness.md", "yaml"),
+        ("results.md", "yaml"),
         ("export.md", "c"),
     }
     assert {(page, kind) for page, kind, _ in BLOCKS} == tested
@@ -76,6 +78,15 @@ def test_the_condition_belongs_into_a_protocol(tmp_path):
     file.write_text(yaml.safe_dump(shipped | own), encoding="utf-8")
     protocol, _ = protocol_named(str(file))
     assert protocol.conditions[name].task == condition["task"]
+
+
+def test_the_detector_belongs_into_the_leak_protocol(tmp_path):
+    (text,) = blocks("results.md", "yaml")
+    shipped = yaml.safe_load((ROOT / "configs/protocols/leakage.yaml").read_text(encoding="utf-8"))
+    shipped["detectors"] |= yaml.safe_load(text)["detectors"]
+    file = tmp_path / "my_leakage.yaml"
+    file.write_text(yaml.safe_dump(shipped), encoding="utf-8")
+    assert LeakProtocol.from_yaml(file).detectors["mine"].windows == 1000
 
 
 def test_the_lines_of_c_compile(tmp_path):

@@ -16,7 +16,7 @@ from agents.running.folders import config_folder, pretrained_folder
 from agents.running.weights import weight_files
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml
-from hydro_env.mistakes import did_you_mean
+from hydro_env.mistakes import unknown
 from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
@@ -94,16 +94,11 @@ def opponent(
             controller = ExportedController.load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
-        elif "/" not in what and not any(file.is_file() for file in weight_files(what)):
-            known = ", ".join((*CONTROLLERS, *SHIPPED_WEIGHTS))
-            raise ConfigurationError(
-                f"'{what}': unknown; known: {known}; or give module:attribute, or a path of weights"
-            )
+        elif trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
+            names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
+            raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
         else:
-            try:
-                controller = (trainer or TRAINERS["ppo"]).load(Path(what))
-            except ConfigurationError as error:
-                raise ConfigurationError(f"{error}{did_you_mean(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))}") from error
+            controller = (trainer or TRAINERS["ppo"]).load(Path(what))
         check_predict(controller)
         layout = getattr(getattr(controller, "features", controller), "layout", None)
         if isinstance(layout, ObservationLayout):

@@ -95,7 +95,7 @@ def test_shipped_gains_hold_the_axis_at_every_leak():
 def test_wrong_gains_are_named(tmp_path):
     file = tmp_path / "pid.yaml"
     file.write_text("proportional: -3\n")
-    with pytest.raises(ConfigurationError, match=r"pid.yaml: proportional = -3: .*within 0 to"):
+    with pytest.raises(ConfigurationError, match=r"pid.yaml: line 1: proportional = -3: .*within 0 to"):
         PIDGains.from_yaml(file)
     with pytest.raises(ConfigurationError, match="holds no 'flow'"):
         LAYOUT.index("flow")

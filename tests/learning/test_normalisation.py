@@ -120,5 +120,5 @@ def test_a_damaged_normalisation_is_refused(tmp_path):
 
 
 def test_a_controller_that_estimates_nothing_has_nothing_to_show():
-    with pytest.raises(ConfigurationError, match="see_estimates: PID estimates nothing"):
+    with pytest.raises(ConfigurationError, match="see_estimates: PID has no estimates"):
         PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG), 0.2, see_estimates=True)

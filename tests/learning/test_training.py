@@ -233,7 +233,7 @@ def test_foreign_and_damaged_weights_are_refused(saved):
     saved.with_suffix(".safetensors").write_bytes(good)
     for change, message in (
         ({"layer_sizes": [3, 8, 1]}, "must begin with"),
-        ({"features": None}, "features: must be a group of settings"),
+        ({"features": None}, "features: is empty; must be a group of settings"),
         ({"layer_sizes": [*description["layer_sizes"][:1], 9, 1]}, "of shape"),
         ({"format": "another"}, "holds 'another'"),
     ):

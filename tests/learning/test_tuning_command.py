@@ -38,7 +38,7 @@ def test_what_does_not_fit_is_told_and_nothing_is_lost(study, tmp_path):
         ({}, "holds results already"),
         ({"resume": True, "objective": Objective.MEAN}, "was written with another objective"),
         ({"resume": True, "seed": 5}, "was written with another seed"),
-        ({"resume": True, "start": wrong}, r"wrong\.yaml: proportional = -3"),
+        ({"resume": True, "start": wrong}, r"wrong\.yaml: line 1: proportional = -3"),
     ):
         with pytest.raises(ConfigurationError, match=message) as raised:
             train("pid", folder, study, evaluations=14, **options)

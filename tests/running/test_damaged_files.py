@@ -38,7 +38,7 @@ def refusal(load, *arguments):
 
 
 def tried(load, path):
-    """Load and use what was loaded; True if it was refused with one line."""
+    """Load and use what was loaded; True if it was refused with a line for each mistake."""
 
     def use():
         found = load(path)
@@ -46,7 +46,10 @@ def tried(load, path):
         found.predict(np.zeros((2, len(layout.names)), dtype=np.float32))
 
     _, line = refusal(use)
-    assert line is None or ("\n" not in line and len(line) < 1500)
+    if line is not None:
+        heading, *mistakes = line.split("\n")
+        assert not mistakes or ("mistakes" in heading and all(mistake.startswith("  ") for mistake in mistakes))
+        assert all(len(text) < 1500 for text in (heading, *mistakes))
     return line is not None
 
 
