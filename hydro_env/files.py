@@ -130,7 +130,8 @@ def read_text(path: str | Path, largest: int = LARGEST_FILE, other_encoding: str
         with open(path, "rb") as file:
             content = file.read(largest + 1)
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+        name = str(path) if len(str(path)) < 1000 else f"{str(path)[:100]}…{str(path)[-100:]}"
+        raise ConfigurationError(f"{name}: cannot be read: {error.strerror}") from None
     except ValueError:  # it holds a null or a surrogate
         raise ConfigurationError(f"{str(path)!a}: is no possible file name") from None
     if len(content) > largest:

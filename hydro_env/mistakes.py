@@ -207,7 +207,7 @@ def _schema_at(root: Mapping[str, Any], path: Sequence[int | str]) -> dict[str, 
     for part in path:
         entries = schema.get("prefixItems", [])
         if isinstance(part, int):
-            inner = entries[part] if part < len(entries) else schema.get("items", {})
+            inner = entries[part] if 0 <= part < len(entries) else schema.get("items", {})
         else:
             by_name = [*schema.get("patternProperties", {}).values(), schema.get("additionalProperties", {})]
             inner = schema.get("properties", {}).get(part, by_name[0])

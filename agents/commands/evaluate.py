@@ -22,6 +22,7 @@ from agents.commands.options import (
 
 if TYPE_CHECKING:
     from agents.leakage.head import LeakageHead
+    from agents.study.settings import StudySettings
     from hydro_env import TaskConfig
 
 
@@ -41,7 +42,8 @@ def evaluate(
     protocol: Annotated[
         str | None,
         typer.Option(
-            "--protocol", help="Run a protocol instead: robustness, leakage (in `configs/protocols`), or a YAML file."
+            "--protocol",
+            help="Run a protocol instead: robustness, quick, leakage, leakage_quick, or a YAML file.",
         ),
     ] = None,
     jobs: Annotated[
@@ -105,7 +107,7 @@ def evaluate(
         study = study.model_copy(update={"evaluation": changed})
     if rig is not None:
         study = study.with_shipped_gains()
-    agents = named_agents(agent)
+    agents = {**_trained_beside(config, study), **named_agents(agent)}
     controllers, unfit = study.fitting(agents)
     for reason in unfit:
         print(f"hydro: left out: {reason}", file=sys.stderr)
@@ -132,6 +134,15 @@ def evaluate(
         display.say(f"report: {(output / REPORT_FILE).resolve()}")
     if evaluation.errors:
         raise ConfigurationError(f"{', '.join(evaluation.errors)} failed; {output} holds the results of the others")
+
+
+def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:
+    """By controller, the weights that a study has trained, if the settings are the file in the folder of this study."""
+    if config is None:
+        return {}
+    folder = config.parent / "controllers"
+    trained = [name for name, entry in study.controllers.items() if entry.trainer is not None]
+    return {name: str(folder / name / "policy") for name in trained if (folder / name / "policy.json").is_file()}
 
 
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:

@@ -82,7 +82,7 @@ def evaluate_leak_protocol(
         write_leak_report(output, tables.by_name(), protocol)
         display.update("page", 1, 1)
     print_floors(tables, display)
-    display.say(f"SHA-256 {facts['file_sha256']}")
+    display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / PAGE_FILE).resolve()}")
     failed = run.status[run.status["status"] == "failed"].to_dict("records")

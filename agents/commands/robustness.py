@@ -106,7 +106,7 @@ def evaluate_protocol(
         )
         display.update("page", 1, 1)
     _print_ranking(tables, display)
-    display.say(f"SHA-256 {facts['file_sha256']}")
+    display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / PAGE_FILE).resolve()}")
     if run.errors:

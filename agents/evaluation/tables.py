@@ -27,6 +27,9 @@ def per_plant(frame: pd.DataFrame, metric: str = ERROR) -> NDArray[np.float64]:
     return means
 
 
+RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "high", "share_of_cases_better"]
+
+
 def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
     """Every metric per controller and value of the column ``by``."""
     rows = []
@@ -72,4 +75,4 @@ def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
         ratio = geometric_ratio_interval(mine_by_family, theirs_by_family).columns("ratio")
         label = "geometric mean of the families' ratios"
         rows.append({**who, "group": "equal_weight", "value": label, **ratio, "share_of_cases_better": np.nan})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=RATIO_COLUMNS)

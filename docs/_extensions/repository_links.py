@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import re
 import shutil
 from collections.abc import Iterator
 from html import escape
@@ -103,7 +104,8 @@ def folder_listing(folder: str, files: dict[str, str]) -> str:
         else:
             link, says = f"{name}/index.html", f"{folder}/{name}/__init__.py"
         about = first_line(says) if says in files else ""
-        rows.append(f'<tr><td><a href="{escape(link)}">{escape(name)}</a></td><td>{escape(about)}</td></tr>')
+        about = re.sub("``(.+?)``", r"<code>\1</code>", escape(about))
+        rows.append(f'<tr><td><a href="{escape(link)}">{escape(name)}</a></td><td>{about}</td></tr>')
     return f'<h1>{escape(folder)}</h1><table class="docutils">{"".join(rows)}</table>'
 
 
