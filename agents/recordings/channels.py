@@ -126,7 +126,7 @@ def _too_low_pressures(samples: Sampled, config: TaskConfig) -> list[Finding]:
     if not highest or max(highest) > least:
         return []
     what = f"read at most {_shown('pressure_a', max(highest))}, but the supply has {_shown('pressure_a', supply)}"
-    what += _fitting_units("pressure_a", max(highest), least, supply, samples)
+    what += _fitting_units("pressure_a", max(highest), least, _largest("pressure_a", config), samples)
     return [Finding("pressures", what, Weight.SEVERE)]
 
 
