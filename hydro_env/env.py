@@ -141,9 +141,8 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Version History
 
-    * v0: first version. Returns of versions 0.1 and 0.2 of the package differ: since 0.2 an episode begins where a
-      controller that reads the biased sensor would hold the axis (``start="actual"`` restores the old start), and a
-      plant whose valve cannot hold the initial position is replaced by another draw. The changelog lists all changes.
+    * v0: first version. Since version 0.2 of the package an episode begins where a controller that reads the biased
+      sensor would hold the axis (``start="actual"`` restores the old start); the changelog lists all changes.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from agents.controllers.pid import PIDGains
 from agents.controllers.sampled_loop import places_in_reach, sampled_loop
-from agents.rigs.starting_gains import pid_from_figures
+from agents.rigs.starting_gains import pid_from_figures, stable_start
 from agents.study.settings import default_study
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
@@ -31,8 +32,8 @@ def test_half_of_the_largest_stable_gain_and_the_inverse_speeds(rig):
 @pytest.mark.parametrize("rig", RIGS)
 def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there(rig):
     study = default_study(Path("own_rig_quick"), rig=rig)
-    given = default_study(Path("own_rig_quick")).controllers["PID"].settings["proportional"]
-    own = pid_from_figures(study.task).proportional
-    begins = study.controllers["PID"].settings["proportional"]
+    settings = PIDGains(**study.controllers["PID"].settings)
+    given, own = settings.proportional, pid_from_figures(study.task).proportional
+    begins = stable_start(study.task, settings).proportional
     assert begins == (own if given > 2.0 * own else given)
     assert begins <= 2.0 * own

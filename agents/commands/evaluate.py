@@ -138,11 +138,12 @@ def evaluate(
 
 def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]:
     """By controller, the weights that a study has trained, if the settings are the file in the folder of this study."""
-    if config is None:
+    from agents.running.weights import weight_files
+
+    if config is None or not config.is_file():  # none, or a name in configs/studies
         return {}
-    folder = config.parent / "controllers"
-    trained = [name for name, entry in study.controllers.items() if entry.trainer is not None]
-    return {name: str(folder / name / "policy") for name in trained if (folder / name / "policy.json").is_file()}
+    weights = {name: config.parent / "controllers" / name / "policy" for name in study.trained}
+    return {name: str(path) for name, path in weights.items() if weight_files(path)[1].is_file()}
 
 
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:

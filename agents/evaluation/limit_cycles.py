@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.running.cases import Cases, Rollout
+from agents.running.cases import Rollout
 from agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 
@@ -71,11 +71,6 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
     count = [round(time / config.control_period) for time in (BEFORE, KICK, SETTLING + JUDGED)]
     count[-1] += 1  # the sample at the end of the last period
     return own_reference(noiseless(config), np.repeat([0.0, config.references.step_range[0], 0.0], count))
-
-
-def standstill_cases(cases: Cases) -> Cases:
-    """The same cases on the reference of :func:`standstill_task`."""
-    return Cases(cases.seeds, cases.leakage_flow_lpm, None, cases.parameters)
 
 
 def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:

@@ -193,7 +193,7 @@ def _loop(parameters: PlantParameters, place: float) -> list[Row]:
         plant, at = beyond_dead_band(_leaking(parameters, leak)), f"{_position(place)}, {leak_text(leak)}"
         rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
         sampled.append(Row("position loop", stable, at, _figure(_largest_gain, plant, place), "1/m"))
-        worst = _worst_gain(plant, places)
+        worst = worst_gain(plant, places)
         sampled.append(Row("position loop", "largest stable gain", f"{span}, {leak_text(leak)}", worst, "1/m"))
         if isinstance(worst, float) and worst > 0.0:
             stiffness = _figure(partial(_static_stiffness, 0.5 * worst), plant, place)
@@ -275,17 +275,22 @@ def _rule_of_thumb(parameters: PlantParameters, place: float) -> float:
     return 4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters))
 
 
-def _largest_gain(parameters: PlantParameters, place: float) -> float:
-    return sampled_loop(parameters, place).largest_stable_gain()
+def _largest_gain(parameters: PlantParameters, place: float, *timing: float) -> float:
+    return sampled_loop(parameters, place, *timing).largest_stable_gain()
 
 
 def _static_stiffness(gain: float, parameters: PlantParameters, place: float) -> float:
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
 
 
-def _worst_gain(parameters: PlantParameters, places: list[float]) -> float | str:
-    """The smallest of the largest stable gains over some positions."""
-    gains = [_figure(_largest_gain, parameters, place) for place in places]
+def worst_gain(
+    parameters: PlantParameters,
+    places: list[float],
+    control_period: float = CONTROL_PERIOD,
+    latency: float = COMMAND_LATENCY,
+) -> float | str:
+    """The smallest of the largest stable proportional gains (1/m) over some positions, or why it does not exist."""
+    gains = [_figure(lambda *at: _largest_gain(*at, control_period, latency), parameters, place) for place in places]
     numbers = [gain for gain in gains if isinstance(gain, float)]
     return min(numbers) if numbers else max(map(str, gains))  # "unlimited" comes after "cannot be held"
 

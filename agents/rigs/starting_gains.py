@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 from agents.controllers.pid import PIDGains
-from agents.controllers.sampled_loop import places_in_reach, sampled_loop
-from agents.rigs.check import beyond_dead_band
-from hydro_env import HydroError, TaskConfig
+from agents.controllers.sampled_loop import places_in_reach
+from agents.rigs.check import beyond_dead_band, worst_gain
+from hydro_env import TaskConfig
+from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits
 
 SHARE_OF_STABLE = 0.5
@@ -27,15 +26,9 @@ def pid_from_figures(task: TaskConfig) -> PIDGains | None:
         The gains, or ``None`` if no gain makes the loop unstable, or each gain does.
     """
     plant = beyond_dead_band(task.plant)
-    stable = math.inf
-    for position in places_in_reach(task.plant):
-        try:
-            loop = sampled_loop(plant, position, task.control_period, task.command_latency)
-        except HydroError:  # the valve cannot hold this position
-            continue
-        stable = min(stable, loop.largest_stable_gain())
+    stable = worst_gain(plant, places_in_reach(task.plant), task.control_period, task.command_latency)
     out, back = speed_limits(plant)
-    if not 0.0 < stable < math.inf or min(out, back) <= 0.0:
+    if not isinstance(stable, float) or stable <= 0.0 or min(out, back) <= 0.0:
         return None
     proportional = SHARE_OF_STABLE * stable
     crossover = proportional * 0.5 * (out + back)
@@ -46,3 +39,11 @@ def pid_from_figures(task: TaskConfig) -> PIDGains | None:
         feedforward_retracting=1.0 / back,
         lead_in_integral=False,
     )
+
+
+def stable_start(task: TaskConfig, given: Group) -> Group:
+    """The given gains; for a PID whose gains would make the position loop unstable, those from the rig's figures."""
+    if not isinstance(given, PIDGains):
+        return given
+    own = pid_from_figures(task)
+    return own if own is not None and given.proportional > own.proportional / SHARE_OF_STABLE else given

@@ -16,7 +16,6 @@ from agents.evaluation.opponents import SHIPPED_WEIGHTS, gains_file, opponent, s
 from agents.evaluation.protocol import ProtocolSettings
 from agents.leakage.training import HeadTrainingSettings
 from agents.learning.trainers import TRAINERS, Trainer, trainer
-from agents.rigs.starting_gains import SHARE_OF_STABLE, pid_from_figures
 from agents.running.settings_files import read_settings, read_task
 from agents.study.absent_sensors import without_absent_sensors
 from hydro_env import ConfigurationError, TaskConfig
@@ -280,7 +279,9 @@ def default_study(
     if rig is not None:
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
         changes["controllers"] = {
-            name: _tuned_for_another_rig(entry, changes["task"]) if entry.kind in CONTROLLERS else entry
+            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
+            if entry.kind in CONTROLLERS
+            else entry
             for name, entry in study.controllers.items()
         }
     study, notes = without_absent_sensors(study.model_copy(update=changes))
@@ -288,17 +289,3 @@ def default_study(
         print(f"hydro: {note}", file=sys.stderr)
     study.check("study" if path is None else str(path))
     return study
-
-
-def _tuned_for_another_rig(entry: ControllerEntry, task: TaskConfig) -> ControllerEntry:
-    """The controller with a tuning before it takes part.
-
-    The gains of a PID may make the loop of this rig unstable. The search then begins with gains from the rig's figures.
-    """
-    changes: dict[str, Any] = {"tune": entry.tune or TuningSettings()}
-    if entry.kind == "pid":
-        own = pid_from_figures(task)
-        given = validate(CONTROLLERS["pid"][1], entry.settings, "PID")
-        if own is not None and given.model_dump()["proportional"] > own.proportional / SHARE_OF_STABLE:
-            changes["settings"] = own.model_dump(mode="json")
-    return entry.model_copy(update=changes)

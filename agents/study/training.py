@@ -15,6 +15,7 @@ from agents.leakage.head import LeakageHead
 from agents.leakage.training import HeadTrainingSettings, train_head
 from agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from agents.learning.tuning import Tuned, tune
+from agents.rigs.starting_gains import stable_start
 from agents.running.console import ProgressDisplay
 from agents.study.settings import StudySettings, TuningSettings
 from hydro_env import TaskConfig
@@ -98,7 +99,10 @@ def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, di
     """
     entry, log = study.controllers[name], folder / TUNING_LOG
     assert entry.tune is not None
-    start = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
+    given = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
+    start = stable_start(study.task, given)
+    if start is not given:
+        display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
     tuned = tune_gains(
         entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, log, seed, log.exists(), display, f"tune {name}"
     )
