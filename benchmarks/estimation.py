@@ -17,13 +17,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from agents.estimation.estimate import Estimate, estimate
-from agents.estimation.following import estimate_run
-from agents.estimation.names import LEAKAGE
-from agents.estimation.unknowns import default_unknowns
-from agents.leak_protocol.operations import ACTING, MOTIONS
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.estimation.estimate import Estimate, estimate
+from hydro_agents.estimation.following import estimate_run
+from hydro_agents.estimation.names import LEAKAGE
+from hydro_agents.estimation.unknowns import default_unknowns
+from hydro_agents.leak_protocol.operations import ACTING, MOTIONS
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
 from hydro_env.task.sensors import CHANNELS

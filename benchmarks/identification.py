@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
-from agents.evaluation.opponents import opponent
-from agents.identification.identify import Identification, identify
-from agents.recordings.simulated import record_axis
-from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
+from hydro_agents.evaluation.opponents import opponent
+from hydro_agents.identification.identify import Identification, identify
+from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_yaml
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector

@@ -16,20 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
-from agents import evaluate
-from agents.controllers.base import Controller
-from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import shipped
-from agents.identification.identify import identify, identify_to_folder
-from agents.learning.policy import PolicyController
-from agents.learning.settings import PPOSettings
-from agents.learning.training import train_ppo
-from agents.learning.tuning import tune
-from agents.recordings.simulated import record_axis
-from agents.rigs.new_rig import new_rig
-from agents.rigs.questions import answers_from
-from agents.running.seeds import TRAINING_SEEDS
-from agents.study.settings import default_study
+from hydro_agents import evaluate
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.identification.identify import identify, identify_to_folder
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.tuning import tune
+from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.rigs.new_rig import new_rig
+from hydro_agents.rigs.questions import answers_from
+from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, validate, write_text, write_yaml
 from hydro_env.plant.parameters import from_vector

@@ -1,6 +1,6 @@
 """Figures of a leakage head on test plants: detection, false alarms, size and intervals by operation and by fault.
 
-    python benchmarks/leakage_head.py [--head agents/pretrained/leakage_head] [--plants 100] [--output head.csv]
+    python benchmarks/leakage_head.py [--head agents/hydro_agents/pretrained/leakage_head] [--plants N] [--output F]
 
 Every row is one way of operating the axis, with a fault or none. Each plant runs with a leak of 0.01 (healthy), 0.1,
 0.2, 0.3 and 1 l/min; the head reads 2 s (row "first": from the start of a run, else from anywhere in it). "unseen":
@@ -20,16 +20,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from agents.controllers import ObservationLayout
-from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import load_head, opponent
-from agents.leakage.features import SIGNALS
-from agents.leakage.head import LeakageHead
-from agents.leakage.metrics import threshold_at_false_alarm_rate
-from agents.leakage.operation import MANNERS, Operation, loaded, slow, still
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import TEST_SEEDS
-from agents.study.settings import default_study
+from hydro_agents.controllers import ObservationLayout
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.opponents import load_head, opponent
+from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.leakage.metrics import threshold_at_false_alarm_rate
+from hydro_agents.leakage.operation import MANNERS, Operation, loaded, slow, still
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.study.settings import default_study
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_file

@@ -12,12 +12,12 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agents.evaluation.opponents import HEAD_FILE, load_head
-from agents.evaluation.protocol import evaluate
-from agents.running.console import ProgressDisplay
-from agents.running.folders import config_folder, pretrained_folder
-from agents.study.model_cards import controller_card, head_card
-from agents.study.settings import ControllerEntry, StudySettings, default_study
+from hydro_agents.evaluation.opponents import HEAD_FILE, load_head
+from hydro_agents.evaluation.protocol import evaluate
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.study.model_cards import controller_card, head_card
+from hydro_agents.study.settings import ControllerEntry, StudySettings, default_study
 from hydro_env.files import read_yaml, write_text
 
 POLICY, CORRECTED = "PPO", "Flow linearisation"

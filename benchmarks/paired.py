@@ -28,10 +28,10 @@ def rates() -> dict[str, Callable[[float], float]]:
     """The measurements as functions of their duration (s), made of each checkout's own code."""
     import gymnasium as gym
 
-    from agents.benchmark.environment_rows import single_rate, vector_rate
-    from agents.benchmark.kernel_access import BareKernel
-    from agents.benchmark.timing import rate
-    from agents.benchmark.training_rows import default_study, native_model
+    from hydro_agents.benchmark.environment_rows import single_rate, vector_rate
+    from hydro_agents.benchmark.kernel_access import BareKernel
+    from hydro_agents.benchmark.timing import rate
+    from hydro_agents.benchmark.training_rows import default_study, native_model
 
     bare, settings = BareKernel(1024, 1), default_study()
     model, _ = native_model(settings, settings.ppo)
@@ -62,7 +62,7 @@ class Checkout:
     def __init__(self, folder: Path, options: list[str]) -> None:
         self.folder = folder
         command = [sys.executable, str(Path(__file__).resolve()), str(folder), "--serve", *options]
-        environment = {**os.environ, "PYTHONPATH": str(folder)}
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), str(folder / "agents")])}
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=folder, env=environment
         )

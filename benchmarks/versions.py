@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TESTS = [f"tests/{name}.py" for name in ("test_env", "test_vector_env", "plant/test_known_answers", "test_pretrained")]
 EXTRAS = ("render", "agents")
 TOOLS = ("pytest", "hypothesis")
-HYDRO = "from agents.commands.launcher import main; main()"
+HYDRO = "from hydro_agents.commands.launcher import main; main()"
 
 
 def requirements() -> list[str]:
@@ -59,7 +59,10 @@ def versions(interpreter: Path) -> dict[str, str]:
 
 def outcome(interpreter: Path, arguments: list[str]) -> str:
     """Last line that the tests print, and whether ``hydro --help`` works."""
-    variables = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(interpreter.parents[1] / "numba")}
+    variables = {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "agents")]),
+        "NUMBA_CACHE_DIR": str(interpreter.parents[1] / "numba"),
+    }
     settings = {"cwd": ROOT, "env": {**os.environ, **variables}, "capture_output": True, "text": True}
     tests = subprocess.run([interpreter, "-m", "pytest", "-q", *arguments], check=False, **settings)  # type: ignore[call-overload]
     (interpreter.parents[1] / "tests.log").write_text(tests.stdout + tests.stderr, encoding="utf-8")

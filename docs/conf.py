@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent)]
+sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent), str(HERE.parent / "agents")]
 
 from repository_links import place_in_source  # noqa: E402
 
@@ -31,7 +31,7 @@ extensions = [
     "repository_links",
 ]
 root_doc = "docs/index"
-include_patterns = ["docs/**.md", "agents/pretrained/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = ["docs/**.md", "agents/hydro_agents/pretrained/*.md", "CONTRIBUTING.md", "CHANGELOG.md"]
 exclude_patterns = [
     ".*",
     "build",
@@ -46,7 +46,7 @@ exclude_patterns = [
 nitpicky = True
 
 # The notebooks run while the site is built; an error in one ends the build.
-os.environ["PYTHONPATH"] = str(HERE.parent)
+os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), str(HERE.parent / "agents")])
 nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_raise_on_error = True

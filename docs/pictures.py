@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
-from agents.controllers import PID, PIDGains
-from agents.report.canvas import (
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.report.canvas import (
     COLOURS,
     GREY,
     WIDE,
@@ -32,10 +32,10 @@ from agents.report.canvas import (
     row_axis,
     ticks,
 )
-from agents.report.text import correction_name
-from agents.report.training_plots import learning_plots
-from agents.running.folders import config_folder
-from agents.study.over_seeds import relative
+from hydro_agents.report.text import correction_name
+from hydro_agents.report.training_plots import learning_plots
+from hydro_agents.running.folders import config_folder
+from hydro_agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
 

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
-from agents.commands import application
+from hydro_agents.commands import application
 
 ROOT = Path(__file__).parents[1]
-COMMAND = (sys.executable, "-m", "agents.commands.application")
+COMMAND = (sys.executable, "-m", "hydro_agents.commands.application")
 
 
 class Answer(NamedTuple):

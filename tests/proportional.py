@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.controllers.base import ObservationLayout
+from hydro_agents.controllers.base import ObservationLayout
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 

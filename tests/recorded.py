@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from agents.controllers.registry import make_controller
-from agents.recordings.recording import Recording, read_recording
-from agents.recordings.simulated import record_axis
-from agents.running.folders import config_folder
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.recordings.recording import Recording, read_recording
+from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.running.folders import config_folder
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.task.configuration import task_config

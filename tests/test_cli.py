@@ -16,10 +16,10 @@ from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydr
 from matplotlib.figure import Figure
 
 import hydro_env
-from agents.commands.options import show
-from agents.rigs import check_table
-from agents.rigs.simulation import paint_trajectory
-from agents.running.folders import output_folder
+from hydro_agents.commands.options import show
+from hydro_agents.rigs import check_table
+from hydro_agents.rigs.simulation import paint_trajectory
+from hydro_agents.running.folders import output_folder
 from hydro_env import PlantParameters, simulate
 
 COMMANDS = (

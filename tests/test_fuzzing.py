@@ -17,15 +17,15 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agents.leakage.head import LeakageHead
-from agents.learning.policy import PolicyController
-from agents.recordings.columns import read_map
-from agents.recordings.quality import check_recording
-from agents.recordings.recording import read_recording
-from agents.recordings.simulated import recording_csv
-from agents.recordings.table import read_table
-from agents.running.folders import config_folder, pretrained_folder
-from agents.study.settings import StudySettings
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.recordings.columns import read_map
+from hydro_agents.recordings.quality import check_recording
+from hydro_agents.recordings.recording import read_recording
+from hydro_agents.recordings.simulated import recording_csv
+from hydro_agents.recordings.table import read_table
+from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.study.settings import StudySettings
 from hydro_env import (
     HydroError,
     PlantParameters,

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,17 +17,17 @@ FLOORS = (
     ("hydro_env/plant/", 1),
     ("hydro_env/task/", 2),
     ("hydro_env/", 3),
-    ("agents/controllers/", 4),
-    ("agents/running/", 5),
-    ("agents/learning/", 6),
-    ("agents/estimation/", 6),
-    ("agents/code_generation/", 7),
-    ("agents/leakage/", 7),
-    ("agents/alarms/", 8),
-    ("agents/experiments/", 8),
-    ("agents/evaluation/", 8),
-    ("agents/report/", 9),
-    ("agents/", 10),
+    ("agents/hydro_agents/controllers/", 4),
+    ("agents/hydro_agents/running/", 5),
+    ("agents/hydro_agents/learning/", 6),
+    ("agents/hydro_agents/estimation/", 6),
+    ("agents/hydro_agents/code_generation/", 7),
+    ("agents/hydro_agents/leakage/", 7),
+    ("agents/hydro_agents/alarms/", 8),
+    ("agents/hydro_agents/experiments/", 8),
+    ("agents/hydro_agents/evaluation/", 8),
+    ("agents/hydro_agents/report/", 9),
+    ("agents/hydro_agents/", 10),
 )
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pandas", "safetensors", "typer", "rich", "jinja2"}
 FORBIDDEN = {0: HEAVY | {"gymnasium", "pygame"}, 1: HEAVY | {"gymnasium", "pygame"}, 2: HEAVY | {"pygame"}, 3: HEAVY}
@@ -70,8 +71,15 @@ def test_the_environment_loads_no_learning_library():
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
+def test_the_wheel_holds_two_packages_with_names_of_their_own():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    wheel = settings["tool"]["hatch"]["build"]["targets"]["wheel"]
+    assert [Path(package).name for package in wheel["packages"]] == ["hydro_env", "hydro_agents"]
+    assert settings["project"]["scripts"]["hydro"].startswith("hydro_agents.")
+
+
 def test_seeds_of_training_validation_and_test_are_disjoint():
-    from agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
+    from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
 
     sets = [set(range(s.start, s.stop)) for s in (TRAINING_SEEDS, VALIDATION_SEEDS, TEST_SEEDS)]
     assert sum(map(len, sets)) == len(set.union(*sets))

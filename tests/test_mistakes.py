@@ -3,7 +3,7 @@
 import pytest
 from command_line import hydro, own_lines
 
-from agents.study.settings import StudySettings
+from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.errors import UnknownKeyError
 from hydro_env.mistakes import MOST_MISTAKES, did_you_mean, kept, one_of, refuse, unknown

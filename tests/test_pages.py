@@ -13,7 +13,7 @@ import yaml
 from recorded import healthy
 
 import hydro_env
-from agents.commands.application import app
+from hydro_agents.commands.application import app
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -121,8 +121,8 @@ def test_every_page_stands_in_the_contents():
 def test_every_command_and_every_room_is_listed():
     for command in typer.main.get_command(app).commands:
         assert f"`hydro {command}" in TEXTS["docs/commands.md"], command
-    for room in sorted((ROOT / "agents").glob("*/__init__.py")):
-        assert f"(../agents/{room.parent.name})" in TEXTS["docs/architecture.md"], room.parent.name
+    for room in sorted((ROOT / "agents" / "hydro_agents").glob("*/__init__.py")):
+        assert f"(../agents/hydro_agents/{room.parent.name})" in TEXTS["docs/architecture.md"], room.parent.name
 
 
 def test_the_citation_names_this_version():

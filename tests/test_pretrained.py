@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from agents.controllers import ObservationLayout
-from agents.evaluation.opponents import load_head, opponent
-from agents.evaluation.protocol import ProtocolSettings
-from agents.leakage.features import SIGNALS
-from agents.leakage.metrics import area_under_roc, detection_rate
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import VALIDATION_SEEDS
-from agents.study.settings import default_study
+from hydro_agents.controllers import ObservationLayout
+from hydro_agents.evaluation.opponents import load_head, opponent
+from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.leakage.metrics import area_under_roc, detection_rate
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.study.settings import default_study
 
 STUDY = default_study()
 LAYOUT = ObservationLayout.of(STUDY.task)

@@ -76,7 +76,12 @@ def run(root: Path, *trials: str) -> None:
     variables = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
     command = [sys.executable, __file__, *trials]
     done = subprocess.run(
-        command, env={**variables, "PYTHONPATH": str(root)}, cwd=root, capture_output=True, text=True, check=False
+        command,
+        env={**variables, "PYTHONPATH": os.pathsep.join([str(root), str(root / "agents")])},
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
 
@@ -87,7 +92,7 @@ def test_a_recipe_fits_the_sources_and_takes_few_files(recipe, sources):
     changed = apply(recipe, sources)
     in_yaml = {name for name in changed if name.endswith(".yaml")}
     assert 1 <= len(changed - in_yaml) <= MOST_SOURCE_FILES[recipe]
-    assert all(name.startswith(("hydro_env/", "agents/")) for name in changed - in_yaml)
+    assert all(name.startswith(("hydro_env/", "agents/hydro_agents/")) for name in changed - in_yaml)
     more_lines = sum(len(file.read_text().splitlines()) - len(text.splitlines()) for file, text in settings.items())
     assert (len(in_yaml), more_lines) == ((1, 1) if recipe in AGENT_RECIPES else (0, 0))
 
@@ -191,10 +196,10 @@ def try_task() -> None:
 
 
 def try_agents() -> None:
-    from agents import evaluate
-    from agents.running.console import ProgressDisplay
-    from agents.study.settings import StudySettings
-    from agents.study.training import train_controller
+    from hydro_agents import evaluate
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.study.settings import StudySettings
+    from hydro_agents.study.training import train_controller
 
     study = StudySettings.from_yaml("configs/studies/quick.yaml")
     assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO", "TD3"]

@@ -188,7 +188,7 @@ def test_nothing_heavy_is_loaded_before_it_is_needed():
     code = (
         "import sys, pickle, gymnasium as gym, hydro_env;"
         "assert gym.spec('ServoHydraulic-v0').entry_point == 'hydro_env.env:ServoHydraulicEnv';"
-        "heavy = {'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'torch', 'matplotlib', 'pygame', 'agents'};"
+        "heavy = {'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'torch', 'matplotlib', 'pygame', 'hydro_agents'};"
         "found = heavy & set(sys.modules); assert not found, found;"
         "assert set(hydro_env.__all__) <= set(dir(hydro_env));"
         "from hydro_env import PlantParameters, TaskConfig, LEAKAGE_CLASSES;"

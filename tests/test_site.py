@@ -93,7 +93,10 @@ def test_the_site_builds_and_its_links_hold(site, monkeypatch):
 
 @pytest.mark.slow
 def test_nothing_is_cut_off(site, browser):
-    sources = [site / "source" / "hydro_env" / "env.py.html", site / "source" / "agents" / "index.html"]
+    sources = [
+        site / "source" / "hydro_env" / "env.py.html",
+        site / "source" / "agents" / "hydro_agents" / "index.html",
+    ]
     drawers = ".sidebar-drawer, .toc-drawer"
     found = {
         path.relative_to(site).as_posix(): problems_everywhere(browser, path, drawers)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from agents.alarms.growth import growth
-from agents.alarms.rates import fit_tail, peaks, poisson_interval, rate_with_interval
+from hydro_agents.alarms.growth import growth
+from hydro_agents.alarms.rates import fit_tail, peaks, poisson_interval, rate_with_interval
 from hydro_env import ConfigurationError
 
 

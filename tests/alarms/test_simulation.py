@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from agents.alarms.detector import Activity, Evidence, activity_of
-from agents.alarms.looks import looks_at
-from agents.alarms.operation import working_references
-from agents.alarms.simulation import Onset, Operation, simulate
-from agents.alarms.store import Bench
-from agents.controllers import PID, PIDGains
-from agents.leakage.features import SIGNALS
+from hydro_agents.alarms.detector import Activity, Evidence, activity_of
+from hydro_agents.alarms.looks import looks_at
+from hydro_agents.alarms.operation import working_references
+from hydro_agents.alarms.simulation import Onset, Operation, simulate
+from hydro_agents.alarms.store import Bench
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.leakage.features import SIGNALS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()

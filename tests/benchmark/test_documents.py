@@ -4,8 +4,8 @@ import importlib.util
 import re
 from pathlib import Path
 
-from agents.benchmark.table import Row, write_markdown
-from agents.commands.benchmark import GROUPS
+from hydro_agents.benchmark.table import Row, write_markdown
+from hydro_agents.commands.benchmark import GROUPS
 
 ROOT = Path(__file__).parents[2]
 spec = importlib.util.spec_from_file_location("put_into_docs", ROOT / "benchmarks" / "put_into_docs.py")

@@ -6,14 +6,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.benchmark.environment_rows import single_cases, single_rate, vector_rate
-from agents.benchmark.kernel_access import BareKernel, counted_work
-from agents.benchmark.profile_rows import profile_cases
-from agents.benchmark.resource_rows import array_bytes, inference_cases, memory_cases
-from agents.benchmark.solver_rows import error_of, matching_tolerance, solver_cases
-from agents.benchmark.table import UnavailableError
-from agents.benchmark.timing import QUICK, fresh_process, rate, time_in
-from agents.benchmark.training_rows import study_of_the_pid, validation_error
+from hydro_agents.benchmark.environment_rows import single_cases, single_rate, vector_rate
+from hydro_agents.benchmark.kernel_access import BareKernel, counted_work
+from hydro_agents.benchmark.profile_rows import profile_cases
+from hydro_agents.benchmark.resource_rows import array_bytes, inference_cases, memory_cases
+from hydro_agents.benchmark.solver_rows import error_of, matching_tolerance, solver_cases
+from hydro_agents.benchmark.table import UnavailableError
+from hydro_agents.benchmark.timing import QUICK, fresh_process, rate, time_in
+from hydro_agents.benchmark.training_rows import study_of_the_pid, validation_error
 from hydro_env import ServoHydraulicVectorEnv
 
 TINY = dataclasses.replace(

@@ -5,7 +5,7 @@ import copy
 import pytest
 import yaml
 
-from agents.benchmark.table import (
+from hydro_agents.benchmark.table import (
     Case,
     Row,
     UnavailableError,
@@ -15,9 +15,9 @@ from agents.benchmark.table import (
     read_csv,
     write_csv,
 )
-from agents.commands import benchmark as command
-from agents.commands.benchmark import benchmark_to_folder, measure_group
-from agents.running.console import ProgressDisplay
+from hydro_agents.commands import benchmark as command
+from hydro_agents.commands.benchmark import benchmark_to_folder, measure_group
+from hydro_agents.running.console import ProgressDisplay
 from hydro_env import ConfigurationError
 
 
@@ -120,6 +120,6 @@ def test_unknown_group_is_refused_in_one_line(tmp_path):
 def test_help_names_every_group():
     import inspect
 
-    from agents.commands import application as cli
+    from hydro_agents.commands import application as cli
 
     assert all(f"{name}" in inspect.getsource(cli.benchmark) for name in command.GROUPS)

@@ -13,22 +13,22 @@ import onnx
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
-from agents.code_generation.compiler import c_compiler
-from agents.code_generation.contract import read_contract
-from agents.code_generation.controller_code import controller_code
-from agents.code_generation.controller_folder import exported_files
-from agents.code_generation.controller_graph import controller_graph
-from agents.code_generation.exported import ExportedController, onnx_session
-from agents.code_generation.measured import MeasuredController
-from agents.code_generation.measured_signals import MeasuredSignals
-from agents.code_generation.tracing import TraceError
-from agents.controllers.base import ObservationLayout
-from agents.evaluation.opponents import opponent, trained_for
-from agents.learning.features import PolicyFeatures
-from agents.learning.policy import PolicyController
-from agents.running.cases import Cases, run_cases
-from agents.running.folders import pretrained_folder
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.code_generation.compiler import c_compiler
+from hydro_agents.code_generation.contract import read_contract
+from hydro_agents.code_generation.controller_code import controller_code
+from hydro_agents.code_generation.controller_folder import exported_files
+from hydro_agents.code_generation.controller_graph import controller_graph
+from hydro_agents.code_generation.exported import ExportedController, onnx_session
+from hydro_agents.code_generation.measured import MeasuredController
+from hydro_agents.code_generation.measured_signals import MeasuredSignals
+from hydro_agents.code_generation.tracing import TraceError
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_agents.evaluation.opponents import opponent, trained_for
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, HydroError, ServoHydraulicVectorEnv, TaskConfig
 
 KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")

@@ -6,14 +6,14 @@ import json
 import numpy as np
 import pytest
 
-from agents.code_generation import head_folder
-from agents.code_generation.c_types import DOUBLE, INT, UINT64, array
-from agents.code_generation.compiler import c_compiler
-from agents.code_generation.expressions import TranslationError
-from agents.code_generation.head_folder import ESTIMATES, FILES, LARGEST_DIFFERENCE, check_c, exported_head
-from agents.code_generation.translator import Translator
-from agents.leakage.head import LeakageHead
-from agents.running.folders import pretrained_folder
+from hydro_agents.code_generation import head_folder
+from hydro_agents.code_generation.c_types import DOUBLE, INT, UINT64, array
+from hydro_agents.code_generation.compiler import c_compiler
+from hydro_agents.code_generation.expressions import TranslationError
+from hydro_agents.code_generation.head_folder import ESTIMATES, FILES, LARGEST_DIFFERENCE, check_c, exported_head
+from hydro_agents.code_generation.translator import Translator
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.running.folders import pretrained_folder
 from hydro_env import HydroError
 from hydro_env.compiling import inline
 

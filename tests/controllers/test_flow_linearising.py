@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
-from agents.controllers.flow_model import FlowModel
-from agents.controllers.motion_filter import MotionFilter
-from agents.controllers.registry import make_controller
-from agents.running.cases import Cases, run_cases
-from agents.running.folders import config_folder
+from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
+from hydro_agents.controllers.flow_model import FlowModel
+from hydro_agents.controllers.motion_filter import MotionFilter
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.folders import config_folder
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig, simulate
 from hydro_env.files import read_yaml
 from hydro_env.plant.states import STATE_NAMES

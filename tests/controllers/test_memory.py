@@ -5,11 +5,11 @@ import copy
 import numpy as np
 import pytest
 
-from agents.controllers.base import ObservationLayout
-from agents.controllers.registry import CONTROLLERS
-from agents.evaluation.opponents import SHIPPED_WEIGHTS, load_head, opponent
-from agents.leakage.monitor import MonitoredController
-from agents.learning.trainers import TRAINERS
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, load_head, opponent
+from hydro_agents.leakage.monitor import MonitoredController
+from hydro_agents.learning.trainers import TRAINERS
 from hydro_env import TaskConfig
 
 CONFIG = TaskConfig()

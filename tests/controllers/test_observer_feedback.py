@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from agents.controllers.adrc import ADRC, ADRCGains, placed
-from agents.controllers.base import ObservationLayout
-from agents.controllers.jumps import braked
-from agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
-from agents.controllers.observer_feedback import SampledModel
-from agents.controllers.registry import make_controller
+from hydro_agents.controllers.adrc import ADRC, ADRCGains, placed
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_agents.controllers.jumps import braked
+from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
+from hydro_agents.controllers.observer_feedback import SampledModel
+from hydro_agents.controllers.registry import make_controller
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 
 TASK = TaskConfig()

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.running.cases import Cases, run_cases
-from agents.running.folders import config_folder
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.controllers.preview import Preview, path_weights
+from hydro_agents.controllers.preview import Preview, path_weights
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 
 FAMILIES = [name for name in REFERENCE_FAMILIES if name != "user"]

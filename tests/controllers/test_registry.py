@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from agents.controllers.pid import PID
-from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import opponent
+from hydro_agents.controllers.pid import PID
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.opponents import opponent
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()

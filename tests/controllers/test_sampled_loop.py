@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agents.controllers.sampled_loop import sampled_loop
+from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_env import PlantParameters, equilibrium, resistance_from_flow, simulate
 from hydro_env.errors import HydroError
 from hydro_env.plant.linearisation import linearise
@@ -110,7 +110,7 @@ def test_impossible_loops_are_refused():
 
 
 def test_timing_is_that_of_the_task():
-    from agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD
+    from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD
     from hydro_env.task.configuration import TaskConfig
 
     task = TaskConfig()

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from agents.estimation.estimate import EstimationSettings, estimate
-from agents.estimation.following import Follower, estimate_run
-from agents.estimation.known_windows import known_windows, leak_cases
-from agents.estimation.model import Model
-from agents.estimation.names import LEAKAGE, NAMES
-from agents.estimation.priors import Prior, prior_of
-from agents.estimation.replay import Commands, replay
-from agents.estimation.unknowns import default_unknowns, priors_of
-from agents.evaluation.opponents import shipped
-from agents.leakage.operation import still
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.estimation.estimate import EstimationSettings, estimate
+from hydro_agents.estimation.following import Follower, estimate_run
+from hydro_agents.estimation.known_windows import known_windows, leak_cases
+from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.names import LEAKAGE, NAMES
+from hydro_agents.estimation.priors import Prior, prior_of
+from hydro_agents.estimation.replay import Commands, replay
+from hydro_agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.leakage.operation import still
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.states import N_STATES, State

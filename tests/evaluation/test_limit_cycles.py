@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from agents.controllers.registry import make_controller
-from agents.evaluation.limit_cycles import (
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.limit_cycles import (
     LIMIT_CYCLE,
     find_limit_cycle,
     standstill_metrics,
     standstill_task,
 )
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ServoHydraulicEnv, TaskConfig
 
 PERIOD = 0.005

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from agents.evaluation.metrics import (
+from hydro_agents.evaluation.metrics import (
     METRICS,
     SETTLING_BAND,
     case_metrics,
@@ -16,7 +16,7 @@ from agents.evaluation.metrics import (
     settling_time,
     standstills,
 )
-from agents.running.cases import Rollout
+from hydro_agents.running.cases import Rollout
 
 PERIOD = 1e-4
 SIZE = 0.02  # m

@@ -5,13 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
-import agents
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.evaluation.detection import detection_cases
-from agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
-from agents.leakage.training import untrained_head
-from agents.running.cases import ControllerError, run_cases
-from agents.running.seeds import TEST_SEEDS
+import hydro_agents
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.evaluation.detection import detection_cases
+from hydro_agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
+from hydro_agents.leakage.training import untrained_head
+from hydro_agents.running.cases import ControllerError, run_cases
+from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -238,10 +238,10 @@ def test_a_task_may_be_given_in_any_form(tmp_path):
     settings = {"plants": 3, "leak_levels": [1.0], "families": ["ramp"]}
     plain = evaluate(TaskConfig(episode_duration=0.1), {"PID": "pid"}, settings=settings).cases
     for task in (str(file), file, {"episode_duration": 0.1}):
-        assert agents.evaluate(task, {"PID": "pid"}, settings=settings).cases.equals(plain)
+        assert hydro_agents.evaluate(task, {"PID": "pid"}, settings=settings).cases.equals(plain)
     with pytest.raises(ConfigurationError, match=r"nowhere\.yaml"):
         evaluate("nowhere.yaml", {"PID": "pid"})
     with pytest.raises(AttributeError, match="no attribute 'assess'"):
-        _ = agents.assess
+        _ = hydro_agents.assess
     named = evaluate("default", {"PID": "pid", "PPO": "ppo"}, settings=settings)
     assert set(named.cases["controller"]) == {"PID", "PPO"}

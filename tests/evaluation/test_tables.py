@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.evaluation.detection import (
+from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_curves,
     detection_rates,
@@ -15,10 +15,10 @@ from agents.evaluation.detection import (
     detection_table,
     signal_columns,
 )
-from agents.evaluation.metrics import METRICS
-from agents.evaluation.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
-from agents.evaluation.tables import per_plant, ratio_table, summary_table
-from agents.running.cases import Cases
+from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
+from hydro_agents.evaluation.tables import per_plant, ratio_table, summary_table
+from hydro_agents.running.cases import Cases
 from hydro_env import TaskConfig
 
 PLANTS = 4

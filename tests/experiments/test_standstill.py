@@ -2,10 +2,10 @@
 
 from proportional import Proportional, Relay
 
-from agents.evaluation.opponents import shipped
-from agents.experiments.runs import HiddenPreview
-from agents.experiments.standstill import standstill
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.experiments.runs import HiddenPreview
+from hydro_agents.experiments.standstill import standstill
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 
 

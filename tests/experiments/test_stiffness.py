@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from proportional import Proportional, exact_task
 
-from agents.controllers.sampled_loop import sampled_loop
-from agents.experiments.stiffness import force_sine, force_step
+from hydro_agents.controllers.sampled_loop import sampled_loop
+from hydro_agents.experiments.stiffness import force_sine, force_step
 from hydro_env import resistance_from_flow
 
 

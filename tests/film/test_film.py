@@ -7,10 +7,10 @@ from gymnasium.wrappers import RecordVideo
 from PIL import Image
 
 import hydro_env  # noqa: F401
-from agents.controllers import PID, PIDGains
-from agents.film.frames import Panel, film, film_size, panel_frames, panels
-from agents.film.writing import frame_rate, write_film
-from agents.running.folders import config_folder
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.film.frames import Panel, film, film_size, panel_frames, panels
+from hydro_agents.film.writing import frame_rate, write_film
+from hydro_agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig, rendering
 from tests.command_line import hydro
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from agents.controllers.registry import make_controller
-from agents.estimation.estimate import EstimationSettings, estimate, usable_readings
-from agents.estimation.information import covariance, information, jacobian_at, ratios_to_bound, sigma, true_model
-from agents.estimation.known_windows import known_windows, leak_cases
-from agents.estimation.names import BIASES, LEAKAGE, STARTS
-from agents.estimation.priors import Prior
-from agents.estimation.unknowns import default_unknowns, priors_of
-from agents.information.motions import MOTIONS, SMALLEST_STEP
-from agents.information.survey import sensor_choices
-from agents.information.unknown_sets import EVERYTHING, LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, unknown_sets
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.estimation.estimate import EstimationSettings, estimate, usable_readings
+from hydro_agents.estimation.information import covariance, information, jacobian_at, ratios_to_bound, sigma, true_model
+from hydro_agents.estimation.known_windows import known_windows, leak_cases
+from hydro_agents.estimation.names import BIASES, LEAKAGE, STARTS
+from hydro_agents.estimation.priors import Prior
+from hydro_agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_agents.information.motions import MOTIONS, SMALLEST_STEP
+from hydro_agents.information.survey import sensor_choices
+from hydro_agents.information.unknown_sets import EVERYTHING, LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, unknown_sets
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_file
@@ -111,7 +111,7 @@ def test_the_priors_remain_where_nothing_is_measured(known):
 def test_the_steps_of_the_differences_do_not_matter(windows, monkeypatch):
     model, scaled = true_model(CONFIG, windows.part(0, 1), priors_of(CONFIG))
     usual = jacobian_at(model, scaled)
-    monkeypatch.setattr("agents.estimation.information.RESPONSE", 1.0)
+    monkeypatch.setattr("hydro_agents.estimation.information.RESPONSE", 1.0)
     smaller = jacobian_at(model, scaled)
     size = np.sqrt((usual**2).sum(axis=(2, 3)))
     error = np.sqrt(((smaller - usual) ** 2).sum(axis=(2, 3)))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from agents.leak_protocol.detectors import NONE, VALVE, Reading
-from agents.leak_protocol.protocol import LeakProtocol
+from hydro_agents.leak_protocol.detectors import NONE, VALVE, Reading
+from hydro_agents.leak_protocol.protocol import LeakProtocol
 
 SMALL = {
     "task": {"episode_duration": 0.3},

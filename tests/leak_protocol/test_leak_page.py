@@ -7,10 +7,10 @@ import pytest
 from browser import problems_everywhere
 from made_up_run import tables
 
-from agents.leak_report.findings import findings
-from agents.leak_report.page import render_page
-from agents.leak_report.record import Record
-from agents.leak_report.tables import confusions, right_verdicts
+from hydro_agents.leak_report.findings import findings
+from hydro_agents.leak_report.page import render_page
+from hydro_agents.leak_report.record import Record
+from hydro_agents.leak_report.tables import confusions, right_verdicts
 
 
 @pytest.fixture(scope="module")

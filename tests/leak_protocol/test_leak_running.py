@@ -6,9 +6,9 @@ import pytest
 from joblib import parallel_config
 from small_leaks import SMALL, Spread, small
 
-from agents.leak_protocol.detectors import INTERNAL, UNKNOWN, VALVE
-from agents.leak_protocol.running import judged, run_leak_protocol
-from agents.running.jobs import JOBS_FOLDER
+from hydro_agents.leak_protocol.detectors import INTERNAL, UNKNOWN, VALVE
+from hydro_agents.leak_protocol.running import judged, run_leak_protocol
+from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_env import ConfigurationError
 
 DIGESTS = {"D": "1"}

@@ -5,9 +5,9 @@ import pandas as pd
 import pytest
 from made_up_run import tables
 
-from agents.leak_protocol.alarm_jobs import ACTIVITIES, LEVELS, _name, alarm_table
-from agents.leak_protocol.detectors import VERDICTS
-from agents.running.jobs import JobResult
+from hydro_agents.leak_protocol.alarm_jobs import ACTIVITIES, LEVELS, _name, alarm_table
+from hydro_agents.leak_protocol.detectors import VERDICTS
+from hydro_agents.running.jobs import JobResult
 
 
 @pytest.fixture(scope="module")

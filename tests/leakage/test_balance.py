@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.balance import COUNT, INTERNAL, PARTS, fit_balance
-from agents.leakage.features import CHANGE, FEATURES, SIGNALS, features_of, repaired
-from agents.leakage.normal_equations import factor, hold, substitute
-from agents.leakage.sheet import Unknowns, sheet_of
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.leakage.balance import COUNT, INTERNAL, PARTS, fit_balance
+from hydro_agents.leakage.features import CHANGE, FEATURES, SIGNALS, features_of, repaired
+from hydro_agents.leakage.normal_equations import factor, hold, substitute
+from hydro_agents.leakage.sheet import Unknowns, sheet_of
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config

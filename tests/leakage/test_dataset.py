@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
-from agents.leakage.features import CHANGE, FEATURES, LABELS
-from agents.leakage.operation import MANNERS, OPERATIONS, Operation, slow, still
-from agents.leakage.sheet import sheet_of
-from agents.leakage.training import HeadTrainingSettings
-from agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.leakage.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from hydro_agents.leakage.features import CHANGE, FEATURES, LABELS
+from hydro_agents.leakage.operation import MANNERS, OPERATIONS, Operation, slow, still
+from hydro_agents.leakage.sheet import sheet_of
+from hydro_agents.leakage.training import HeadTrainingSettings
+from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS
 

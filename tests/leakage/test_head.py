@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.leakage.calibration import calibrated, size_target
-from agents.leakage.dataset import LEAKS, Windows
-from agents.leakage.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
-from agents.leakage.head import LeakageEstimate, LeakageHead, quantiles, standardised
-from agents.leakage.metrics import area_under_roc
-from agents.leakage.monitor import MonitoredController
-from agents.leakage.training import (
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.leakage.calibration import calibrated, size_target
+from hydro_agents.leakage.dataset import LEAKS, Windows
+from hydro_agents.leakage.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
+from hydro_agents.leakage.head import LeakageEstimate, LeakageHead, quantiles, standardised
+from hydro_agents.leakage.metrics import area_under_roc
+from hydro_agents.leakage.monitor import MonitoredController
+from hydro_agents.leakage.training import (
     CHECKPOINT_FILE,
     KIND,
     HeadTrainingSettings,
@@ -25,8 +25,8 @@ from agents.leakage.training import (
     train_head,
     untrained_head,
 )
-from agents.running.seeds import TRAINING_SEEDS
-from agents.running.weights import load_checkpoint, save_checkpoint
+from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
 
@@ -345,7 +345,7 @@ def test_a_state_that_was_given_is_never_changed(head):
 
 
 def test_inference_needs_no_torch():
-    tree = Path("agents/leakage")
+    tree = Path("agents/hydro_agents/leakage")
     for name in ("head", "monitor", "features", "balance", "sheet", "spool"):
         assert "torch" not in (Path(__file__).parents[2] / tree / f"{name}.py").read_text().replace("PyTorch", "")
     assert len(SIGNALS) == 5

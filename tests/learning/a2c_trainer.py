@@ -3,10 +3,10 @@
 from pydantic import Field
 from stable_baselines3 import A2C
 
-from agents.learning.features import PolicyFeatures
-from agents.learning.policy import PolicyController
-from agents.learning.progress import training_logger
-from agents.learning.vec_env import AxisVecEnv
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.progress import training_logger
+from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_env import ConfigurationError
 from hydro_env.files import Group
 

@@ -9,12 +9,12 @@ import time
 import numpy as np
 import pytest
 
-from agents.controllers import PID, PIDGains
-from agents.learning.checkpoint import CHECKPOINT_FILE
-from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.settings import PPOSettings, Prices
-from agents.learning.training import train_ppo
-from agents.running.weights import load_checkpoint, save_checkpoint
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE
+from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from hydro_agents.learning.settings import PPOSettings, Prices
+from hydro_agents.learning.training import train_ppo
+from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -194,7 +194,7 @@ policy.save(folder / "policy")
 def test_ten_kills_at_random_moments_change_nothing(tmp_path):
     from pathlib import Path
 
-    from agents.learning.policy import PolicyController
+    from hydro_agents.learning.policy import PolicyController
 
     program = PROGRAM.format(tests=str(Path(__file__).parent))
 

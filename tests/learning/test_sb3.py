@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from stable_baselines3 import A2C, PPO, SAC, TD3
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.learning.features import PolicyFeatures
-from agents.learning.policy import PolicyController
-from agents.learning.settings import PPOSettings
-from agents.learning.training import train_ppo
-from agents.learning.vec_env import AxisVecEnv
-from agents.running.folders import pretrained_folder
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import train_ppo
+from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -101,7 +101,7 @@ def test_plain_observations_are_those_of_the_vector_environment():
     ],
 )
 def test_algorithms_of_stable_baselines3_learn_on_it_and_act_as_controllers(algorithm, options):
-    from agents.running.cases import Cases, run_cases
+    from hydro_agents.running.cases import Cases, run_cases
 
     model = algorithm("MlpPolicy", AxisVecEnv(CONFIG, 4), device="cpu", seed=0, **options)
     model.learn(128)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, PIDGains
-from agents.learning.progress import STEPS, read_progress
-from agents.learning.settings import PPOSettings
-from agents.learning.trainers import TRAINERS, trainer
-from agents.running.cases import Cases, run_cases
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.progress import STEPS, read_progress
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.trainers import TRAINERS, trainer
+from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 
@@ -64,7 +64,7 @@ def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
 
 
 def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
-    from agents.learning.off_policy import SACSettings
+    from hydro_agents.learning.off_policy import SACSettings
 
     sac = trainer("sac")
     small = {"axes": 8, "hidden_sizes": [8], "batch_size": 16, "learning_starts": 64, "gradient_steps": 1}
@@ -98,9 +98,9 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
 def test_the_output_of_sac_is_squashed_as_in_its_model():
     from stable_baselines3 import SAC
 
-    from agents.learning.features import PolicyFeatures
-    from agents.learning.policy import PolicyController
-    from agents.learning.vec_env import AxisVecEnv
+    from hydro_agents.learning.features import PolicyFeatures
+    from hydro_agents.learning.policy import PolicyController
+    from hydro_agents.learning.vec_env import AxisVecEnv
 
     env = AxisVecEnv(CONFIG, 4, PolicyFeatures(CONFIG, BASE, 0.3))
     model = SAC("MlpPolicy", env, device="cpu", seed=0, buffer_size=100, policy_kwargs={"net_arch": [8]})

@@ -6,14 +6,14 @@ import time
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.learning.policy import PolicyController
-from agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
-from agents.learning.settings import PPOSettings
-from agents.learning.training import make_env, make_features, make_model, train_ppo
-from agents.learning.validation import validation_cases, validation_errors
-from agents.learning.vec_env import AxisVecEnv
-from agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import make_env, make_features, make_model, train_ppo
+from hydro_agents.learning.validation import validation_cases, validation_errors
+from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 
@@ -219,7 +219,7 @@ def saved(tmp_path):
 
 
 def test_foreign_and_damaged_weights_are_refused(saved):
-    from agents.leakage.head import LeakageHead
+    from hydro_agents.leakage.head import LeakageHead
 
     with pytest.raises(ConfigurationError, match="holds 'hydro_env policy': must be 'hydro_env leakage head'"):
         LeakageHead.load(saved)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, PIDGains
-from agents.controllers.base import gain, search_space
-from agents.controllers.registry import CONTROLLERS
-from agents.learning.tuning import LEAK_LEVELS, REFUSED, Space, Trial, TuningCases, tune
-from agents.running.cases import Cases, run_cases
-from agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.controllers.base import gain, search_space
+from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.learning.tuning import LEAK_LEVELS, REFUSED, Space, Trial, TuningCases, tune
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import speed_limits

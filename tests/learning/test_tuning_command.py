@@ -3,8 +3,8 @@
 import pytest
 import yaml
 
-from agents.commands.train import Objective, train
-from agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.commands.train import Objective, train
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 

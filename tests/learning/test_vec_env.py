@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
-from agents.learning.settings import Prices
-from agents.learning.vec_env import AxisVecEnv
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
+from hydro_agents.learning.settings import Prices
+from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.rewards import REWARD_TERMS
 

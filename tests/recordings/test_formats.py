@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.recordings.columns import read_map
-from agents.recordings.recording import read_recording
+from hydro_agents.recordings.columns import read_map
+from hydro_agents.recordings.recording import read_recording
 from hydro_env import ConfigurationError
 
 TIME = np.arange(200) * 0.005
@@ -120,6 +120,6 @@ def test_an_absent_library_is_named_with_the_way_to_install_it(tmp_path, monkeyp
         raise ImportError(name)
 
     (tmp_path / "a.tdms").write_bytes(b"")
-    monkeypatch.setattr("agents.recordings.files.importlib.import_module", absent)
+    monkeypatch.setattr("hydro_agents.recordings.files.importlib.import_module", absent)
     with pytest.raises(ConfigurationError, match=r"nptdms: pip install 'hydro_env\[recordings\]'"):
         read_recording(tmp_path / "a.tdms")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from recorded import recorded_file
 
-from agents.recordings.columns import read_map
-from agents.recordings.recording import read_recording
-from agents.recordings.simulated import named_faults, recording_csv
+from hydro_agents.recordings.columns import read_map
+from hydro_agents.recordings.recording import read_recording
+from hydro_agents.recordings.simulated import named_faults, recording_csv
 from hydro_env import ConfigurationError
 
 TIME = np.arange(5) * 0.005
@@ -148,7 +148,7 @@ def test_a_wrong_map_is_told_in_one_line(tmp_path, text, part):
 
 
 def test_a_file_that_is_too_large_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("agents.recordings.files.LARGEST_RECORDING", 100)
+    monkeypatch.setattr("hydro_agents.recordings.files.LARGEST_RECORDING", 100)
     with pytest.raises(ConfigurationError, match="larger than"):
         read_recording(written(tmp_path, PLAIN))
 

@@ -11,19 +11,19 @@ import pandas as pd
 import pytest
 from browser import open_page, problems_everywhere
 
-from agents.controllers import PID, ObservationLayout, PIDGains
-from agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from agents.evaluation.statistics import Interval
-from agents.experiments.leak_price import leak_price
-from agents.leakage.training import untrained_head
-from agents.report.canvas import controllers_of, looks_of
-from agents.report.findings import caution, failures, findings, interval_text, verdict
-from agents.report.leaks import LOOKS
-from agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
-from agents.report.plots import example_plot
-from agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
-from agents.report.text import correction_name, duration, number
-from agents.report.training_plots import learning_plots, training_plots
+from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
+from hydro_agents.evaluation.statistics import Interval
+from hydro_agents.experiments.leak_price import leak_price
+from hydro_agents.leakage.training import untrained_head
+from hydro_agents.report.canvas import controllers_of, looks_of
+from hydro_agents.report.findings import caution, failures, findings, interval_text, verdict
+from hydro_agents.report.leaks import LOOKS
+from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
+from hydro_agents.report.plots import example_plot
+from hydro_agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
+from hydro_agents.report.text import correction_name, duration, number
+from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)

@@ -4,12 +4,12 @@ from functools import partial
 
 import pytest
 
-from agents.commands import reproduce as command
-from agents.reproduction.closed_loop import limit_table
-from agents.reproduction.holding import holding_table
-from agents.reproduction.results import RESULTS
-from agents.reproduction.sensitivity import sensitivity_table
-from agents.reproduction.settling import friction_scan_table, settling_table
+from hydro_agents.commands import reproduce as command
+from hydro_agents.reproduction.closed_loop import limit_table
+from hydro_agents.reproduction.holding import holding_table
+from hydro_agents.reproduction.results import RESULTS
+from hydro_agents.reproduction.sensitivity import sensitivity_table
+from hydro_agents.reproduction.settling import friction_scan_table, settling_table
 
 QUICK = {
     "fig13_settling_time": partial(settling_table, leaks=(0.01, 1.0, 4.0)),

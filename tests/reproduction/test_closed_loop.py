@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from agents.controllers.sampled_loop import (
+from hydro_agents.controllers.sampled_loop import (
     CONTROL_PERIOD,
     SampledLoop,
     places_in_reach,
     sampled_loop,
     speed_per_command,
 )
-from agents.reproduction.closed_loop import (
+from hydro_agents.reproduction.closed_loop import (
     GAIN_MARGIN,
     achievable,
     bandwidth,
@@ -22,9 +22,9 @@ from agents.reproduction.closed_loop import (
     sensible_gain,
     settling_time,
 )
-from agents.reproduction.frequency import closed_bode_table
-from agents.reproduction.moves import closed_moves_summary, closed_moves_table
-from agents.reproduction.rig import Rig, simplified, with_leak
+from hydro_agents.reproduction.frequency import closed_bode_table
+from hydro_agents.reproduction.moves import closed_moves_summary, closed_moves_table
+from hydro_agents.reproduction.rig import Rig, simplified, with_leak
 from hydro_env import PlantParameters, equilibrium, simulate
 
 SPEED, LATE = 0.2, 1e-3  # m/s per command, s

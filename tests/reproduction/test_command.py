@@ -6,11 +6,11 @@ import pandas as pd
 import pytest
 from browser import problems_everywhere
 
-from agents.commands import reproduce as command
-from agents.commands.application import main
-from agents.reproduction.figures import FIGURES, write_words
-from agents.reproduction.moves import displacement_table
-from agents.reproduction.rig import Rig
+from hydro_agents.commands import reproduce as command
+from hydro_agents.commands.application import main
+from hydro_agents.reproduction.figures import FIGURES, write_words
+from hydro_agents.reproduction.moves import displacement_table
+from hydro_agents.reproduction.rig import Rig
 from hydro_env import ConfigurationError
 from hydro_env.task.sensors import Sensors
 

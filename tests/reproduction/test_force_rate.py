@@ -5,9 +5,9 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from agents.reproduction.force_rate import TERMS, force_rate_table, share_table, shares
-from agents.reproduction.page import equation_table
-from agents.reproduction.rig import Rig
+from hydro_agents.reproduction.force_rate import TERMS, force_rate_table, share_table, shares
+from hydro_agents.reproduction.page import equation_table
+from hydro_agents.reproduction.rig import Rig
 
 
 @pytest.fixture(scope="module", params=["laminar", "throttle"])

@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.reproduction.frequency import LOWEST, bode_table, map_table
-from agents.reproduction.holding import controllers, energy_table, held_error
-from agents.reproduction.results import RESULTS, setting_of
-from agents.reproduction.rig import Rig, own_rig, simplified, with_leak
-from agents.reproduction.settling import friction_scan_table
-from agents.reproduction.variations import unused_parameters
+from hydro_agents.reproduction.frequency import LOWEST, bode_table, map_table
+from hydro_agents.reproduction.holding import controllers, energy_table, held_error
+from hydro_agents.reproduction.results import RESULTS, setting_of
+from hydro_agents.reproduction.rig import Rig, own_rig, simplified, with_leak
+from hydro_agents.reproduction.settling import friction_scan_table
+from hydro_agents.reproduction.variations import unused_parameters
 from hydro_env import PlantParameters, equilibrium, simulate
 
 

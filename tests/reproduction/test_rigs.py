@@ -6,14 +6,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.commands import reproduce as command
-from agents.commands.application import main
-from agents.reproduction.figures import FIGURES, write_words
-from agents.reproduction.frequency import closed_bode_table
-from agents.reproduction.moves import displacement_table
-from agents.reproduction.rig import Rig, own_rig, rig_from
-from agents.reproduction.settling import friction_scan_table, settling_table
-from agents.running.folders import config_folder, output_folder
+from hydro_agents.commands import reproduce as command
+from hydro_agents.commands.application import main
+from hydro_agents.reproduction.figures import FIGURES, write_words
+from hydro_agents.reproduction.frequency import closed_bode_table
+from hydro_agents.reproduction.moves import displacement_table
+from hydro_agents.reproduction.rig import Rig, own_rig, rig_from
+from hydro_agents.reproduction.settling import friction_scan_table, settling_table
+from hydro_agents.running.folders import config_folder, output_folder
 from hydro_env import ConfigurationError, HydroError, PlantParameters
 from hydro_env.plant.analysis import reachable_range
 
@@ -107,7 +107,7 @@ def test_a_light_axis_is_sampled_finer():
 
 
 def test_a_rig_without_a_stable_gain_says_so(monkeypatch):
-    monkeypatch.setattr("agents.controllers.sampled_loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
+    monkeypatch.setattr("hydro_agents.controllers.sampled_loop.SampledLoop.largest_stable_gain", lambda _: float("inf"))
     with pytest.raises(HydroError, match="no sensible gain"):
         closed_bode_table(own_rig(PlantParameters().replace(load={"mass": 61.0}), "unlimited"))
 

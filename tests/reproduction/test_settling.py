@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.reproduction import settling
-from agents.reproduction.figures import FIGURES, write_words
-from agents.reproduction.rig import LAWS, Rig, quick_stop, with_leak
-from agents.reproduction.settling import settling_table, trends
-from agents.reproduction.signals import (
+from hydro_agents.reproduction import settling
+from hydro_agents.reproduction.figures import FIGURES, write_words
+from hydro_agents.reproduction.rig import LAWS, Rig, quick_stop, with_leak
+from hydro_agents.reproduction.settling import settling_table, trends
+from hydro_agents.reproduction.signals import (
     ACCELEROMETER_RANGE,
     accelerometer_noise,
     band_envelope,

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from agents.reproduction.verdicts import NO, PART, YES, verdict_table, verdicts_of
+from hydro_agents.reproduction.verdicts import NO, PART, YES, verdict_table, verdicts_of
 
 KEPT = Path(__file__).parents[2] / "docs" / "tables" / "verdicts.csv"
 

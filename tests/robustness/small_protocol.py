@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.robustness.conditions import Protocol
+from hydro_agents.robustness.conditions import Protocol
 
 TASK = {"episode_duration": 0.3}
 SMALL = {

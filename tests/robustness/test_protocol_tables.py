@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 from small_protocol import Proportional, small
 
-from agents.evaluation.metrics import METRICS
-from agents.robustness.comparison import Grid
-from agents.robustness.participants import Participants
-from agents.robustness.running import run_protocol
-from agents.robustness.tables import (
+from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.robustness.comparison import Grid
+from hydro_agents.robustness.participants import Participants
+from hydro_agents.robustness.running import run_protocol
+from hydro_agents.robustness.tables import (
     Tables,
     comparison_table,
     families_table,
@@ -108,7 +108,7 @@ def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
 
 
 def fake_run(cases):
-    from agents.robustness.running import ProtocolRun
+    from hydro_agents.robustness.running import ProtocolRun
 
     names = cases["controller"].unique()
     status = pd.DataFrame(

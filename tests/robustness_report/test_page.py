@@ -7,14 +7,14 @@ import pytest
 from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
-from agents.report.findings import Finding
-from agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
-from agents.report.report import Example
-from agents.robustness_report.findings import findings
-from agents.robustness_report.heat import heat_map
-from agents.robustness_report.page import render_page
-from agents.robustness_report.record import Record, Trace
-from agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
+from hydro_agents.report.findings import Finding
+from hydro_agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
+from hydro_agents.report.report import Example
+from hydro_agents.robustness_report.findings import findings
+from hydro_agents.robustness_report.heat import heat_map
+from hydro_agents.robustness_report.page import render_page
+from hydro_agents.robustness_report.record import Record, Trace
+from hydro_agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
 
 
 @pytest.fixture(scope="module")

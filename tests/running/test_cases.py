@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.running.cases import Cases, ControllerError, check_predict, run_cases
+from hydro_agents.running.cases import Cases, ControllerError, check_predict, run_cases
 from hydro_env import ServoHydraulicEnv, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.3)

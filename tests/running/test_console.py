@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from agents.running.console import IN_ALL, PlainConsole, ProgressDisplay
+from hydro_agents.running.console import IN_ALL, PlainConsole, ProgressDisplay
 
 NOTE = "12,345 steps/s, mean reward -0.1234 [v2]"
 PHASE = "leakage head, training"

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from agents.leakage.head import LeakageHead
-from agents.learning.policy import PolicyController
-from agents.learning.progress import STEPS, read_progress
-from agents.running.folders import pretrained_folder
-from agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.progress import STEPS, read_progress
+from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint
 from hydro_env import ConfigurationError
 
 CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "150"))

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from agents.running.folders import MANIFEST_FILE, output_folder
+from hydro_agents.running.folders import MANIFEST_FILE, output_folder
 from hydro_env import ConfigurationError
 
 FILES = ("a.csv", "tables/*.csv", "b.csv")
@@ -112,7 +112,7 @@ def test_a_list_that_was_tampered_with_reaches_no_other_folder(tmp_path):
 KILLED = """
 import sys, os
 from pathlib import Path
-from agents.running.folders import output_folder
+from hydro_agents.running.folders import output_folder
 with output_folder(Path(sys.argv[1]), "study", ["a.csv", "tables/*.csv"]) as folder:
     (folder / "a.csv").write_text("ours")
     print("ready", flush=True)

@@ -4,7 +4,7 @@ import warnings
 
 from joblib import Parallel, delayed
 
-from agents.running.jobs import side_by_side
+from hydro_agents.running.jobs import side_by_side
 
 CALLS = [delayed(abs)(-number) for number in range(50)]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agents.running.pace import Pace, in_words
+from hydro_agents.running.pace import Pace, in_words
 
 
 def test_no_rate_no_time():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from agents.running.tasks import own_reference
+from hydro_agents.running.tasks import own_reference
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
 

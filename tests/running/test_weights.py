@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from agents.running.weights import load_weights, save_weights
+from hydro_agents.running.weights import load_weights, save_weights
 from hydro_env import ConfigurationError
 
 TENSORS = {"a": np.arange(6, dtype=np.float32).reshape(2, 3)}

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from agents.commands.options import exact_task
-from agents.controllers.registry import make_controller
-from agents.evaluation.opponents import gains_file, shipped
-from agents.leakage.training import HeadTrainingSettings
-from agents.learning.features import PolicyFeatures
-from agents.learning.policy import PolicyController
-from agents.learning.settings import PPOSettings
-from agents.learning.training import train_ppo
-from agents.running.cases import Cases, run_cases
-from agents.study import results
-from agents.study.settings import default_study
+from hydro_agents.commands.options import exact_task
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.evaluation.opponents import gains_file, shipped
+from hydro_agents.leakage.training import HeadTrainingSettings
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import train_ppo
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.study import results
+from hydro_agents.study.settings import default_study
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_folder

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.running.folders import config_folder
-from agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
-from agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
-from agents.study.ladder_table import ratios, rung_scores
+from hydro_agents.running.folders import config_folder
+from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
+from hydro_agents.study.ladder_table import ratios, rung_scores
 from hydro_env import ConfigurationError
 from hydro_env.files import validate, write_yaml
 
@@ -102,7 +102,7 @@ def test_overwrite_begins_anew_and_a_stopped_ladder_says_what_it_keeps(tmp_path,
     def stop(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.study.ladder.judged", stop)
+    monkeypatch.setattr("hydro_agents.study.ladder.judged", stop)
     with pytest.raises(KeyboardInterrupt) as stopped:
         run_ladder(other, tmp_path, rungs=["alone"], seeds=1, resume=True)
     assert "keeps the finished work" in stopped.value.__notes__[0]

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 import yaml
 
-from agents.evaluation.opponents import shipped
-from agents.leakage.head import LeakageHead
-from agents.running.folders import pretrained_folder
-from agents.study.model_cards import card_file, controller_card, head_card
+from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.running.folders import pretrained_folder
+from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_env import TaskConfig
 
 SHIPPED = sorted(pretrained_folder().glob("*.safetensors"))

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from agents.evaluation.statistics import seeds_interval
-from agents.learning.validation import validation_errors
-from agents.study import over_seeds
-from agents.study.settings import StudySettings
+from hydro_agents.evaluation.statistics import seeds_interval
+from hydro_agents.learning.validation import validation_errors
+from hydro_agents.study import over_seeds
+from hydro_agents.study.settings import StudySettings
 from hydro_env.files import write_yaml
 
 HEAD = {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64}

@@ -8,13 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from agents.commands.evaluate import evaluate
-from agents.commands.options import named_agents
-from agents.commands.train import train
-from agents.study import results, training
-from agents.study.run import run_study
-from agents.study.settings import StudySettings, default_study
-from agents.study.work import work_of
+from hydro_agents.commands.evaluate import evaluate
+from hydro_agents.commands.options import named_agents
+from hydro_agents.commands.train import train
+from hydro_agents.study import results, training
+from hydro_agents.study.run import run_study
+from hydro_agents.study.settings import StudySettings, default_study
+from hydro_agents.study.work import work_of
 from hydro_env import ConfigurationError
 
 ALGORITHM = '''

@@ -2,8 +2,8 @@
 
 import pytest
 
-from agents.study.settings import default_study
-from agents.study.work import work_of
+from hydro_agents.study.settings import default_study
+from hydro_agents.study.work import work_of
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,17 @@
+"""Everything that acts on the servo axis or watches it: controllers, learning, leakage detection, evaluation."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hydro_agents.evaluation.protocol import Evaluation, evaluate
+
+__all__ = ["Evaluation", "evaluate"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the public names when they are used: they need the learning libraries."""
+    if name not in __all__:
+        raise AttributeError(f"module 'hydro_agents' has no attribute '{name}'")
+    from hydro_agents.evaluation import protocol
+
+    return getattr(protocol, name)

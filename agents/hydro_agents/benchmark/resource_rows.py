@@ -1,0 +1,149 @@
+"""Rows of memory, start-up and inference."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from hydro_agents.benchmark.table import Case, Row, UnavailableError, one_row
+from hydro_agents.benchmark.timing import Extent, fresh_process
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.leakage.monitor import MonitoredController
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.running.folders import pretrained_folder
+from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv
+
+MEMORY_AXES = 65_536
+_RESIDENT_CODE = """
+import gymnasium, numpy as np, hydro_env
+def resident():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * __import__("resource").getpagesize()
+def run(count):
+    env = gymnasium.make_vec("{env_id}", num_envs=count, threads=1)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros((count, 1), dtype=np.float32))
+    return env
+small = run(8)
+before = resident()
+large = run({count})
+print((resident() - before) / {count})
+"""
+_FIRST_STEP_CODE = f"""
+import gymnasium, hydro_env
+env = gymnasium.make("{ENVIRONMENT_ID}")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+"""
+
+
+def array_bytes(env: ServoHydraulicVectorEnv) -> int:
+    """Bytes of all NumPy arrays that a vector environment holds, views not counted."""
+    values = [value for owner in (env, env.axes, env.axes.options) for value in vars(owner).values()]
+    values += [part for value in values if isinstance(value, tuple) for part in value]
+    sizes = {id(array): array.nbytes for array in values if isinstance(array, np.ndarray) and array.base is None}
+    return sum(sizes.values())
+
+
+def memory_cases(extent: Extent, count: int = MEMORY_AXES) -> list[Case]:
+    """Memory per axis of a vector environment with ``count`` axes."""
+
+    def arrays() -> float:
+        env = ServoHydraulicVectorEnv(count)
+        env.reset(seed=0)
+        size = array_bytes(env) / count
+        env.close()
+        return size
+
+    def resident() -> float:
+        if not Path("/proc/self/statm").exists():
+            raise UnavailableError("not measured: this system has no /proc")
+        return float(fresh_process(_RESIDENT_CODE.format(env_id=ENVIRONMENT_ID, count=count))[1])
+
+    name, size = "arrays of one axis", f"N = {count:,}"
+    growth = "growth of resident memory per axis"
+    return [
+        one_row(name, "bytes", arrays, 1, note=size),
+        one_row(growth, "bytes", resident, extent.runs, name, f"{size}, fresh process"),
+    ]
+
+
+def start_cases(extent: Extent) -> list[Case]:
+    """Import, and time to the first step with an empty and with a filled cache of machine code; fresh processes."""
+    folder = tempfile.TemporaryDirectory(prefix="hydro-benchmark-")
+
+    def process(name: str, code: str, against: str = "") -> Case:
+        return one_row(name, "s", lambda: fresh_process(code)[0], extent.runs, against)
+
+    def first_step(cache: str) -> float:
+        return fresh_process(_FIRST_STEP_CODE, {"NUMBA_CACHE_DIR": cache})[0]
+
+    def cold() -> float:
+        with tempfile.TemporaryDirectory(prefix="hydro-benchmark-") as empty:
+            return first_step(empty)
+
+    def warm() -> float:
+        if not os.listdir(folder.name):
+            first_step(folder.name)
+        return first_step(folder.name)
+
+    own, note = "import hydro_env", "with its imports, without the start of the interpreter"
+    filled, anew = "first step, warm cache", "everything compiled again"
+    return [
+        process("python, nothing imported", "pass"),
+        process("import gymnasium", "import gymnasium", "python, nothing imported"),
+        process(own, own, "import gymnasium"),
+        one_row(f"{own}, by -X importtime", "s", lambda: import_time("hydro_env"), extent.runs, note=note),
+        one_row(filled, "s", warm, extent.runs, own, "import, gym.make, reset, step"),
+        one_row("first step, cold cache", "s", cold, min(3, extent.runs), filled, anew),
+    ]
+
+
+def import_time(module: str) -> float:
+    """Seconds of the import of a module, including its own imports, by ``python -X importtime``."""
+    text = fresh_process(f"import {module}", None, "-X", "importtime")[2]
+    line = next(line for line in text.splitlines() if line.rsplit("|", 1)[-1].strip() == module)
+    return 1e-6 * int(line.split("|")[1])
+
+
+def inference_cases(extent: Extent) -> list[Case]:
+    """Time from observation to command on one axis, with and without the leakage head."""
+    policy = PolicyController.load(pretrained_folder() / "policy")
+    head = LeakageHead.load(pretrained_folder() / "leakage_head")
+    monitored = MonitoredController(policy, head)
+    env = gym.make(ENVIRONMENT_ID)
+    env.reset(seed=0)
+    observations = [env.step(np.zeros(1, dtype=np.float32))[0] for _ in range(256)]
+    period = 1e3 * policy.features.layout.control_period
+    env.close()
+
+    def case(name: str, controller: Any, after: Callable[[Any], Any], calls: int) -> Case:
+        def measure(run: int) -> Sequence[float]:
+            memory, times = None, []
+            for number in range(head.settings.window + calls):  # the head's window fills first
+                began = time.perf_counter()
+                _, memory = controller.predict(observations[number % 256], memory)
+                if number >= head.settings.window:
+                    after(memory)
+                    times.append(1e3 * (time.perf_counter() - began))
+            late = float(np.quantile(times, 0.999))
+            return statistics.median(times), late, 100.0 * late / period
+
+        note = f"{calls:,} calls, one axis, at every control period"
+        late = f"{name}: 99.9th percentile"
+        rows = Row(f"{name}: median", "ms", note=note), Row(late, "ms"), Row(late, f"% of {period:g} ms")
+        return Case(rows, measure, extent.runs)
+
+    return [
+        case("policy", policy, lambda memory: None, extent.calls),
+        case("policy and leakage head", monitored, monitored.estimate, extent.calls // 10),
+    ]

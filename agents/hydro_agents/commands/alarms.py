@@ -1,0 +1,121 @@
+"""``hydro alarms``: set an alarm to a rate of false alarms per 100 hours, and test it on new axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
+
+if TYPE_CHECKING:
+    from hydro_agents.alarms.detector import Detector
+    from hydro_env import TaskConfig
+
+Watching = Literal["head", "estimator"]
+
+
+def alarms(
+    output: Output = Path("results/alarms"),
+    task: Task = None,
+    rig: Rig = None,
+    detector: Annotated[
+        Watching,
+        typer.Option(help="Detector: the leakage head, or the estimator with the simulator as its model."),
+    ] = "head",
+    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
+    rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
+    hours: Annotated[
+        float | None,
+        typer.Option(
+            help="Hours of healthy axes to simulate, first for the calibration and again for the test. Default: 40 "
+            "(head), 2 (estimator)."
+        ),
+    ] = None,
+    axes: Annotated[
+        int | None,
+        typer.Option(help="Axes that begin to leak, per leak size and activity. Default: 128 (head), 16 (estimator)."),
+    ] = None,
+    interval: Annotated[
+        float | None, typer.Option(help="Seconds between readings. Default: 0.5 (head), 2 (estimator).")
+    ] = None,
+    learning: Annotated[
+        int | None,
+        typer.Option(help="Readings per activity that form an axis's own baseline. Default: 60 (head), 8 (estimator)."),
+    ] = None,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Set an alarm to a rate of false alarms per 100 hours by simulating hours of healthy axes.
+
+    The alarm sums up the readings of a detector. The axes work continuously: all families of references, at full speed,
+    slowly, and standing, under the PID and the flow-linearising controller. The command compares several ways to sum up
+    evidence on validation seeds, keeps the one that finds leaks soonest, and tests it on test seeds: false alarms,
+    delays, leaks from the start, other faults, growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV
+    per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
+    shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
+    """
+    from hydro_agents.alarms.job import SIZES, run_job, work_of
+    from hydro_agents.alarms.store import PATTERN, Bench
+    from hydro_agents.bound.comparison import markdown
+    from hydro_agents.evaluation.opponents import shipped
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_env.files import validate, write_text
+    from hydro_env.task.configuration import task_config
+
+    config = task_config(task, rig=rig)
+    given = {"rate": rate, "hours": hours, "axes": axes, "interval": interval, "learning": learning}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    sizes = SIZES[detector].model_dump() | chosen
+    job = validate(type(SIZES[detector]), sizes, "alarms")
+    watching, name = _head(config, head) if detector == "head" else _estimator(config, head)
+    controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
+    names = ["alarm.yaml", "alarms.md", "*.csv", PATTERN]
+    with (
+        output_folder(output, "alarms", names, resume=resume, overwrite=overwrite) as folder,
+        ProgressDisplay() as display,
+    ):
+        bench = Bench(config, controllers, watching, name, folder, together=128 if detector == "head" else 16)
+        display.expect(work_of(job))
+        settings, tables = run_job(bench, job, display.update)
+        settings.save(folder / "alarm.yaml")
+        parts = [f"`{command_line()}`"]
+        for name, table in tables.items():
+            write_text(folder / f"{name}.csv", table.to_csv(index=False))
+            parts.append(f"## {name.replace('_', ' ')}\n\n{markdown(table.set_index(table.columns[0]), 3)}")
+        text = "\n\n".join(parts)
+        write_text(folder / "alarms.md", text + "\n")
+    show(text)
+    say(f"results in {output}")
+
+
+def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
+    """The leakage head as detector, and its name."""
+    import torch
+
+    from hydro_agents.alarms.detector import HeadDetector
+    from hydro_agents.evaluation.opponents import check_layout
+    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.running.folders import pretrained_folder
+    from hydro_env import ConfigurationError
+
+    path = weights or pretrained_folder() / "leakage_head"
+    watching = LeakageHead.load(path)
+    try:
+        check_layout(watching.settings.layout, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    torch.set_num_threads(1)  # the simulation takes the other cores
+    return HeadDetector(watching), f"leakage head {path.name}"
+
+
+def _estimator(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
+    """The estimator as detector, and its name."""
+    from hydro_agents.alarms.detector import EstimatorDetector
+    from hydro_env import ConfigurationError
+
+    if weights is not None:
+        raise ConfigurationError(f"--head {weights}: the estimator has no weights; leave out --head or --detector")
+    return EstimatorDetector(config), "estimator"

@@ -1,0 +1,229 @@
+"""The command ``hydro``: simulate the axis, train controllers, evaluate them, or run a whole study."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+from hydro_agents.commands.alarms import alarms
+from hydro_agents.commands.bound import bound
+from hydro_agents.commands.check_rig import check_rig
+from hydro_agents.commands.diagnose import diagnose
+from hydro_agents.commands.evaluate import evaluate
+from hydro_agents.commands.export import export
+from hydro_agents.commands.identify import identify
+from hydro_agents.commands.ladder import ladder
+from hydro_agents.commands.leak_bound import leak_bound
+from hydro_agents.commands.new_rig import new_rig
+from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
+from hydro_agents.commands.record import record
+from hydro_agents.commands.render import render
+from hydro_agents.commands.simulate import simulate
+from hydro_agents.commands.study import study
+from hydro_agents.commands.test_move import design_test_move
+from hydro_agents.commands.train import train
+from hydro_agents.running.console import discard_output
+from hydro_env import HydroError, __version__
+
+# Some versions of typer use click, others their own copy of it; this line works with both.
+_UsageError: type[Any] = typer.BadParameter.__mro__[1]
+
+
+class _Commands(TyperGroup):
+    """A group of commands; after a signal it ends with one line."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as stop:  # typer would end the program without a message
+            _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
+
+
+app = typer.Typer(
+    name="hydro",
+    cls=_Commands,
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
+
+Begin with `hydro study` (the whole job; it soon says how many minutes it takes on your machine), or with
+`hydro simulate --leakage 1` (one run, a few seconds). Leaks are in l/min at 100 bar across the piston, as in practice:
+up to 0.03 is healthy, 1 to 4 is severe.""",
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hydro_env {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Options of all commands."""
+    del version
+
+
+def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
+    """Compute the paper's figures again, and further figures that the paper does not show: one or a few minutes.
+
+    Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
+    compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your
+    own rig; the page says which figures do not apply to that rig, and why.
+    """
+    from hydro_agents.commands.reproduce import reproduce_to_folder
+
+    say(reproduce_to_folder(output, overwrite, command_line(), rig))
+
+
+def benchmark(
+    output: Output = Path("results/benchmark"),
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--only",
+            help="Group to measure (repeat the option for several): kernel, single, vector, cost, solvers, accuracy, "
+            "training, beating, memory, start, inference, profile. Default: all.",
+        ),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, for a trial.")] = False,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure speed, memory and start-up on this machine, beside other environments and solvers.
+
+    Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes long, a
+    few minutes with `--quick`; each group shows the time that it still needs. Ctrl-C keeps the finished measurements;
+    `--resume` continues.
+    """
+    from hydro_agents.commands.benchmark import benchmark_to_folder
+
+    say(*benchmark_to_folder(output, only or [], quick, resume, overwrite, command_line()))
+
+
+GROUPS: dict[str, dict[str, Callable[..., None]]] = {
+    "A rig": {
+        "new-rig": new_rig,
+        "check-rig": check_rig,
+        "identify": identify,
+        "simulate": simulate,
+        "record": record,
+    },
+    "Controllers": {
+        "study": study,
+        "train": train,
+        "evaluate": evaluate,
+        "render": render,
+        "export": export,
+        "bound": bound,
+        "ladder": ladder,
+    },
+    "The leak": {
+        "diagnose": diagnose,
+        "alarms": alarms,
+        "test-move": design_test_move,
+        "leak-bound": leak_bound,
+    },
+    "The paper, and this machine": {"reproduce": reproduce, "benchmark": benchmark},
+}
+"""All commands by name, under the headings of the help."""
+
+for heading, commands in GROUPS.items():
+    for name, command in commands.items():
+        app.command(name, rich_help_panel=heading)(command)
+
+
+class _Stopped(KeyboardInterrupt):
+    """A signal that ends the program; finished work is kept as after Ctrl-C."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = 128 + number
+
+
+def main() -> None:
+    """Entry point: one line and exit code 2 for an error that the user can correct; 128 + number after a signal."""
+    _prepare_streams()
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
+            signal.signal(number, _stop)
+    try:
+        code = app(standalone_mode=False, prog_name="hydro")
+        sys.exit(code if isinstance(code, int) else 0)
+    except _UsageError as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # the user typed `hydro` alone
+            error.show()
+            sys.exit(2)
+        message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
+        command = error.ctx.command_path if error.ctx is not None else "hydro"
+        _end(2, f"{message}; see {command} --help")
+    except HydroError as error:
+        _end(2, str(error))
+    except (KeyboardInterrupt, typer.Abort):  # before a command had begun
+        sys.exit(130)
+    except BrokenPipeError:  # the reader has closed the pipe, as in `hydro check-rig | head -1`
+        discard_output()
+        sys.exit(141)
+    except OSError as error:
+        discard_output()
+        _end(2, f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error))
+    except MemoryError:
+        _end(2, "not enough memory for this size")
+
+
+def _prepare_streams() -> None:
+    """Escape characters that the terminal cannot show; replace a closed stream by one that discards all output."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _stop(number: int, frame: object) -> None:
+    raise _Stopped(number)
+
+
+def _end(code: int, message: str) -> NoReturn:
+    lines = [
+        "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in line)
+        for line in re.split(r"\n(?=  )", f"hydro: {message}")  # a list of mistakes has one indented line each
+    ]
+    if len(lines) > 1:
+        lines = [part for line in lines for part in _narrow(line)]
+    with contextlib.suppress(OSError):
+        print("\n".join(lines), file=sys.stderr)
+    sys.exit(code)
+
+
+def _narrow(line: str) -> list[str]:
+    """A line in parts that fit the terminal; those after the first stand four columns further right."""
+    indent = " " * (len(line) - len(line.lstrip()) + 4)
+    width = shutil.get_terminal_size().columns
+    return textwrap.wrap(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False, drop_whitespace=True
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""``hydro export``: the plant, a controller or the leakage head for other tools and machines, or the playground."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from hydro_env import ConfigurationError
+
+if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
+    from hydro_env import TaskConfig
+
+FMU_FILE = "hydro_axis.fmu"
+SOURCES = ("plant.h", "plant.c")
+JOB = "export"
+OWN_PARTS = ("plant", "leakage_head", "playground")
+
+
+def export(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector. playground: a page to "
+            "try out. Or a controller: results/study/controllers/NAME of a study on your rig; as shipped, for the "
+            "paper's rig: pid, flow_linearising, adrc, lqg, ppo; a file of gains, weights, or module:attribute.",
+            show_default=False,
+        ),
+    ],
+    output: Output = Path("results/export"),
+    task: Task = None,
+    rig: Rig = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the plant, a controller or the leakage head for other tools, or for your own C program.
+
+    `hydro export plant` writes `hydro_axis.fmu` (FMI 2.0 co-simulation for Simulink, Amesim, OpenModelica and others,
+    with the binary of this platform and its sources; it needs a C compiler) and `plant.c`, `plant.h` (C99, no library
+    but the mathematical one). Its inputs are the voltage of the valve, an external force, the leak and the faults. With
+    `--rig` the parameters are those of your rig.
+
+    `hydro export CONTROLLER` writes a folder that needs nothing of this project to run: the controller from measured
+    signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
+    and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
+    compared with the one in Python. `hydro evaluate --agent exported=FOLDER` evaluates it. It needs `pip install
+    'hydro_env[export]'`.
+
+    `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
+    probability and size of a leak, and its network as ONNX.
+
+    `hydro export playground` writes `playground.html`: one page, without server or network, on which three axes move
+    in real time while you turn leak, supply, load and gains. It needs `pip install 'hydro_env[playground]'`.
+    """
+    from hydro_env.task.configuration import task_config
+
+    if what == "plant":
+        _export_plant(task_config(task, rig=rig), output, overwrite)
+    elif what in ("leakage_head", "playground") and (task is not None or rig is not None):
+        raise ConfigurationError(f"export {what}: takes no --task and no --rig; the shipped head has its own")
+    elif what == "leakage_head":
+        _export_head(output, overwrite)
+    elif what == "playground":
+        _export_playground(output, overwrite)
+    else:
+        _export_controller(what, task, rig, output, overwrite)
+
+
+def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
+    from hydro_agents.code_generation.fmu import make_fmu
+    from hydro_agents.code_generation.plant_code import plant_code
+    from hydro_agents.running.folders import output_folder
+
+    with output_folder(output, JOB, [FMU_FILE, *SOURCES], overwrite=overwrite):
+        plant_code(config.plant).write(output)
+        (output / FMU_FILE).write_bytes(make_fmu(config))
+    say(*(f"written: {output / name}" for name in (FMU_FILE, *SOURCES)))
+
+
+def _export_head(output: Path, overwrite: bool) -> None:
+    from hydro_agents.code_generation.head_folder import FILES, exported_head
+    from hydro_agents.code_generation.onnx_writer import onnx_package
+    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.running.folders import output_folder, pretrained_folder
+    from hydro_env.files import write_whole
+
+    onnx_package()  # report a missing package at the start
+    with output_folder(output, JOB, FILES, overwrite=overwrite):
+        files, report = exported_head(LeakageHead.load(pretrained_folder() / "leakage_head"), command_line())
+        for name, content in files.items():
+            write_whole(output / name, content)
+    say(*report, *(f"written: {output / name}" for name in FILES))
+
+
+def _export_playground(output: Path, overwrite: bool) -> None:
+    from hydro_agents.playground.page import PAGE_FILE, playground_page, web_compiler
+    from hydro_agents.running.folders import output_folder
+    from hydro_env.files import write_whole
+
+    web_compiler()  # report a missing package at the start
+    with output_folder(output, JOB, [PAGE_FILE], overwrite=overwrite):
+        write_whole(output / PAGE_FILE, playground_page().encode())
+    say(f"written: {output / PAGE_FILE}")
+
+
+def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
+    from hydro_agents.code_generation.controller_folder import FILES, exported_files
+    from hydro_agents.code_generation.exported import ExportedController
+    from hydro_agents.code_generation.onnx_writer import onnx_package
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.evaluation.opponents import trained_for
+    from hydro_agents.running.folders import output_folder
+    from hydro_env import ConfigurationError, PlantParameters
+    from hydro_env.files import write_whole
+
+    onnx_package()  # report a missing package at the start
+    controller, config = _controller_and_task(what, task, rig)
+    if isinstance(controller, ExportedController):
+        raise ConfigurationError(f"{what}: is an exported controller already")
+    made_for = trained_for(controller)
+    if made_for is not None and made_for != config.plant:
+        print(f"hydro: {what}: trained for another rig", file=sys.stderr)
+    if what in CONTROLLERS and config.plant != PlantParameters():
+        print(
+            f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "
+            "tunes them; then export results/study/controllers/NAME",
+            file=sys.stderr,
+        )
+    with output_folder(output, JOB, FILES, overwrite=overwrite):
+        files, report = exported_files(controller, config, command_line())
+        for name, content in files.items():
+            write_whole(output / name, content)
+    say(*report, *(f"written: {output / name}" for name in FILES))
+
+
+def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
+    """The controller and the task for which it is exported: that of its training, unless the user gives one."""
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
+    from hydro_agents.learning.policy import PolicyController
+    from hydro_agents.running.weights import weight_files
+    from hydro_env import ConfigurationError
+    from hydro_env.mistakes import unknown
+    from hydro_env.task.configuration import task_config
+
+    known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
+    path = Path(found_in(what))
+    if what not in known and ":" not in what and not (path.exists() or weight_files(path)[1].is_file()):
+        raise ConfigurationError(
+            f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights or gains, or module:attribute"
+        )
+    config = task_config(task, rig=rig)
+    if task is None and rig is None:
+        controller: Controller | None = None
+        if what in SHIPPED_WEIGHTS:
+            controller = shipped(what, config)
+        elif ":" not in what and weight_files(path)[0].is_file():
+            controller = PolicyController.load(path)
+        if isinstance(controller, PolicyController):
+            return controller, controller.features.config
+        if path.suffix == ".yaml":
+            config = _task_of_gains(path)
+    return opponent(what, config, what), config
+
+
+def _task_of_gains(gains: Path) -> TaskConfig:
+    """The task of the study in whose folder a file of gains lies.
+
+    Raises:
+        ConfigurationError: it lies in no folder of a study.
+    """
+    from hydro_agents.study.run import TUNED_FILE
+    from hydro_agents.study.settings import StudySettings
+
+    study = gains.absolute().parent.parent.parent / TUNED_FILE  # controllers/NAME/gains.yaml
+    if not study.is_file():
+        raise ConfigurationError(f"{gains}: gains belong to a rig, and the file does not tell which; give --rig FILE")
+    return StudySettings.from_yaml(study).task

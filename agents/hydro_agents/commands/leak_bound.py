@@ -1,0 +1,77 @@
+"""``hydro leak-bound``: how precisely any method could estimate the leak."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, show
+
+MovingController = Annotated[
+    str,
+    typer.Option(
+        "--controller",
+        metavar="KIND|WHAT",
+        help="Controller that moves the axis: pid, flow_linearising, adrc, lqg or ppo as shipped, module:attribute, or "
+        "the path of weights.",
+    ),
+]
+
+
+def leak_bound(
+    output: Output = Path("results/leak_bound"),
+    task: Task = None,
+    rig: Rig = None,
+    window: Annotated[
+        list[float] | None,
+        typer.Option(help="Length in s; repeat the option for several. Default: 0.5, 1, 2, 4 and 8."),
+    ] = None,
+    leak: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Leak in l/min at 100 bar; repeat the option for several. Default: 0, 0.05, 0.1, 0.3, 1 and 4."
+        ),
+    ] = None,
+    unknown: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="An unknown in addition to the task's, such as valve.null_shift or load.external_force; repeat "
+            "the option for several.",
+        ),
+    ] = None,
+    controller: MovingController = "pid",
+    plants: Annotated[int | None, typer.Option(min=3, max=10_000, help="Plants per motion and leak.")] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Compute how precisely any method could estimate the leak: the Cramér–Rao bound.
+
+    The bound is the smallest standard deviation, in l/min at 100 bar, that the sensors, their noise and the motion
+    allow when the plant's equations are known but its parameters are not. The command compares sets of unknowns, sets
+    of sensors, lengths of the window, and motions. It takes some minutes; its first parts show how many on your
+    machine. It writes all numbers as CSV, tables as Markdown and a picture.
+    """
+    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.information.survey import SurveySettings, checked, survey
+    from hydro_agents.information.tables import as_markdown, picture
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_env.files import validate, write_text, write_whole
+    from hydro_env.task.configuration import task_config
+
+    given = {"leak_levels": leak, "windows": window, "plants": plants, "more_unknowns": unknown}
+    settings = validate(SurveySettings, {name: value for name, value in given.items() if value}, "leak-bound")
+    config = task_config(task, rig=rig)
+    checked(settings, config)
+    moving = opponent(controller, config, f"--controller {controller}")
+    files = ["leak_bound.csv", "leak_bound.md", "leak_bound.png"]
+    with output_folder(output, "leak-bound", files, overwrite=overwrite), ProgressDisplay() as display:
+        table = survey(config, moving, settings, display.update)
+        text = as_markdown(table)
+        write_text(output / "leak_bound.csv", table.to_csv(index=False, float_format="%.6g"))
+        write_text(output / "leak_bound.md", f"`{command_line()}`\n\n{text}\n")
+        write_whole(output / "leak_bound.png", picture(table))
+    show(text)
+    say(f"results in {output}")

@@ -1,0 +1,118 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydro_env import ConfigurationError
+from hydro_env.folders import config_file
+
+if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
+    from hydro_agents.study.settings import StudySettings
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
+Seed = Annotated[
+    int | None,
+    typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of all random numbers, instead of the study's."),
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
+Agents = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--agent",
+        metavar="NAME=WHAT",
+        help="A controller: module:attribute (an object with predict, or a function or class that makes one from the "
+        "task), the path of weights, or a folder of `hydro export`. If NAME is a controller of the study, it is "
+        "replaced. Repeat the option for several.",
+    ),
+]
+
+
+def _rig_file(given: Path | None) -> Path | None:
+    return config_file("rigs", given) if given is not None else None
+
+
+Rig = Annotated[
+    Path | None,
+    typer.Option(
+        "--rig",
+        metavar="NAME|FILE",
+        callback=_rig_file,
+        help="A rig: a name in `configs/rigs` or a YAML file. Default: the study's, or else the paper's.",
+    ),
+]
+Task = Annotated[
+    str | None,
+    typer.Option(
+        "--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file, instead of the study's task."
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option("--config", "-c", metavar="NAME|FILE", help="A study: a name in `configs/studies` or a YAML file."),
+]
+
+
+def exact_task(task: str | None, rig: Path | None) -> str | None:
+    """The task of a command that shows one axis: who names a rig alone wants it as its file says, nothing drawn."""
+    return "as_given" if task is None and rig is not None else task
+
+
+def command_line() -> str:
+    """The command as the user typed it; characters that UTF-8 cannot hold are escaped."""
+    return " ".join(["hydro", *sys.argv[1:]]).encode("utf-8", "backslashreplace").decode()
+
+
+def say(*lines: object) -> None:
+    """Print the results of a command without formatting."""
+    print(*lines, sep="\n", flush=True)
+
+
+def show(text: str) -> None:
+    """Print Markdown: as it is into a file or a pipe; on a terminal its tables fit the width."""
+    if not sys.stdout.isatty():
+        say(text)
+        return
+    from rich.markdown import Markdown
+
+    from hydro_agents.running.console import PlainConsole
+
+    PlainConsole().lines(Markdown(text))
+
+
+def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
+    """The values of ``--agent NAME=WHAT``, by name.
+
+    Raises:
+        ConfigurationError: a value has another form, or a name is given twice.
+    """
+    agents: dict[str, str] = {}
+    for text in texts or ():
+        name, _, what = text.partition("=")
+        if not name or not what:
+            raise ConfigurationError(f"--agent {text}: must be NAME=module:attribute or NAME=PATH of weights")
+        if name in agents:
+            raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
+        agents[name] = what
+    return agents
+
+
+def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
+    """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
+    from hydro_agents.evaluation.opponents import trained_for
+
+    untuned = [name for name in study.tuned if name in controllers]
+    foreign = [
+        name for name, controller in controllers.items() if trained_for(controller) not in (None, study.task.plant)
+    ]
+    parts = [f"{', '.join(untuned)}: gains as given, not tuned for this rig"] if untuned else []
+    parts += [f"{', '.join(foreign)}: trained for another rig"] if foreign else []
+    if parts:
+        print(f"hydro: {'; '.join(parts)}; hydro study --rig tunes and trains them", file=sys.stderr)

@@ -1,0 +1,157 @@
+"""``hydro evaluate --protocol``: every controller under every condition of a protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+from rich.box import SIMPLE
+from rich.table import Table
+
+from hydro_agents.bound.best_found import best_found
+from hydro_agents.controllers.base import Controller
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.robustness.conditions import Protocol, file_sha256, protocol_named
+from hydro_agents.robustness.participants import (
+    CONDITION_MARK,
+    Participants,
+    participants,
+    shipped_controllers,
+    split_name,
+)
+from hydro_agents.robustness.running import NOT_APPLICABLE, replay, run_protocol
+from hydro_agents.robustness.tables import Tables, make_tables
+from hydro_agents.robustness_report.page import PAGE_FILE, write_robustness_report
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
+from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.study.settings import StudySettings
+from hydro_env import ConfigurationError
+from hydro_env.files import write_yaml
+from hydro_env.folders import config_file
+
+PROTOCOL_FILE = "protocol.yaml"
+
+
+class Place(NamedTuple):
+    """Where a protocol runs; ``None`` means the protocol's own value."""
+
+    task: str | None  # name or file
+    rig: Path | None
+    output: Path | None  # default: results/<name of the protocol>
+
+
+def evaluate_protocol(
+    name: str,
+    agents: Mapping[str, str],
+    study_file: Path | None,
+    place: Place,
+    jobs: int | None,
+    resume: bool,
+    overwrite: bool,
+    command: str,
+) -> None:
+    """Run a protocol, write its tables and its page.
+
+    Args:
+        name: of the protocol in ``configs/protocols``, or the path of a YAML file.
+        agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
+        study_file: a study whose controllers take part; default: all shipped controllers.
+        place: another task or rig, and the folder for the results.
+        jobs: number of jobs side by side; default: one per core.
+        resume: whether to use the finished jobs in the folder.
+        overwrite: whether to replace the results in the folder.
+        command: the command line.
+
+    Raises:
+        ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed (the
+            results of the others are written first).
+    """
+    protocol, file = protocol_named(name)
+    if place.task is not None or place.rig is not None:
+        protocol = protocol.moved(place.task, place.rig)
+    chosen = _participants(protocol, agents, study_file)
+    output = place.output if place.output is not None else Path("results") / file.stem
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
+    with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+        write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
+        best = partial(best_found, settings={"threads": 1})  # as many jobs as cores run side by side
+        jobs = jobs or default_jobs()
+        run = run_protocol(protocol, chosen, output, jobs, display.update, best)
+        facts = {
+            "file": str(file),
+            "file_sha256": file_sha256(file),
+            "date": date_now(),
+            "command": command,
+            "machine": machine_description(),
+            **package_versions(),
+        }
+        tables = make_tables(protocol, chosen, run, list(facts.items()))
+        tables.write(output / "tables")
+        display.update("page", 0, 1)
+        write_robustness_report(
+            output,
+            tables.by_name(),
+            protocol.task,
+            {name: controller for name, controller in chosen.controllers.items() if name in run.working},
+            lambda row: replay(protocol, chosen, row),
+            experiments=protocol.experiments,
+            jobs=jobs,
+            progress=display.update,
+        )
+        display.update("page", 1, 1)
+    _print_ranking(tables, display)
+    display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
+    display.say(f"tables: {(output / 'tables').resolve()}")
+    display.say(f"page: {(output / PAGE_FILE).resolve()}")
+    if run.errors:
+        more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
+        raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")
+
+
+def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
+    """The controllers of the protocol; an agent replaces the one of the same name, with all its training seeds."""
+    special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
+    general = {name: what for name, what in agents.items() if name not in special}
+    if study_file is None:
+        controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **general}
+    else:
+        study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
+        controllers = dict(study.with_weights(general))
+    seeded = {split_name(name)[0] for name in general if SEED_MARK in name}
+    controllers = {name: what for name, what in controllers.items() if name not in seeded or name in general}
+    return participants(controllers, protocol, special)
+
+
+def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
+    """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
+    baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
+    title = f"Ratios to {baseline}; conditions and families weighted equally"
+    table = Table(title=title, box=SIMPLE, pad_edge=False, collapse_padding=True)
+    table.add_column("controller")
+    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for _, row in tables.ranking.iterrows():
+        table.add_row(
+            str(row["controller"]),
+            f"{row['equal_weight']:.3f}",
+            f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
+            *(f"{row[name]:.2f}" for name in ("worst_ratio", "travel_ratio", "reversals_ratio")),
+            str(row["failures"]),
+            f"{row['limit_cycles']}/{row['standstills']}",
+        )
+    display.console.lines(table)
+    absent = tables.status[tables.status["status"] == NOT_APPLICABLE]
+    for condition, rows in absent.groupby("condition", sort=False):
+        display.console.lines(
+            f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}"
+        )
+
+
+def _reason(rows: pd.DataFrame) -> str:
+    return str(rows["message"].iloc[0])

@@ -1,0 +1,198 @@
+"""The one interface of all controllers: ``predict(observation, state, episode_start, deterministic)``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.task.signals import observation_layout
+
+Floats = NDArray[np.floating[Any]]
+
+
+class Controller(Protocol):
+    """Turns measured signals into commands; the same signature as a stable-baselines3 model.
+
+    ``predict`` takes one observation (n,) or a batch (N, n) and returns commands (1,) or (N, 1) and the controller's
+    state (its memory). One rule applies: **predict never changes the state that it is given**; it returns a new one. A
+    caller may keep any state and continue from it again, with the same results bit for bit.
+    """
+
+    def predict(
+        self,
+        observation: Floats,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Commands for the observations, and the state for the next call.
+
+        Args:
+            observation: (n,) or (N, n), as the environment scales it.
+            state: the state that the previous call returned; ``None`` in the first call.
+            episode_start: (N,), true if an episode begins with this observation; the state of that axis is reset.
+            deterministic: without exploration noise.
+
+        Returns:
+            Commands as fractions of 10 V (the environment limits them to [−1, 1]), and the new state.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """Layout of an observation: names, scales (SI units per 1), and the control period (s)."""
+
+    names: tuple[str, ...]
+    scale: tuple[float, ...]
+    control_period: float
+
+    @classmethod
+    def of(cls, config: TaskConfig) -> ObservationLayout:
+        """The layout of a task's observations."""
+        names, _, scale, _ = observation_layout(config)
+        return cls(tuple(names), tuple(float(value) for value in scale), config.control_period)
+
+    def describe(self) -> dict[str, Any]:
+        """All data to build this object again (JSON)."""
+        scale = {"observation_scale": list(self.scale), "control_period": self.control_period}
+        return {"observation_names": list(self.names), **scale}
+
+    def index(self, name: str) -> int:
+        """Column of a signal.
+
+        Raises:
+            ConfigurationError: the observation holds no such signal.
+        """
+        if name not in self.names:
+            raise ConfigurationError(f"the observation holds no '{name}'; it holds: {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def si(self, observation: Floats, name: str) -> NDArray[np.float64]:
+        """A signal in SI units from a batch of observations (N, n)."""
+        column = self.index(name)
+        values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
+        return values
+
+    def needs(self, names: Sequence[str], reader: str) -> None:
+        """Check that the observation holds the signals that a controller reads.
+
+        Raises:
+            ConfigurationError: the rig lacks a sensor.
+        """
+        absent = [name for name in names if name not in self.names]
+        if absent:
+            raise ConfigurationError(
+                f"{reader}: reads {', '.join(absent)}, and this rig has no such sensor; a PID needs the position alone"
+            )
+
+    @property
+    def preview_times(self) -> tuple[float, ...]:
+        """Times in s by which the previews look ahead."""
+        prefix = "reference_preview_"
+        return tuple(
+            1e-3 * float(name.removeprefix(prefix).removesuffix("ms")) for name in self.names if name.startswith(prefix)
+        )
+
+    def previews(self, observation: Floats) -> NDArray[np.float64]:
+        """Future reference minus present reference, m, shape (N, previews)."""
+        columns = [i for i, name in enumerate(self.names) if name.startswith("reference_preview_")]
+        scale = np.array([self.scale[i] for i in columns], dtype=np.float64)
+        values: NDArray[np.float64] = observation[:, columns].astype(np.float64) * scale
+        return values
+
+
+def as_batch(observation: Floats) -> tuple[Floats, bool]:
+    """The observation as a batch (N, n), and whether it was a single one."""
+    array = observation if hasattr(observation, "ndim") else np.asarray(observation)
+    return (array[None], True) if array.ndim == 1 else (array, False)
+
+
+def surely_zero(array: Any) -> bool:
+    """Whether all elements are zero, for shortcuts that change no result.
+
+    Always false while an export records the operations: a recorded shortcut would be valid for these data only.
+    """
+    return isinstance(array, np.ndarray) and not array.any()
+
+
+# Classical controllers: a class of gains, and a class made from gains and task ---------------------------------------
+
+Memory = TypeVar("Memory", bound=NamedTuple)
+
+
+class ClassicalController(Controller, Protocol):
+    """A controller that is tuned, not trained; :data:`~hydro_agents.controllers.registry.CONTROLLERS` lists them.
+
+    The task gives it the knowledge of an engineer: the layout of the observations, the control period, the latency, and
+    the data sheet of the rig (``config.plant``). It does not know the plant that an episode draws. Its memory is a
+    ``NamedTuple`` of arrays whose first axis counts the N axes.
+    """
+
+    memory: type[Any]
+    """Class of its memory."""
+
+    gains: Any
+    config: TaskConfig
+    layout: ObservationLayout
+
+    def __init__(self, gains: Any, config: TaskConfig) -> None: ...
+
+
+def gain(
+    default: float,
+    search: tuple[float, float],
+    unit: str,
+    description: str,
+    *,
+    low: float = 0.0,
+    high: float = 1e9,
+    logarithmic: bool = False,
+) -> Any:
+    """A field of a class of gains that tuning searches.
+
+    Args:
+        default: its default.
+        search: lowest and highest value that tuning tries.
+        unit: its unit.
+        description: what it does.
+        low: lowest value allowed.
+        high: highest value allowed.
+        logarithmic: whether tuning searches over its logarithm.
+    """
+    extra: Any = {"unit": unit, "search": list(search), "logarithmic": logarithmic}
+    return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
+
+
+def search_space(gains: type[Group]) -> dict[str, tuple[float, float, bool]]:
+    """The fields that tuning searches: lower bound, upper bound, and whether the search is over the logarithm."""
+    space = {}
+    for name, info in gains.model_fields.items():
+        extra: Any = info.json_schema_extra
+        if isinstance(extra, Mapping) and "search" in extra:
+            low, high = extra["search"]
+            space[name] = (float(low), float(high), bool(extra["logarithmic"]))
+    return space
+
+
+def rows(memory: Memory, axes: NDArray[Any]) -> Memory:
+    """The memory of some axes."""
+    return type(memory)(*(array[axes] for array in memory))
+
+
+def restarted(memory: Memory | None, fresh: Memory, episode_start: NDArray[np.bool_] | None) -> Memory:
+    """The memory, with ``fresh`` for the axes at the start of an episode; ``None``: for all axes."""
+    if memory is None:
+        return fresh
+    if episode_start is None or not np.any(episode_start):
+        return memory
+    started = np.asarray(episode_start, dtype=np.bool_)
+    pairs = zip(memory, fresh, strict=True)
+    return type(memory)(*(np.where(started.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in pairs))

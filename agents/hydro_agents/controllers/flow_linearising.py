@@ -1,0 +1,269 @@
+"""Flow linearisation: the command is the valve opening that gives the desired speed at the measured pressures.
+
+Sources: Jelali & Kroll, *Hydraulic Servo-systems* (2003), chapters 5 and 6: inverse valve characteristic, exact
+linearisation, dynamic pressure feedback. Merritt, *Hydraulic Control Systems* (1967), chapters 5 and 6.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.flow_model import Flow, FlowModel
+from hydro_agents.controllers.jumps import Jumps, braked
+from hydro_agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
+from hydro_agents.controllers.preview import Preview, path_weights
+from hydro_env import TaskConfig
+from hydro_env.files import Group
+from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+
+Array = NDArray[np.float64]
+
+_REVERSAL = 0.3
+"""Reference speed, as a fraction of the Stribeck speed, around which the friction changes its sign."""
+
+_LEAST_GAIN = 0.3
+"""Lower limit of the estimated flow gain, as a fraction of the data sheet's."""
+
+
+class FlowLinearisingGains(Group):
+    """Gains of :class:`FlowLinearising`: factors on values from the data sheet of the rig, and uncertainties.
+
+    A *delay* is the time from a sample to the resulting motion: latency, half a control period, and valve. A *pace* is
+    the delay or half a period of the hydraulic oscillation, whichever is longer.
+    """
+
+    position_gain: float = gain(0.4, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
+    braking: float = gain(
+        4.0,
+        (0.3, 20.0),
+        "1",
+        "error beyond which the speed grows with its root, per travel at full speed in a pace",
+        low=1e-3,
+        high=1e4,
+        logarithmic=True,
+    )
+    lead: float = gain(1.25, (0.5, 2.0), "1", "of the reference speed, in delays", high=10.0)
+    smoothing: float = gain(0.8, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
+    prediction: float = gain(0.2, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
+    set_off_share: float = gain(
+        1.1, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
+    )
+    set_off_delay: float = gain(1.4, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
+    damping: float = gain(0.2, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
+    damping_filter: float = gain(
+        0.7, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
+    )
+    friction: float = gain(1.0, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
+    flow_gain_spread: float = gain(
+        0.14, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
+    )
+    flow_gain_drift: float = gain(
+        0.1, (1e-3, 1.0), "1/√s", "drift of the flow gain", low=1e-9, high=10.0, logarithmic=True
+    )
+    leak_spread: float = gain(
+        3.0, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
+    )
+    leak_drift: float = gain(
+        0.7, (0.01, 20.0), "l/min at 100 bar per √s", "drift of the leak", low=1e-9, high=1e3, logarithmic=True
+    )
+    offset_spread: float = gain(
+        0.05, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
+    offset_drift: float = gain(
+        1e-3, (1e-4, 0.3), "1/√s", "drift of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
+    motion_spread: float = gain(
+        1e-3, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
+    )
+
+
+class FlowLinearisingState(NamedTuple):
+    """Memory of the controller; the first dimension of each array is that of the N axes."""
+
+    reference: Array  # (N, samples), m, as Preview keeps it
+    supply: Array  # (N,), Pa
+    force: Array  # (N,), N, of the oil on the piston
+    slow_force: Array  # (N,), N, low-passed
+    speed: Array  # (N,), m/s, from the flow of the data sheet
+    leak: Array  # (N,), m/s per leak conductance
+    estimate: Array  # (N, 4), as MotionFilter keeps it
+    covariance: Array  # (N, 4, 4)
+
+
+class FlowLinearising:
+    """command = opening(desired speed), desired speed = reference speed + φ(error) + friction − damping.
+
+    * The opening inverts the flow of the valve at the measured pressures (:class:`FlowModel`), with corrections from
+      :class:`MotionFilter`: flow gain, leak, and an offset, which replaces an integral. The filter reads the measured
+      spool; a saturated valve therefore causes no wind-up.
+    * Reference speed and error look ahead by the delay of the loop. Jumps are removed from the reference, because they
+      are no speed; the axis sets off before a jump by about half the time of the move.
+    * φ is linear near zero and a square root beyond: the speed from which the axis can still brake within the error.
+    * At a reversal friction changes its sign. The flow that compresses the oil accordingly is fed forward.
+    * Damping subtracts the high-passed force of the oil (dynamic pressure feedback).
+
+    The start is bumpless: the offset takes over the command that holds the axis. The supply pressure follows from the
+    pressures at rest.
+    """
+
+    memory = FlowLinearisingState
+    estimate_names = ("position_error", "flow_gain", "leak", "offset", "speed")
+    """Names of the values of :meth:`estimates`."""
+
+    def __init__(self, gains: FlowLinearisingGains, config: TaskConfig) -> None:
+        self.gains = gains
+        self.config = config
+        self.layout = ObservationLayout.of(config)
+        self.layout.needs(("pressure_a", "pressure_b"), "flow linearisation")
+        # Without a spool sensor, the last command replaces the spool position.
+        self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
+        self.delay = _delay(config)
+        self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
+        g, plant, period, delay = gains, config.plant, config.control_period, self.delay
+        self._model = FlowModel(plant)
+        self._preview = Preview(config)
+        self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
+        self._ahead = g.prediction * delay
+        self._weights = self._reference_weights()
+        self._jumps = Jumps(
+            self._model,
+            max(speed_limits(plant)) * period,
+            g.set_off_delay * delay,
+            g.set_off_share,
+            self._preview.times,
+        )
+        self._gain, self._near = g.position_gain / self.pace, g.braking * full_speed * self.pace
+        self._blend = period / (period + g.damping_filter * self.pace)
+        self._damping = g.damping * closed_port_natural_frequency(plant)
+        self._friction = g.friction * plant.friction.largest_force / period
+        self._turned = _REVERSAL * plant.friction.stribeck_velocity
+        noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
+        leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+        self._filter = MotionFilter(
+            noise,
+            np.array([noise, g.flow_gain_spread, g.leak_spread * leak, g.offset_spread * full_speed]),
+            np.array(
+                [g.motion_spread * full_speed, g.flow_gain_drift, g.leak_drift * leak, g.offset_drift * full_speed]
+            ),
+            period,
+        )
+
+    def _reference_weights(self) -> Array:
+        """Weights (horizon + 1, 3) of the reference's steps: speed, travel to the predicted position, earlier speed."""
+        period, horizon, lead = self.config.control_period, self._preview.horizon, self.gains.lead * self.delay
+        width = self.gains.smoothing * self.delay
+
+        def speed(time: float) -> Array:
+            ends = [path_weights(time + side * width, horizon, period) for side in (-1.0, 1.0)]
+            weights: Array = (ends[1] - ends[0]) / (2.0 * width)
+            return weights
+
+        return np.stack([speed(lead), path_weights(self._ahead, horizon, period), speed(lead - period)], axis=1)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: FlowLinearisingState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], FlowLinearisingState]:
+        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
+        del deterministic
+        batch, single = as_batch(observation)
+        si = self.layout.si
+        position, spool, command_before = (
+            si(batch, "position"),
+            si(batch, self._spool),
+            si(batch, "previous_command"),
+        )
+        pressures = np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
+
+        started = np.ones(len(batch), np.bool_) if state is None else episode_start
+        old = state
+        if old is None or (started is not None and np.any(started)):
+            old = restarted(state, self._fresh(batch, position, pressures, command_before), started)
+            started = np.asarray(started, dtype=np.bool_)
+        else:
+            started = None
+        flow = self._model.at(position, pressures, old.supply)
+        now = self._observed(old, batch, flow, position, spool)
+        if started is not None:
+            now = restarted(now, old, started)
+            now = now._replace(speed=self._model.speed(spool, flow), leak=flow.leak)
+
+        estimate = now.estimate
+        scale = np.maximum(1.0 + estimate[:, FLOW_GAIN], _LEAST_GAIN)
+        other = estimate[:, LEAK] * flow.leak + estimate[:, OFFSET]
+        soon = scale * self._model.speed(0.5 * (spool + command_before), flow) + other
+        place = estimate[:, POSITION] + self._ahead * soon
+        wanted, error = self._wanted(now, place, flow)
+        wanted += self._gain * braked(error, self._near)
+        wanted -= self._damping / flow.stiffness * (flow.force - now.slow_force)
+        command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
+        action = command.astype(np.float32)[:, None]
+        return (action[0] if single else action), now
+
+    def estimates(self, memory: FlowLinearisingState) -> NDArray[np.float32]:
+        """Estimates of the controller, (N, 5), numbers of order 1.
+
+        Reference minus position in 0.1 mm, flow gain in tenths, leak in l/min at 100 bar, offset in hundredths of full
+        speed, speed as a fraction of full speed.
+        """
+        x = memory.estimate
+        speed = (1.0 + x[:, FLOW_GAIN]) * memory.speed + x[:, LEAK] * memory.leak + x[:, OFFSET]
+        columns = [
+            1e4 * (memory.reference[:, 1] - x[:, POSITION]),
+            10.0 * x[:, FLOW_GAIN],
+            x[:, LEAK] * LEAKAGE_TEST_PRESSURE / LITRE_PER_MINUTE,
+            100.0 * x[:, OFFSET] / self._full_speed,
+            speed / self._full_speed,
+        ]
+        return np.stack(columns, axis=1).astype(np.float32)
+
+    def _fresh(self, batch: Floats, position: Array, pressures: Array, command: Array) -> FlowLinearisingState:
+        """Memory of axes at rest."""
+        supply = self._model.supply(pressures)
+        flow = self._model.at(position, pressures, supply)
+        speed = self._model.speed(command, flow)
+        estimate, covariance = self._filter.start(position, -speed)
+        reference = self._preview.start(batch)
+        return FlowLinearisingState(reference, supply, flow.force, flow.force, speed, flow.leak, estimate, covariance)
+
+    def _observed(
+        self, old: FlowLinearisingState, batch: Floats, flow: Flow, position: Array, spool: Array
+    ) -> FlowLinearisingState:
+        """Memory one period later, updated from the observations at its end."""
+        half = 0.5 * self.layout.control_period
+        speed = self._model.speed(spool, flow)
+        squeezed = (old.force - flow.force) / flow.stiffness
+        estimate, covariance = self._filter.advanced(
+            old.estimate, old.covariance, half * (old.speed + speed), half * (old.leak + flow.leak), squeezed, position
+        )
+        slow_force = old.slow_force + self._blend * (flow.force - old.slow_force)
+        reference = self._preview.advanced(old.reference, batch)
+        return FlowLinearisingState(
+            reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
+        )
+
+    def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
+        """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
+        steps, jumps = self._jumps.split(now.reference)
+        smooth = steps @ self._weights
+        turned = np.tanh(smooth[:, ::2] / self._turned)
+        wanted = smooth[:, 0] + self._friction / flow.stiffness * (turned[:, 0] - turned[:, 1])
+        target = now.reference[:, 1] + smooth[:, 1] + self._jumps.begun(jumps, flow.force, now.supply)
+        return wanted, target - place
+
+
+def _delay(config: TaskConfig) -> float:
+    """Time in s from a sample to the resulting motion: latency, half a control period, valve."""
+    valve = config.plant.valve
+    lag = {"ideal": 0.0, "spool": 1.0, "drive": 1.0}[valve.model] * 2.0 * valve.damping_ratio / valve.natural_frequency
+    coil = valve.coil_inductance / valve.coil_resistance if valve.model == "drive" else 0.0
+    return config.command_latency + 0.5 * config.control_period + lag + coil

@@ -1,0 +1,224 @@
+"""State feedback on a speed command: the common base of controllers with an observer.
+
+The flow law of the valve turns openings into speeds; observer and feedback work on these speeds, which makes the axis
+nearly linear. The observer reads the command that the axis received (a part of the observation), limited to full
+opening. Saturation therefore causes no wind-up, and the correction of a policy is no disturbance.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_agents.controllers.flow_model import Flow, FlowModel
+from hydro_agents.controllers.jumps import Jumps, braked
+from hydro_agents.controllers.preview import Preview
+from hydro_agents.controllers.sampled_loop import zero_order_hold
+from hydro_env import TaskConfig, linearise
+from hydro_env.files import Group
+from hydro_env.plant.analysis import reachable_range, speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.states import STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
+
+Array = NDArray[np.float64]
+
+JUMP = 1.2
+"""Reference speed, as a fraction of full speed, above which a change counts as a jump: no axis can follow."""
+
+LEAST_ADAPTED, MOST_ADAPTED = (0.6, 0.6, 0.0), (1.6, 1.6, 0.5)
+"""Range of the adapted parameters, as in :class:`ObserverState`."""
+
+_LINEARISED = ("velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity", "coil_current")
+
+
+class ObserverFeedbackGains(Group):
+    """Gains of every controller with an observer, relative to the rig.
+
+    The lag of the rig is the lag of its valve plus the inverse of its hydraulic frequency. The delay is the time from a
+    sample to the effect of its command: latency, half a period, lag of the valve.
+    """
+
+    flow_gain_extending: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
+    flow_gain_retracting: float = gain(1.0, (0.5, 2.0), "1", "of the nominal flow gain", low=0.01, logarithmic=True)
+    gain_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which a flow gain adapts at full speed", high=1e3)
+    leak_adaptation: float = gain(60.0, (0.0, 150.0), "1/s", "rate at which the leak adapts at full pressure", high=1e3)
+    set_off_delay: float = gain(1.4, (0.0, 4.0), "1", "set-off before a jump of the reference, in delays", high=100.0)
+    set_off_share: float = gain(
+        0.9, (0.0, 2.0), "1", "earlier set-off, in halves of its time at full speed", high=100.0
+    )
+    braking: float = gain(
+        1.4, (0.1, 10.0), "1", "error, per travel at full speed in a delay, beyond which the feedback grows as a root",
+        low=1e-3, logarithmic=True,
+    )  # fmt: skip
+
+
+class ObserverState(NamedTuple):
+    """Memory of the controller."""
+
+    estimate: Array  # (N, states), of the observer
+    command_before: Array  # (N,), m/s, speed command before the last one
+    supply: Array  # (N,), Pa, at the start
+    adapted: Array  # (N, 3), relative flow gains extending and retracting; leak at full pressure over full speed
+    reference: Array  # (N, horizon + 2), m; see Preview
+
+
+class SampledModel(NamedTuple):
+    """x[n+1] = transition x[n] + input_old u[n−1] + input_new u[n], measured signals: outputs x[n]."""
+
+    transition: Array  # (n, n)
+    input_old: Array  # (n,)
+    input_new: Array  # (n,)
+    outputs: Array  # (m, n)
+
+
+def sampled(a: Array, b: Array, outputs: Array, config: TaskConfig) -> SampledModel:
+    """Sample dx/dt = a x + b u exactly; the command changes one latency after the sample.
+
+    Åström & Wittenmark, *Computer-Controlled Systems* (1997), section 2.3.
+
+    Args:
+        a: (n, n), 1/s.
+        b: (n,).
+        outputs: (m, n).
+        config: gives control period and latency.
+    """
+    first, held_first = zero_order_hold(a, b, config.command_latency)
+    rest, held_rest = zero_order_hold(a, b, config.control_period - config.command_latency)
+    return SampledModel(rest @ first, rest @ held_first, held_rest, outputs)
+
+
+class ObserverFeedback:
+    """Base of the controllers with an observer.
+
+    A subclass sets ``model`` and ``correction`` (n, m), the gain of its observer on the innovations of the measured
+    signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. The state
+        ``disturbance`` of the model is the part of the speed (m/s) that the command does not explain. The subclass
+        defines
+    :meth:`at_rest` and :meth:`speed`.
+
+    The flow gain of each direction and the leak adapt along their gradients (Åström & Wittenmark, *Adaptive Control*
+    (1995), chapter 5): a disturbance that grows with the speed is an error of the flow gain, one that grows with the
+    pressure across the piston is a leak. The explained part is removed from the disturbance.
+
+    Args:
+        gains: the gains.
+        config: the task; its plant is the nominal rig.
+    """
+
+    memory = ObserverState
+    model: SampledModel
+    correction: Array
+    disturbance: int
+
+    def __init__(self, gains: Any, config: TaskConfig) -> None:
+        self.gains = gains
+        self.config = config
+        self.layout = ObservationLayout.of(config)
+        self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)
+        self.preview = Preview(config)
+        plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
+        self.flow = FlowModel(plant)
+        # Dry friction blocks a resting axis and hardly damps a moving one.
+        rig = linearise(plant.replace(friction={"model": "none"}), position=0.5 * sum(reachable_range(plant)))
+        velocity, pressure_a, pressure_b, *valve = (STATE_NAMES.index(name) for name in _LINEARISED)
+        stiffness = c.area_b * rig.a[pressure_b, velocity] - c.area_a * rig.a[pressure_a, velocity]
+        self.frequency = float(np.sqrt(stiffness * c.inverse_mass))  # of mass and oil, rad/s
+        self.valve, self.drive = rig.a[np.ix_(valve, valve)], FULL_VOLTAGE * rig.b[valve]
+        self.valve_lag = float(np.linalg.solve(self.valve, np.linalg.solve(self.valve, self.drive))[0])
+        self.lag = self.valve_lag + 1.0 / self.frequency
+        self.delay = config.command_latency + 0.5 * period + self.valve_lag
+        self.full_speed = max(speed_limits(plant))
+        self._supply = plant.supply.pressure
+        self._rest = np.array([gains.flow_gain_extending, gains.flow_gain_retracting, 0.0])
+        rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
+        self._rates = rates * period / self.full_speed**2
+        self._near = gains.braking * self.full_speed * self.delay
+        self._jumps = Jumps(
+            self.flow,
+            JUMP * self.full_speed * period,
+            gains.set_off_delay * self.delay,
+            gains.set_off_share,
+            self.preview.times,
+        )
+
+    def at_rest(self, measured: Array, command: Array) -> Array:
+        """Estimate (N, n) of an axis at rest from the measured signals (N, 3) and its speed command (N,)."""
+        raise NotImplementedError
+
+    def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
+        """The next speed command, m/s, (N,).
+
+        Args:
+            estimate: (N, n).
+            error: position minus reference, m, (N,), reduced by the braking law
+                (:func:`~hydro_agents.controllers.jumps.braked`).
+            command: speed command of the last period, m/s, (N,).
+            steps: changes of the reference from one period to the next, m, (N, horizon + 1), without jumps; the first
+                one ends now.
+        """
+        raise NotImplementedError
+
+    def predict(
+        self,
+        observation: Floats,
+        state: ObserverState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], ObserverState]:
+        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
+        del deterministic
+        batch, single = as_batch(observation)
+        si = self.layout.si
+        position, pressures = si(batch, "position"), np.stack([si(batch, "pressure_a"), si(batch, "pressure_b")])
+        openings = np.stack([si(batch, "spool_position"), si(batch, "previous_command")])
+        difference = (pressures[1] - pressures[0]) / self._supply
+
+        now = None if state is None else state._replace(reference=self.preview.advanced(state.reference, batch))
+        if now is None or (episode_start is not None and np.any(episode_start)):
+            supply, adapted = self.flow.supply(pressures), np.tile(self._rest, (len(batch), 1))
+            flow = self.flow.at(position, pressures, supply)
+            spool, command = self._speeds(openings, flow, adapted, difference)
+            rest = self.at_rest(np.stack([position, flow.force, spool], axis=1), command)
+            now = restarted(
+                now, ObserverState(rest, command, supply, adapted, self.preview.start(batch)), episode_start
+            )
+
+        flow = self.flow.at(position, pressures, now.supply)
+        spool, command = self._speeds(openings, flow, now.adapted, difference)
+        measured, m = np.stack([position, flow.force, spool], axis=1)[:, : len(self.model.outputs)], self.model
+        estimate = (
+            now.estimate @ m.transition.T + np.outer(now.command_before, m.input_old) + np.outer(command, m.input_new)
+        )
+        estimate += (measured - estimate @ m.outputs.T) @ self.correction.T
+
+        growth = np.stack([np.maximum(command, 0.0), np.minimum(command, 0.0), self.full_speed * difference], axis=1)
+        change = self._rates * estimate[:, [self.disturbance]] * growth
+        adapted = np.clip(now.adapted + change, LEAST_ADAPTED, MOST_ADAPTED)
+        unadapted, command = command, self._speeds(openings, flow, adapted, difference)[1]
+        estimate[:, self.disturbance] -= command - unadapted
+
+        steps, jumps = self._jumps.split(now.reference)
+        begun = self._jumps.begun(jumps, flow.force, now.supply)
+        error = braked(estimate[:, 0] - now.reference[:, 1] - begun, self._near)
+        wanted = self.speed(estimate, error, command, steps) - self._leak(adapted, difference)
+        opening = np.clip(self.flow.opening(wanted, _scaled(flow, adapted)), -1.0, 1.0)
+        action = opening.astype(np.float32)[:, None]
+        new = ObserverState(estimate, command, now.supply, adapted, now.reference)
+        return (action[0] if single else action), new
+
+    def _speeds(self, openings: Array, flow: Flow, adapted: Array, difference: Array) -> Array:
+        """Speeds in m/s, (M, N), of openings (M, N) with the adapted flow gains and leak."""
+        return self.flow.speed(openings, _scaled(flow, adapted)) + self._leak(adapted, difference)
+
+    def _leak(self, adapted: Array, difference: Array) -> Array:
+        leak: Array = self.full_speed * adapted[:, 2] * difference
+        return leak
+
+
+def _scaled(flow: Flow, adapted: Array) -> Flow:
+    """The flow model with the adapted flow gains."""
+    return flow._replace(extending=adapted[:, 0] * flow.extending, retracting=adapted[:, 1] * flow.retracting)

@@ -1,0 +1,126 @@
+"""PID with anti-windup, derivative filter and velocity feed-forward; works on one axis or on many at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
+from hydro_env import TaskConfig
+from hydro_env.files import Group, read_yaml, validate, write_yaml
+
+
+class PIDGains(Group):
+    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s."""
+
+    proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
+    integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
+    derivative: float = gain(0.0, (0.0, 3.0), "s/m", "on the error of the speed", high=1e3)
+    derivative_filter_time: float = gain(0.005, (1e-3, 0.05), "s", "first-order", high=1.0, logarithmic=True)
+    feedforward_extending: float = gain(6.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
+    feedforward_retracting: float = gain(8.0, (0.0, 20.0), "s/m", "command per reference speed", high=1e3)
+    feedforward_lead: float = gain(0.008, (0.0, 0.03), "s", "lead of the reference speed", high=0.1)
+    reference_lead: float = gain(0.0, (0.0, 0.03), "s", "lead of the reference position", high=0.1)
+    anti_windup_time: float = gain(
+        0.05, (0.005, 1.0), "s", "back-calculation while saturated", low=1e-6, high=10.0, logarithmic=True
+    )
+    lead_in_integral: bool = Field(
+        True, description="whether the integral uses the error with the lead, as in 0.1; without it, no bias"
+    )
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> PIDGains:
+        """Read gains from YAML.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key or impossible value.
+        """
+        return validate(cls, read_yaml(path), str(path))
+
+    def to_yaml(self, path: str | Path) -> None:
+        """Write the gains as YAML."""
+        write_yaml(path, self.model_dump())
+
+
+class PIDState(NamedTuple):
+    """Memory of the controller, each (N,)."""
+
+    integral: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    position: NDArray[np.float64]
+    reference: NDArray[np.float64]
+
+
+class PID:
+    """u = K_p e + K_i ∫e dt + K_d (ẋ_ref − ẋ) + K_ff ẋ_ref, limited to ±1.
+
+    The preview gives e and ẋ_ref with a lead that compensates latency and valve. Without a preview there is no lead,
+    and ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the
+    measured position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the
+    integral takes over the command that holds the axis.
+    """
+
+    memory = PIDState
+
+    def __init__(self, gains: PIDGains, config: TaskConfig) -> None:
+        self.gains = gains
+        self.config = config
+        self.layout = ObservationLayout.of(config)
+        counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
+        self._times = config.control_period * np.array([0, *counts])
+        self._middles = 0.5 * (self._times[1:] + self._times[:-1])
+
+    def predict(
+        self,
+        observation: Floats,
+        state: PIDState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], PIDState]:
+        """Commands for the observations; see :class:`~hydro_agents.controllers.base.Controller`."""
+        del deterministic
+        batch, single = as_batch(observation)
+        g, period = self.gains, self.layout.control_period
+        error = self.layout.si(batch, "tracking_error")
+        position = self.layout.si(batch, "position")
+        command_before = self.layout.si(batch, "previous_command")
+        reference = self.layout.si(batch, "reference")
+        fresh = PIDState(command_before, np.zeros(len(batch)), position, reference)
+        state = restarted(state, fresh, episode_start)
+
+        if len(self._shown):
+            ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)[:, self._shown]], axis=1)
+            speeds = np.diff(ahead, axis=1) / np.diff(self._times)
+            reference_speed = _interpolate(g.feedforward_lead, self._middles, speeds)
+            leading = error + _interpolate(g.reference_lead, self._times, ahead)
+        else:
+            reference_speed, leading = (reference - state.reference) / period, error
+        blend = period / (period + g.derivative_filter_time)
+        velocity = state.velocity + blend * ((position - state.position) / period - state.velocity)
+        feedforward = np.where(reference_speed > 0.0, g.feedforward_extending, g.feedforward_retracting)
+        integral = state.integral + g.integral * period * (leading if g.lead_in_integral else error)
+        wanted = (
+            g.proportional * leading
+            + integral
+            + g.derivative * (reference_speed - velocity)
+            + feedforward * reference_speed
+        )
+        command = np.clip(wanted, -1.0, 1.0)
+        integral = integral + (command - wanted) * min(period / g.anti_windup_time, 1.0)
+        action = command.astype(np.float32)[:, None]
+        return (action[0] if single else action), PIDState(integral, velocity, position, reference)
+
+
+def _interpolate(time: float, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Each row of ``values`` (N, times) at ``time``, interpolated; constant beyond the ends."""
+    if len(times) == 1:
+        return values[:, 0]
+    at = min(max(time, float(times[0])), float(times[-1]))
+    column = min(max(int(np.searchsorted(times, at)), 1), len(times) - 1)
+    weight = (at - times[column - 1]) / (times[column] - times[column - 1])
+    result: NDArray[np.float64] = values[:, column - 1] * (1.0 - weight) + values[:, column] * weight
+    return result

@@ -1,0 +1,76 @@
+"""The reference ahead, sample by sample, rebuilt from the present and the earlier observations.
+
+An observation shows a few samples of the future reference. In each period they come nearer by one sample. A controller
+that remembers them soon knows every sample up to the farthest; until then it interpolates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Floats, ObservationLayout
+from hydro_env import TaskConfig
+
+Array = NDArray[np.float64]
+
+
+class Preview:
+    """Rebuilds the reference from one period ago to the farthest preview, for N axes.
+
+    Its memory is one array (N, horizon + 2): the reference one period ago, now, and 1 to ``horizon`` periods ahead.
+    Any control period and any preview times work, including none. An observation names the nominal times; its samples
+    lie at whole numbers of periods (``TaskConfig.preview_samples``).
+    """
+
+    def __init__(self, config: TaskConfig) -> None:
+        counts, self._columns = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
+        self._layout = ObservationLayout.of(config)
+        self.horizon = int(counts[-1]) if len(counts) else 0
+        self.counts = tuple(int(count) for count in counts)
+        """Periods ahead of the samples that an observation shows, rising."""
+        self.times = config.control_period * np.arange(1.0, self.horizon + 1)
+        """s from now to each future sample of the memory, (horizon,)."""
+        known = np.array([0, *self.counts])
+        ahead = np.arange(1, self.horizon + 1)
+        self._right = np.searchsorted(known, ahead)
+        distance = known[self._right] - known[self._right - 1]
+        self._share = (ahead - known[self._right - 1]) / distance
+
+    def start(self, batch: Floats) -> Array:
+        """The memory at the start of an episode, (N, horizon + 2).
+
+        The axis has been at rest; samples between those of the observation are interpolated.
+        """
+        now, ahead = self._shown(batch)
+        known = np.concatenate([now[:, None], ahead], axis=1)
+        between = known[:, self._right - 1] * (1.0 - self._share) + known[:, self._right] * self._share
+        return np.concatenate([now[:, None], now[:, None], between], axis=1)
+
+    def advanced(self, samples: Array, batch: Floats) -> Array:
+        """The memory one period later, (N, horizon + 2), from the memory and the observations (N, n)."""
+        now, ahead = self._shown(batch)
+        later = np.empty_like(samples)
+        later[:, 0] = samples[:, 1]
+        later[:, 1] = now
+        later[:, 2:-1] = samples[:, 3:]
+        for column, count in enumerate(self.counts):
+            later[:, 1 + count] = ahead[:, column]
+        return later
+
+    def _shown(self, batch: Floats) -> tuple[Array, Array]:
+        """The reference now, (N,), and the future samples shown, (N, counts), m."""
+        now = self._layout.si(batch, "reference")
+        return now, now[:, None] + self._layout.previews(batch)[:, self._columns]
+
+
+def path_weights(time: float, horizon: int, period: float) -> Array:
+    """Weights (horizon + 1,) of the reference's steps that give its travel from now to ``time`` (s) ahead.
+
+    ``steps = np.diff(samples, axis=1)``: the step before now comes first. Outside the samples the reference is
+    extrapolated at the speed of its last or first step.
+    """
+    weights: Array = np.clip(time / period - np.arange(-1.0, horizon), 0.0, 1.0)
+    weights[0] = min(time / period, 0.0)
+    weights[-1] += max(time / period - horizon, 0.0)
+    return weights

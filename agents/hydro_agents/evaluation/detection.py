@@ -1,0 +1,146 @@
+"""Evaluation of the leakage head under each controller: episodes, rates, ROC, sizes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.evaluation.statistics import share_interval
+from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.leakage.metrics import (
+    area_under_roc,
+    average_precision,
+    detection_rate,
+    precision_recall_curve,
+    roc_curve,
+    threshold_at_false_alarm_rate,
+)
+from hydro_agents.running.cases import Cases, Rollout
+from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_env import LEAKAGE_CLASSES, TaskConfig
+
+SEEDS_OFFSET = 500_000
+FALSE_ALARM_RATE = 0.01
+RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
+"""l/min at 100 bar; bounds of the size ranges, if the task draws such leaks."""
+
+
+class LeakBounds(NamedTuple):
+    """Bounds between healthy, leaking and moderately leaking seals of a task, l/min at 100 bar."""
+
+    healthy_up_to: float
+    leaking_above: float
+    moderate_from: float
+
+    @classmethod
+    def of(cls, config: TaskConfig) -> LeakBounds:
+        """The bounds of a task: its class bounds, and the smallest leak that it draws."""
+        leakage = config.leakage
+        return cls(leakage.class_bounds[0], leakage.faulty_range[0], leakage.class_bounds[1])
+
+    @property
+    def moderate_label(self) -> str:
+        """Name of the row with all leaks from ``moderate_from`` in the table of rates."""
+        return f"≥ {self.moderate_from:g}"
+
+
+def detection_cases(config: TaskConfig, count: int) -> Cases:
+    """Alternating healthy and leaking episodes, sizes log-uniform, references drawn; the same for every controller."""
+    generator = np.random.default_rng(TEST_SEEDS.start)
+    healthy = np.arange(count) % 2 == 0
+    low = np.where(healthy, config.leakage.healthy_range[0], config.leakage.faulty_range[0])
+    high = np.where(healthy, config.leakage.healthy_range[1], config.leakage.faulty_range[1])
+    flow = np.exp(generator.uniform(np.log(low), np.log(high)))
+    first = TEST_SEEDS.start + SEEDS_OFFSET
+    return Cases(np.arange(first, first + count), flow)
+
+
+def signal_columns(names: tuple[str, ...]) -> list[int]:
+    """Columns of the observation that the head reads."""
+    return [names.index(name) for name in SIGNALS]
+
+
+def detection_table(controller: str, cases: Cases, rollout: Rollout, head: LeakageHead) -> pd.DataFrame:
+    """One row per episode: the leak, and the head's estimate from the whole episode."""
+    assert rollout.signals is not None
+    estimate = head.estimate_signals(rollout.signals)
+    return pd.DataFrame(
+        {
+            "controller": controller,
+            "seed": cases.seeds,
+            "leakage_flow_lpm": cases.leakage_flow_lpm,
+            "class": [LEAKAGE_CLASSES[code] for code in rollout.leakage_class],
+            "probability": estimate.probability,
+            "estimated_flow_lpm": estimate.flow_lpm,
+            "flagged": estimate.probability >= head.settings.threshold,
+        }
+    )
+
+
+def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
+    """Share flagged: per class, per range of sizes, and for all leaks of the moderate class and above."""
+    rows = []
+    bounds = LeakBounds.of(config)
+    smallest, largest = config.leakage.faulty_range
+    edges = [smallest, *(edge for edge in RANGE_EDGES if smallest < edge < largest), largest]
+    for controller, frame in detection.groupby("controller", sort=False):
+        flow = frame["leakage_flow_lpm"]
+        groups = [("class", name, frame[frame["class"] == name]) for name in LEAKAGE_CLASSES]
+        groups += [("range", f"{a:g}–{b:g}", frame[(flow >= a) & (flow < b)]) for a, b in pairwise(edges)]
+        groups.append(("range", bounds.moderate_label, frame[flow >= bounds.moderate_from]))
+        for kind, label, part in groups:
+            share = share_interval(int(part["flagged"].sum()), len(part)).columns("flagged_share")
+            rows.append({"controller": controller, "group": kind, "value": label, **share, "episodes": len(part)})
+    return pd.DataFrame(rows)
+
+
+def detection_summary(detection: pd.DataFrame, threshold: float, config: TaskConfig) -> pd.DataFrame:
+    """Per controller: areas under the curves, rates at the head's threshold, and the error of the size."""
+    bounds = LeakBounds.of(config)
+    rows = []
+    for controller, frame in detection.groupby("controller", sort=False):
+        flow, score = frame["leakage_flow_lpm"].to_numpy(), frame["probability"].to_numpy()
+        healthy, leaking = _healthy_and_leaking(flow, bounds)
+        kept, moderate = healthy | leaking, flow >= bounds.moderate_from
+        at_target = threshold_at_false_alarm_rate(score[healthy], FALSE_ALARM_RATE)
+        decades = np.abs(np.log10(frame["estimated_flow_lpm"].to_numpy()[leaking] / flow[leaking]))
+        rows.append(
+            {
+                "controller": controller,
+                "auroc": area_under_roc(score[kept], leaking[kept]),
+                "average_precision": average_precision(score[kept], leaking[kept]),
+                "threshold": threshold,
+                "false_alarm_rate": detection_rate(score[healthy], threshold),
+                "detection_rate_moderate": detection_rate(score[moderate], threshold),
+                "detection_rate_moderate_at_1_percent": detection_rate(score[moderate], at_target),
+                "median_size_error_factor": float(10 ** np.median(decades)),
+                "p90_size_error_factor": float(10 ** np.quantile(decades, 0.9)),
+                "healthy_episodes": int(healthy.sum()),
+                "leaking_episodes": int(leaking.sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def detection_curves(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:
+    """ROC and precision over recall of each controller, at every threshold."""
+    bounds = LeakBounds.of(config)
+    frames = []
+    for controller, frame in detection.groupby("controller", sort=False):
+        healthy, leaking = _healthy_and_leaking(frame["leakage_flow_lpm"].to_numpy(), bounds)
+        kept = healthy | leaking
+        score, positive = frame["probability"].to_numpy()[kept], leaking[kept]
+        for name, function in (("roc", roc_curve), ("precision_recall", precision_recall_curve)):
+            curve = function(score, positive)
+            columns = {"x": curve.x, "y": curve.y, "threshold": curve.threshold}
+            frames.append(pd.DataFrame({"controller": controller, "curve": name, **columns}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _healthy_and_leaking(flow: NDArray[np.float64], bounds: LeakBounds) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    return flow <= bounds.healthy_up_to, flow > bounds.leaking_above

@@ -1,0 +1,89 @@
+"""Limit cycles: oscillations that continue at a constant reference.
+
+With sensor noise every stiff loop moves a little, which looks like a limit cycle. The axis therefore runs without
+noise: a small step of the reference and back excites it, then it must come to rest.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.running.cases import Rollout
+from hydro_agents.running.tasks import noiseless, own_reference
+from hydro_env import TaskConfig
+
+Array = NDArray[np.floating[Any]]
+
+LEAST_CYCLES = 3
+"""Smallest number of cycles in the evaluated time; a slower motion is drift."""
+
+LASTING = 0.5
+"""An oscillation whose last third has less than this share of its amplitude is decaying."""
+
+BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
+"""s: rest, step of the reference, time to come to rest after its return, evaluated time."""
+
+LIMIT_CYCLE: dict[str, tuple[str, str]] = {
+    "limit_cycle": ("1", "1 if the axis continues to oscillate without noise, 0 if it comes to rest"),
+    "amplitude_um": ("µm", "amplitude of the motion that remains"),
+    "frequency_hz": ("Hz", "its strongest frequency; NaN at rest"),
+    "failed": ("1", "1 if the axis failed"),
+}
+"""Name, unit and meaning of the standstill metrics."""
+
+
+_DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles
+
+
+class LimitCycle(NamedTuple):
+    """The oscillation in a stretch, and whether it is a limit cycle."""
+
+    amplitude: float  # m; √2 times the root mean square
+    frequency: float  # Hz, the strongest one
+    sustained: bool
+
+
+def find_limit_cycle(position: Array, period: float, floor: float) -> LimitCycle:
+    """The oscillation of an axis that should be at rest; slow drift does not count.
+
+    Args:
+        position: true position while the reference is constant, without sensor noise, (T,), m; T ≥ 18.
+        period: time between samples, s.
+        floor: m; a limit cycle has a larger amplitude, and does not decay within the run.
+    """
+    values = np.asarray(position, dtype=np.float64)
+    time = np.linspace(-1.0, 1.0, len(values))
+    motion = values - np.polyval(np.polyfit(time, values, _DRIFT), time)
+    amplitude, last = (float(np.sqrt(2.0) * np.std(part)) for part in (motion, motion[-(len(motion) // 3) :]))
+    cycles = int(np.argmax(np.abs(np.fft.rfft(np.hanning(len(motion)) * motion))))
+    sustained = amplitude > floor and last > LASTING * amplitude and cycles >= LEAST_CYCLES
+    return LimitCycle(amplitude, cycles / (len(values) * period), sustained)
+
+
+def standstill_task(config: TaskConfig) -> TaskConfig:
+    """The task without noise, with constant force and leak, and with a small step about mid-stroke and back.
+
+    The step is as small as the task's steps can be.
+    """
+    count = [round(time / config.control_period) for time in (BEFORE, KICK, SETTLING + JUDGED)]
+    count[-1] += 1  # the sample at the end of the last period
+    return own_reference(noiseless(config), np.repeat([0.0, config.references.step_range[0], 0.0], count))
+
+
+def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
+    """LIMIT_CYCLE of every case, arrays (N,). The floor is one step of the position sensor."""
+    judged = round(JUDGED / config.control_period)
+    cycles = [
+        find_limit_cycle(row[-judged:], config.control_period, config.sensors.position.resolution)
+        for row in rollout.position
+    ]
+    sustained = np.array([cycle.sustained for cycle in cycles])
+    return {
+        "limit_cycle": sustained.astype(np.float64),
+        "amplitude_um": np.array([1e6 * cycle.amplitude for cycle in cycles]),
+        "frequency_hz": np.where(sustained, [cycle.frequency for cycle in cycles], np.nan),
+        "failed": (rollout.failed_at >= 0).astype(np.float64),
+    }

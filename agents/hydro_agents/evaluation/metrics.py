@@ -1,0 +1,185 @@
+"""Control metrics of one episode; NaN where a metric has no meaning."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.running.cases import Rollout
+
+Array = NDArray[np.floating]
+
+SETTLING_BAND = 0.2e-3
+"""m; an axis is settled while it stays this close to a constant reference."""
+
+STANDSTILL = 0.1
+"""s; a reference that is constant for at least this long is a target on which the axis must settle."""
+
+FINAL_SHARE = 0.05
+"""s; the last part of a standstill, over which the steady-state error is averaged."""
+
+REVERSAL_THRESHOLD = 0.005
+"""Swing of the command, as a fraction of 10 V, that counts as a reversal: a servo valve does not respond to smaller
+ones."""
+
+METRICS: dict[str, tuple[str, str]] = {
+    "mean_error_mm": ("mm", "mean of |reference − position|"),
+    "rms_error_mm": ("mm", "root mean square of the error"),
+    "peak_error_mm": ("mm", "largest error"),
+    "settling_time_s": (
+        "s",
+        "from the start of a standstill of the reference until the error stays within ±0.2 mm; the end of the "
+        "standstill, when the preview shows the next move, does not count",
+    ),
+    "unsettled_share": ("1", "share of standstills on which the axis never settled"),
+    "overshoot_percent": ("%", "beyond the target, relative to the size of the step (family 'step')"),
+    "steady_state_error_mm": (
+        "mm",
+        "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
+    ),
+    "mean_error_sensor_mm": (
+        "mm",
+        "mean of |reference − reading|, without the sensor's noise: visible to a controller",
+    ),
+    "steady_state_error_sensor_mm": ("mm", "the steady-state error between reference and reading, without noise"),
+    "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
+    "control_effort": ("1", "root mean square of the limited command, as a fraction of 10 V"),
+    "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
+    "reversals_per_s": ("1/s", "changes of the command's direction by more than 0.5 % of 10 V"),
+    "supply_energy_j": ("J", "∫ of the flow that the valve draws, times supply pressure"),
+    "failed": ("1", "1 if the axis failed"),
+}
+"""Name, unit and meaning of every metric."""
+
+
+def standstills(reference: Array, period: float) -> list[tuple[int, int]]:
+    """Stretches [first, last) of samples on which the reference is constant after it has moved."""
+    moving = np.flatnonzero(np.diff(reference) != 0.0) + 1
+    if len(moving) == 0:
+        return []
+    edges = [*moving.tolist(), len(reference)]
+    shortest = math.ceil(STANDSTILL / period - 1e-9)
+    return [(a, b) for a, b in pairwise(edges) if b - a >= shortest]
+
+
+def settling_time(error: Array, period: float, band: float = SETTLING_BAND) -> float:
+    """Time in s from the first sample until |error| stays within the band; NaN if it does not."""
+    outside = np.flatnonzero(np.abs(error) > band)
+    if len(outside) == 0:
+        return 0.0
+    if outside[-1] == len(error) - 1:
+        return math.nan
+    return float((outside[-1] + 1) * period)
+
+
+def overshoot(position: Array, start: float, target: float) -> float:
+    """Largest excess beyond the target in % of the step from ``start`` to ``target``; 0 without excess."""
+    size = target - start
+    if size == 0.0:
+        return math.nan
+    return float(max(np.max((position - target) / size), 0.0) * 100.0)
+
+
+def reversals(command: Array, threshold: float = REVERSAL_THRESHOLD) -> int:
+    """Number of turning points at which the command swings back by more than the threshold."""
+    count, direction = 0, 0
+    extreme = low = high = float(command[0])
+    for value in np.asarray(command, dtype=np.float64).tolist():
+        if direction == 0:
+            low, high = min(low, value), max(high, value)
+            if high - low > threshold:
+                direction, extreme = (1 if value == high else -1), value
+        elif direction * (value - extreme) >= 0.0:
+            extreme = value
+        elif direction * (extreme - value) > threshold:
+            count, direction, extreme = count + 1, -direction, value
+    return count
+
+
+def case_metrics(
+    position: Array,
+    reference: Array,
+    command: Array,
+    spool: Array,
+    period: float,
+    is_step: bool,
+    failed: bool,
+    preview: float = 0.0,
+    bias: float = 0.0,
+    power: Array | None = None,
+) -> dict[str, float]:
+    """All METRICS of one episode.
+
+    Args:
+        position: true position, (T,), m.
+        reference: (T,), m.
+        command: (T,), as a fraction of 10 V.
+        spool: true spool position, (T,).
+        period: control period, s.
+        is_step: whether the reference jumps, so that overshoot has a meaning.
+        failed: whether the axis failed.
+        preview: s; the controller sees the reference this far ahead. The same time at the end of each standstill does
+            not count, because an axis may start before the reference does.
+        bias: m; the position sensor reads the true position plus this.
+        power: hydraulic power from the supply, (T,), W; ``None`` if unknown.
+    """
+    error = np.asarray(reference, dtype=np.float64) - position
+    time = period * np.arange(1, len(error) + 1)
+    settling: list[float] = []
+    steady: list[float] = []
+    steady_sensor: list[float] = []
+    beyond: list[float] = []
+    final = max(round(FINAL_SHARE / period), 1)
+    ahead = round(preview / period)
+    for first, last in ((first, last - ahead) for first, last in standstills(reference, period)):
+        if last - first < final:
+            continue
+        settling.append(settling_time(error[first:last], period))
+        offset = float(np.mean(error[last - final : last]))
+        steady.append(abs(offset))
+        steady_sensor.append(abs(offset - bias))
+        if is_step:
+            beyond.append(overshoot(position[first:last], float(reference[first - 1]), float(reference[first])))
+    settled = [value for value in settling if not math.isnan(value)]
+    return {
+        "mean_error_mm": 1e3 * float(np.mean(np.abs(error))),
+        "rms_error_mm": 1e3 * float(np.sqrt(np.mean(error**2))),
+        "peak_error_mm": 1e3 * float(np.max(np.abs(error))),
+        "settling_time_s": float(np.mean(settled)) if settled else math.nan,
+        "unsettled_share": 1.0 - len(settled) / len(settling) if settling else math.nan,
+        "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
+        "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
+        "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
+        "steady_state_error_sensor_mm": 1e3 * float(np.mean(steady_sensor)) if steady_sensor else math.nan,
+        "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
+        "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),
+        "valve_travel_per_s": float(np.sum(np.abs(np.diff(spool))) / (period * len(spool))),
+        "reversals_per_s": reversals(command) / (period * len(command)),
+        "supply_energy_j": float(np.sum(power, dtype=np.float64)) * period if power is not None else math.nan,
+        "failed": float(failed),
+    }
+
+
+def rollout_metrics(
+    rollout: Rollout, families: NDArray[np.str_], period: float, preview: float = 0.0
+) -> dict[str, Array]:
+    """METRICS of every case, arrays (N,); ``preview`` as in :func:`case_metrics`."""
+    rows = [
+        case_metrics(
+            rollout.position[case],
+            rollout.reference[case],
+            rollout.command[case],
+            rollout.spool[case],
+            period,
+            str(families[case]) == "step",
+            bool(rollout.failed_at[case] >= 0),
+            preview,
+            float(rollout.position_bias[case]),
+            rollout.supply_power[case],
+        )
+        for case in range(len(families))
+    ]
+    return {name: np.array([row[name] for row in rows]) for name in METRICS}

@@ -1,0 +1,158 @@
+"""Participants of an evaluation: controllers by name, file or object, checked against the task."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from hydro_agents.code_generation.exported import ExportedController
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.gains_file import GAINS_FILE, controller_from_gains
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.learning.trainers import TRAINERS, Trainer
+from hydro_agents.running.cases import check_predict
+from hydro_agents.running.folders import config_folder, pretrained_folder
+from hydro_agents.running.weights import weight_files
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.files import read_yaml
+from hydro_env.mistakes import unknown
+from hydro_env.task.rig import read_rig
+
+_ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
+HEAD_FILE = "leakage_head"
+SHIPPED_WEIGHTS = {"ppo": "policy"}
+"""Names of the files in the folder of shipped weights, by kind."""
+
+
+def shipped(kind: str, config: TaskConfig) -> Controller:
+    """The tuned PID or the trained policy that comes with the project; made for the task's rig if such a one ships.
+
+    Raises:
+        ConfigurationError: the kind is not shipped.
+    """
+    if kind in SHIPPED_WEIGHTS:
+        return TRAINERS[kind].load(shipped_weights(kind, config))
+    settings = gains_file(kind, config) or config_folder() / "agents" / f"{kind}.yaml"
+    if not settings.exists():
+        raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
+    return make_controller(kind, config, read_yaml(settings))
+
+
+def shipped_weights(kind: str, config: TaskConfig) -> Path:
+    """The weights of a kind that ship: those made for the task's rig if there are such."""
+    usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
+    own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
+    return own if weight_files(own)[0].is_file() else usual
+
+
+def shipped_rig(config: TaskConfig) -> str:
+    """Name of the rig in ``configs/rigs`` that a task has, at the control period of the shipped gains; else empty."""
+    files = (config_folder() / "rigs").glob("*.yaml")
+    if config.plant == PlantParameters() or config.control_period != TaskConfig().control_period:
+        return ""
+    return next((file.stem for file in files if read_rig(file).plant == config.plant), "")
+
+
+def gains_file(kind: str, config: TaskConfig) -> Path | None:
+    """The gains of a classical controller that were tuned for the task's rig, if they ship."""
+    file = config_folder() / "agents" / f"{kind}_{shipped_rig(config)}.yaml"
+    return file if file.is_file() else None
+
+
+def opponent(
+    what: Controller | str | Path, config: TaskConfig, name: str, trainer: Trainer | None = None
+) -> Controller:
+    """A controller for a task.
+
+    Args:
+        what: an object with ``predict``; or ``"pid"`` or ``"ppo"`` (as shipped), ``"module:attribute"`` (see
+            :func:`~hydro_agents.controllers.registry.make_controller`), the path of weights, a YAML file of tuned
+            gains, a folder ``controllers/NAME`` of a study, or a folder of ``hydro export``.
+        config: the task.
+        name: for messages.
+        trainer: trainer that loads weights; default PPO.
+
+    Raises:
+        ConfigurationError: the controller does not exist, or needs other observations; the message names it.
+    """
+    try:
+        controller: Controller
+        what = found_in(what) if isinstance(what, str | Path) else what
+        if not isinstance(what, str):
+            controller = what
+        elif what in (*CONTROLLERS, *SHIPPED_WEIGHTS):
+            controller = shipped(what, config)
+        elif what.endswith(".zip"):
+            raise ConfigurationError(
+                f"{what}: a zip file of stable-baselines3 runs code when it is loaded; load it in your own module "
+                "and give module:attribute"
+            )
+        elif what.endswith(".yaml"):
+            controller = controller_from_gains(what, config)
+        elif Path(what).is_dir():
+            controller = ExportedController.load(what)
+        elif _ATTRIBUTE.fullmatch(what):
+            controller = make_controller(what, config)
+        elif trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
+            names = unknown(what, (*CONTROLLERS, *SHIPPED_WEIGHTS))
+            raise ConfigurationError(f"'{what}': {names}; or give module:attribute, or a path of weights")
+        else:
+            controller = (trainer or TRAINERS["ppo"]).load(Path(what))
+        check_predict(controller)
+        layout = getattr(getattr(controller, "features", controller), "layout", None)
+        if isinstance(layout, ObservationLayout):
+            check_layout(layout, config)
+    except ConfigurationError as error:
+        raise type(error)(f"{name}: {error}") from error
+    return controller
+
+
+def found_in(what: str | Path) -> str:
+    """The weights or gains in a controller's folder of a study; any other text as it is."""
+    for name in ("policy.json", GAINS_FILE):  # beside weights the gains are those of the controller that they correct
+        if (Path(what) / name).is_file():
+            return str(Path(what) / name).removesuffix(".json")
+    return str(what)
+
+
+def trained_for(controller: Controller) -> PlantParameters | None:
+    """The nominal rig of the task of a policy's training or of an export; ``None`` for any other controller."""
+    task = getattr(getattr(controller, "features", None), "config", getattr(controller, "made_for", None))
+    return task.plant if isinstance(task, TaskConfig) else None
+
+
+def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
+    """Check that weights fit a task: the observations must be the same as in training.
+
+    Raises:
+        ConfigurationError: names, scales or control period differ.
+    """
+    if layout != ObservationLayout.of(config):
+        raise ConfigurationError(
+            "was trained on other observations (names, scales or control period) than those of this task"
+        )
+
+
+def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
+    """Check that a leakage head can watch the episodes of a task.
+
+    Raises:
+        ConfigurationError: its observations differ, or its window is longer than an episode.
+    """
+    try:
+        check_layout(head.settings.layout, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}") from None
+    if head.settings.window > config.steps:
+        raise ConfigurationError(
+            f"{name}: reads at least {head.settings.window} observations, an episode has {config.steps}"
+        )
+
+
+def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
+    """Weights of a leakage head, the shipped ones by default, checked against the task."""
+    path = path or pretrained_folder() / HEAD_FILE
+    head = LeakageHead.load(path)
+    check_head(head, config, str(path))
+    return head

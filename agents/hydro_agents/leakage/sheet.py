@@ -1,0 +1,177 @@
+"""Prior knowledge of the leakage head about an axis: its data sheet, as numbers for compiled code, and priors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.sampled_loop import zero_order_hold
+from hydro_env import TaskConfig
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parameters import Physical, to_vector
+from hydro_env.plant.parts.supply import gas_volume_at
+from hydro_env.task.randomisation import own_value
+from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.settings import settings_of
+from hydro_env.units import FULL_VOLTAGE
+
+POINTS = 2
+"""Points between two samples at which the flows are evaluated."""
+
+FREQUENCIES, DAMPINGS = 9, 3
+"""Numbers of natural frequencies and of damping ratios of the candidate valves."""
+
+AT_ONCE = 1e5
+"""1/s; rate for the ideal parts of the valve model."""
+
+NOISE_WITHOUT_LAG = 1.17
+"""Factor by which the removal of the transducers' lag raises their noise."""
+
+SPOOL_NOISE_LEFT = 0.4
+"""Share of the spool sensor's noise that remains after smoothing."""
+
+FLOW_ERROR = 0.015
+"""Error of the flow between two samples, as a fraction of the change due to the spool's motion."""
+
+
+class Unknowns(NamedTuple):
+    """The unknowns of the fit: their values, their standard deviations, or their priors."""
+
+    flow_gain: Any  # of the valve, relative to the data sheet
+    supply_pressure: Any  # Pa, setting of the relief valve
+    supply_excess: Any  # Pa, supply pressure above that setting when the window begins
+    underlap: Any  # of full stroke
+    null: Any  # of full stroke; null shift of the valve and bias of the spool sensor together
+    internal_leak: Any  # l/min at 100 bar
+    external_leak: Any  # l/min at 100 bar
+    compressibility: Any  # of the oil without air, relative to the data sheet
+    air_fraction: Any
+    dead_volume: Any  # m³, above the data sheet's
+    bias_a: Any  # Pa, of the pressure transducer of chamber a
+    bias_b: Any  # Pa
+    tank_pressure: Any  # Pa
+
+
+class Sheet(NamedTuple):
+    """The data sheet of an axis, for the compiled fit."""
+
+    coefficients: NDArray[np.float64]  # of the nominal plant
+    mean: NDArray[np.float64]  # (COUNT,), of the priors
+    spread: NDArray[np.float64]  # (COUNT,), standard deviations of the priors
+    transition: NDArray[np.float64]  # (valves, POINTS + 1, 3, 5), see _valve_steps
+    spool_noise: float  # of full stroke
+    sensor_low: NDArray[np.float64]  # (4,), lower ends of the ranges of position, pressures and spool position
+    sensor_high: NDArray[np.float64]  # (4,)
+    lowest_a: float  # Pa; below this a reading may be at the end of its range
+    lowest_b: float  # Pa
+    pressure_decay: float  # exp(−T/τ) of the pressure transducers
+    pressure_lag: float  # τ/T
+    gas_volume: float  # m³, of the accumulator at the supply's pressure
+    period: float  # s
+    position_noise: float  # m
+    pressure_noise_a: float  # Pa
+    pressure_noise_b: float  # Pa
+    flow_noise: float  # m per period, travel due to the noise of the spool sensor
+    flow_error: float  # m per period, travel at full spool stroke, times FLOW_ERROR
+
+
+def sheet_of(config: TaskConfig) -> Sheet:
+    """The data sheet of a task's axis, with priors that include worn axes.
+
+    The width of a prior is the task's range of the parameter; it is larger if faults change the parameter.
+    """
+    plant, sensors = config.plant, config.sensors
+    c = plant_coefficients(plant)
+    numbers = settings_of(config)[0]
+
+    def drawn(path: str) -> tuple[float, float]:
+        own = own_value(plant, path)
+        distribution = config.randomisation.get(path)
+        low, high = distribution.bounds(own) if distribution is not None else (own, own)
+        return 0.5 * (low + high), 0.5 * (high - low)
+
+    supply, supply_range = drawn("supply.pressure")
+    dead, dead_range = drawn("cylinder.dead_volume")
+    mean = Unknowns(
+        flow_gain=1.0,
+        supply_pressure=supply,
+        supply_excess=0.6 * c.pump_flow / c.relief_slope if c.supply_dynamics > 0.0 and c.relief_slope > 0.0 else 0.0,
+        underlap=drawn("valve.underlap")[0],
+        null=plant.valve.null_shift,
+        internal_leak=0.0,
+        external_leak=0.0,
+        compressibility=1.1,
+        air_fraction=drawn("fluid.air_fraction")[0],
+        dead_volume=dead - plant.cylinder.dead_volume,
+        bias_a=0.0,
+        bias_b=0.0,
+        tank_pressure=plant.supply.tank_pressure,
+    )
+    spread = Unknowns(
+        flow_gain=0.2,
+        supply_pressure=0.7 * supply_range + 0.1 * supply,
+        supply_excess=0.5 * mean.supply_excess + 1e3,
+        underlap=0.02,
+        null=0.01,
+        internal_leak=2.0,
+        external_leak=1.0,
+        compressibility=0.2,
+        air_fraction=0.003,
+        dead_volume=0.6 * dead_range + 1e-7,
+        bias_a=sensors.pressure_a.bias + 1e3,
+        bias_b=sensors.pressure_b.bias + 1e3,
+        tank_pressure=1e5,
+    )
+    frequency, frequency_range = drawn("valve.natural_frequency")
+    damping, damping_range = drawn("valve.damping_ratio")
+    transition = [
+        _valve_steps(config, frequency + across * frequency_range, damping + along * damping_range)
+        for across in (np.linspace(-1.0, 1.0, FREQUENCIES) if frequency_range > 0.0 else [0.0])
+        for along in (np.linspace(-1.0, 1.0, DAMPINGS) if damping_range > 0.0 else [0.0])
+    ]
+    full_flow = c.edge_gain * math.sqrt(0.5 * supply)
+    travel = full_flow * config.control_period / min(c.area_a, c.area_b)
+    return Sheet(
+        coefficients=np.array(c),
+        mean=np.array(mean),
+        spread=np.array(spread),
+        transition=np.array(transition),
+        sensor_low=np.array([getattr(sensors, name).low for name in CHANNELS]),
+        sensor_high=np.array([getattr(sensors, name).high for name in CHANNELS]),
+        lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
+        lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
+        spool_noise=sensors.spool_position.noise + 1e-9,
+        pressure_decay=float(numbers["pressure_decay"]),
+        pressure_lag=float(numbers["pressure_lag"]),
+        gas_volume=float(gas_volume_at(plant.supply.pressure, Physical(*to_vector(plant).tolist()))),
+        period=config.control_period,
+        position_noise=math.hypot(sensors.position.noise, sensors.position.resolution) + 1e-9,
+        pressure_noise_a=NOISE_WITHOUT_LAG * sensors.pressure_a.noise + 1.0,
+        pressure_noise_b=NOISE_WITHOUT_LAG * sensors.pressure_b.noise + 1.0,
+        flow_noise=SPOOL_NOISE_LEFT * travel * sensors.spool_position.noise + 1e-12,
+        flow_error=travel * FLOW_ERROR,
+    )
+
+
+def _valve_steps(config: TaskConfig, frequency: float, damping: float) -> NDArray[np.float64]:
+    """Matrices (POINTS + 1, 3, 5) of a valve: its states at the points of a period and at the end of the period.
+
+    They multiply the states at the start, the previous command and the new one. States: spool position, spool speed,
+    and coil current (as the commanded spool position).
+    """
+    c = plant_coefficients(config.plant)
+    if c.ideal_spool > 0.0:
+        frequency, damping = AT_ONCE, 1.0
+    coil = AT_ONCE if c.ideal_drive > 0.0 else c.coil_rate
+    a = np.array([[0.0, 1.0, 0.0], [-(frequency**2), -2.0 * damping * frequency, frequency**2], [0.0, 0.0, -coil]])
+    b = np.array([0.0, 0.0, coil * FULL_VOLTAGE * c.drive_rate / c.coil_rate * c.spool_gain])
+    steps = []
+    for share in (*((np.arange(POINTS) + 0.5) / POINTS), 1.0):
+        time = share * config.control_period
+        first, old = zero_order_hold(a, b, min(time, config.command_latency))
+        rest, new = zero_order_hold(a, b, max(time - config.command_latency, 0.0))
+        steps.append(np.column_stack([rest @ first, rest @ old, new]))
+    return np.array(steps)

@@ -1,0 +1,225 @@
+"""Inputs of the policy network: observation, command of the controller that it corrects, short history of signals.
+
+Leakage, stiffness of the oil, mass and friction are hidden, but they affect the recent past of pressures, spool and
+error. Training and inference use the same class.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
+from hydro_agents.controllers.preview import Preview
+from hydro_agents.controllers.registry import kind_of
+from hydro_agents.learning.normalisation import Normalisation, observed
+from hydro_env import ConfigurationError, TaskConfig
+
+HISTORY_SIGNALS = (
+    "position",
+    "velocity_estimate",
+    "pressure_a",
+    "pressure_b",
+    "spool_position",
+    "previous_command",
+    "tracking_error",
+)
+HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
+"""Ages of the samples in the history, in control periods."""
+
+
+LASTING_TIME = 0.2
+"""s; time constant of the slow average of the correction. Integral action handles slower errors."""
+
+PREVIEW_SCALE = 0.01
+"""m; scale of the rebuilt samples of the preview, the same as in the observation."""
+
+FEATURE_LIMIT = 50.0
+"""Inputs of the policy are limited to ± this value."""
+
+
+class FeatureState(NamedTuple):
+    """Memory of N axes; no call changes its argument."""
+
+    base: Any
+    """Memory of the controller that the policy corrects; ``None`` without one."""
+
+    ring: NDArray[np.float32]
+    """Ring buffer of recent signals (N, length, signals); the oldest is at ``slot``."""
+
+    slot: int
+    """Index for the next signals."""
+
+    base_command: NDArray[np.float32]
+    """Command of the corrected controller at the last call, (N, 1)."""
+
+    correction: NDArray[np.float32]
+    """The policy's correction of that controller's command in the previous period, (N, 1); after the limits."""
+
+    lasting: NDArray[np.float32]
+    """Slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)."""
+
+    reference: NDArray[np.float64]
+    """The reference from one period ago to the farthest preview, m, (N, samples)."""
+
+    def aligned(self) -> FeatureState:
+        """The same memory with the oldest signals at index 0 of the ring."""
+        ring = np.concatenate([self.ring[:, self.slot :], self.ring[:, : self.slot]], axis=1)
+        return self._replace(ring=ring, slot=0)
+
+    def rows(self, axes: NDArray[np.int64]) -> FeatureState:
+        """The memory of some axes."""
+        base = rows(self.base, axes) if self.base is not None else None
+        arrays = {name: array[axes] for name, array in self._asdict().items() if name not in ("base", "slot")}
+        return FeatureState(base=base, slot=self.slot, **arrays)
+
+
+class PolicyFeatures:
+    """Turns observations into the inputs of the policy, and its outputs into commands.
+
+    Args:
+        config: the task.
+        base: the controller that the policy corrects (residual form), or ``None`` (the policy acts on its own).
+        residual_scale: command per 1 of the policy's output in the residual form.
+        see_correction: whether the policy sees its last correction and the slow average of its corrections.
+        full_preview: whether the policy sees every sample of the preview; those between the shown ones come from
+            memory.
+        see_estimates: whether the policy sees the estimates of the corrected controller.
+        normalisation: of the inputs; ``None`` leaves them as they are.
+
+    Raises:
+        ConfigurationError: the corrected controller has no estimates.
+    """
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        base: ClassicalController | None = None,
+        residual_scale: float = 0.2,
+        see_correction: bool = False,
+        full_preview: bool = False,
+        see_estimates: bool = False,
+        normalisation: Normalisation | None = None,
+    ) -> None:
+        self.config = config
+        self.normalisation = normalisation
+        self.see_estimates = see_estimates and base is not None
+        estimates = tuple(getattr(base, "estimate_names", ()))
+        if self.see_estimates and not estimates:
+            raise ConfigurationError(f"see_estimates: {type(base).__name__} has no estimates")
+        self.layout = layout = ObservationLayout.of(config)
+        self.base = base
+        self.residual_scale = residual_scale if base is not None else 1.0
+        self.history = tuple(name for name in HISTORY_SIGNALS if name in layout.names)  # a rig may lack sensors
+        self._columns = np.array([layout.index(name) for name in self.history])
+        self._lags = np.array(HISTORY_LAGS)
+        self._length = max(HISTORY_LAGS) + 1
+        self.see_correction = see_correction and base is not None
+        self._command_column = layout.index("previous_command")
+        self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
+        self.full_preview = full_preview
+        self._preview = Preview(config)
+        self._rebuilt = np.setdiff1d(np.arange(self._preview.horizon + 2), [1, *(1 + n for n in self._preview.counts)])
+        own = 0 if base is None else 3 if self.see_correction else 1
+        rebuilt = len(self._rebuilt) if full_preview else 0
+        own += len(estimates) if self.see_estimates else 0
+        self.size = len(layout.names) + own + rebuilt + len(self.history) * len(HISTORY_LAGS)
+
+    def __call__(
+        self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[np.float32], FeatureState]:
+        """Inputs (N, size) for a batch of observations (N, n), and the new memory.
+
+        The history consists of the changes since each past sample. Before the start of an episode, it repeats the first
+        observation.
+        """
+        inputs = observation.astype(np.float32, copy=False)
+        signals = inputs[:, self._columns]
+        zero = np.zeros((len(signals), 1), dtype=np.float32)
+        if state is None:
+            reference = self._preview.start(observation)
+            ring = np.repeat(signals[:, None], self._length, axis=1)
+            state = FeatureState(None, ring, 0, zero, zero, zero, reference)
+            correction = lasting = zero
+        else:
+            correction = inputs[:, self._command_column, None] - state.base_command
+            lasting = self.lasting_after(correction, state)
+            reference = self._preview.advanced(state.reference, observation)
+        ring = state.ring.copy()
+        if episode_start is not None and np.any(episode_start):
+            started = np.flatnonzero(episode_start)
+            ring[started] = signals[started, None]
+            correction, lasting = (np.where(episode_start[:, None], zero, a) for a in (correction, lasting))
+            reference[started] = self._preview.start(observation[started])
+        ring[:, state.slot] = signals
+        past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
+        changes = np.tile(signals, len(HISTORY_LAGS)) - past
+        state = state._replace(ring=ring, slot=(state.slot + 1) % self._length, reference=reference)
+        seen = [inputs]
+        if self.full_preview:
+            seen.append(((reference[:, self._rebuilt] - reference[:, 1:2]) / PREVIEW_SCALE).astype(np.float32))
+        if self.base is None:
+            return self._normalised([*seen, changes]), state
+        command, memory = self.base.predict(observation, state.base, episode_start)
+        own = [command, correction, lasting] if self.see_correction else [command]
+        if self.see_estimates:
+            own.append(self.base.estimates(memory))  # type: ignore[attr-defined]
+        state = state._replace(base=memory, base_command=command, correction=correction, lasting=lasting)
+        return self._normalised([*seen, *own, changes]), state
+
+    def _normalised(self, parts: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        inputs: NDArray[np.float32] = np.concatenate(parts, axis=1, dtype=np.float32)
+        return inputs if self.normalisation is None else self.normalisation(inputs)
+
+    def normalised(self) -> PolicyFeatures:
+        """The same features, normalised by their values on training plants under the corrected controller.
+
+        Without a corrected controller, the commands are random.
+        """
+        plain = self._with(None)
+        generator = np.random.default_rng(0)
+
+        def act(observation: Floats, memory: Any, step: int) -> tuple[NDArray[Any], NDArray[Any], Any]:
+            started = np.full(len(observation), step == 0)
+            inputs, memory = plain(observation, memory, started)
+            spread = 0.0 if self.base is not None else 0.2
+            output = spread * generator.standard_normal((len(observation), 1))
+            return inputs, plain.command(output, memory), memory
+
+        return self._with(observed(self.config, act))
+
+    def _with(self, normalisation: Normalisation | None) -> PolicyFeatures:
+        options = (self.residual_scale, self.see_correction, self.full_preview, self.see_estimates)
+        return PolicyFeatures(self.config, self.base, *options, normalisation)
+
+    def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
+        """The slow average of the correction after a period with ``correction``, (N, 1)."""
+        return state.lasting + self._blend * (correction - state.lasting)
+
+    def command(self, output: Floats, state: FeatureState) -> NDArray[np.float32]:
+        """Command in [−1, 1] for the outputs of the policy (N, 1)."""
+        bounded = np.clip(output.astype(np.float32, copy=False), -1.0, 1.0)
+        if self.base is None:
+            return bounded
+        command: NDArray[np.float32] = np.clip(
+            state.base_command + np.float32(self.residual_scale) * bounded, -1.0, 1.0
+        ).astype(np.float32)
+        return command
+
+    def describe(self) -> dict[str, Any]:
+        """All data to build this object again (JSON)."""
+        return {
+            "task": self.config.model_dump(mode="json"),
+            "base": None
+            if self.base is None
+            else {"kind": kind_of(self.base), "settings": self.base.gains.model_dump(mode="json")},
+            "residual_scale": self.residual_scale,
+            "see_correction": self.see_correction,
+            "full_preview": self.full_preview,
+            "see_estimates": self.see_estimates,
+            "normalised": self.normalisation is not None,
+            "history_signals": list(self.history),
+            "history_lags": list(HISTORY_LAGS),
+        }

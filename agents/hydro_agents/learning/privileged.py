@@ -1,0 +1,69 @@
+"""Hidden quantities for the critic in training: leak, plant, true state, bias, latency, family."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.states import TYPICAL_SIZE
+from hydro_env.task.sensors import CHANNELS
+
+PLANTS = 256
+"""Number of plants that are drawn for the mean and the spread of each parameter."""
+
+ERROR_SCALE = 1e-3
+"""m; scale of the true error."""
+
+SMALLEST_LEAK = 1e-4
+"""l/min; the leak enters as the logarithm of its size relative to this."""
+
+
+class Privileged:
+    """The hidden quantities of N axes, scaled to order 1.
+
+    Args:
+        config: the task of the training.
+
+    Raises:
+        ConfigurationError: a plant of the task cannot hold its initial position.
+    """
+
+    def __init__(self, config: TaskConfig) -> None:
+        env = ServoHydraulicVectorEnv(PLANTS, config, info=False)
+        env.reset(seed=list(TRAINING_SEEDS[:PLANTS]))
+        drawn = env.axes.physical
+        area, pressure = (env.axes.coefficient[:, Coefficients._fields.index("area_a")], config.plant.supply.pressure)
+        self._force = float(np.mean(area)) * pressure
+        self._drawn = np.flatnonzero(np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0))
+        self._mean, self._spread = drawn[:, self._drawn].mean(axis=0), drawn[:, self._drawn].std(axis=0)
+        sensors = [getattr(config.sensors, name) for name in CHANNELS]
+        self._bias = np.array([sensor.bias if sensor.bias > 0.0 else 1.0 for sensor in sensors])
+        self._steps, self._period = config.steps, config.control_period
+        self.size = self(env.axes).shape[1]
+        env.close()
+
+    def __call__(self, axes: Axes, chosen: slice | NDArray[np.int64] = slice(None)) -> NDArray[np.float32]:
+        """The numbers of the ``chosen`` axes, (N, size)."""
+        record = axes.record[chosen]
+        state = axes.state[chosen] / TYPICAL_SIZE
+        error = (record["reference"] - record["position"]) / ERROR_SCALE
+        force = axes.coefficient[chosen, Coefficients._fields.index("external_force")] / self._force
+        family = record["reference_family"][:, None] == np.arange(len(REFERENCE_FAMILIES))
+        columns: list[NDArray[Any]] = [
+            np.log10(np.maximum(record["leak_flow"], SMALLEST_LEAK))[:, None],
+            (axes.physical[chosen][:, self._drawn] - self._mean) / self._spread,
+            state,
+            error[:, None],
+            force[:, None],
+            record["bias"] / self._bias,
+            record["latency"][:, None] / self._period,
+            family,
+            1.0 - record["step"][:, None] / self._steps,
+        ]
+        return np.concatenate(columns, axis=1, dtype=np.float32)

@@ -1,0 +1,120 @@
+"""Trainers by name; to add an algorithm, write a class with two methods in a new file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.registry import imported
+from hydro_agents.learning.off_policy import OffPolicyTrainer
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.progress import Progress
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import PolicyTrainer, train_ppo
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.errors import reason
+from hydro_env.files import Group
+from hydro_env.mistakes import unknown
+
+
+class TrainedController(Controller, Protocol):
+    """A controller whose weights can be saved."""
+
+    def save(self, path: str | Path) -> Path:
+        """Write the weights in a format that loads without running code; returns the file."""
+        ...
+
+
+class Trainer(Protocol):
+    """An algorithm that trains a controller for a task."""
+
+    settings: type[Group]
+    """Class of the settings in a YAML file."""
+
+    def train(
+        self,
+        config: TaskConfig,
+        settings: Group,
+        *,
+        seed: int,
+        folder: Path,
+        resume: bool,
+        base: Controller | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> TrainedController:
+        """Train a controller.
+
+        Args:
+            config: the task.
+            settings: an instance of the class's ``settings``.
+            seed: seed of all random numbers.
+            folder: for checkpoints and logs.
+            resume: continue from the checkpoint in ``folder``.
+            base: the controller that a residual form corrects, if there is one.
+            progress: called regularly.
+
+        Raises:
+            ConfigurationError: impossible settings, or nothing to resume.
+        """
+        ...
+
+    def load(self, path: Path) -> TrainedController:
+        """Read weights that a controller of this trainer saved.
+
+        Raises:
+            ConfigurationError: the files are missing, damaged, or of another kind.
+        """
+        ...
+
+
+class PPOTrainer(PolicyTrainer):
+    """PPO of stable-baselines3 on many axes at once; see :func:`~hydro_agents.learning.training.train_ppo`."""
+
+    settings: type[Group] = PPOSettings
+
+    def train(
+        self,
+        config: TaskConfig,
+        settings: Group,
+        *,
+        seed: int,
+        folder: Path,
+        resume: bool,
+        base: Controller | None,
+        progress: Callable[[Progress], None] | None,
+    ) -> PolicyController:
+        """Train a policy; the residual form corrects ``base``, a classical controller."""
+        assert isinstance(settings, PPOSettings)
+        return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
+
+
+TRAINERS: dict[str, Trainer] = {
+    "ppo": PPOTrainer(),
+    "sac": OffPolicyTrainer("SAC", "stable_baselines3", "stable-baselines3"),
+    "tqc": OffPolicyTrainer("TQC", "sb3_contrib", "sb3-contrib"),
+}
+"""Trainers by their ``kind`` in a YAML file."""
+
+
+def trainer(kind: str) -> Trainer:
+    """The trainer of a name in :data:`TRAINERS`, or of ``my_module:MyTrainer``.
+
+    Raises:
+        ConfigurationError: the trainer is unknown or cannot be loaded.
+    """
+    if kind in TRAINERS:
+        return TRAINERS[kind]
+    if ":" not in kind:
+        raise ConfigurationError(f"trainer '{kind}': {unknown(kind, TRAINERS)}, or my_module:MyTrainer")
+    given = imported(kind)
+    try:
+        made: Any = given() if isinstance(given, type) else given
+    except Exception as error:  # a user's class may raise anything
+        raise ConfigurationError(f"trainer '{kind}': cannot be made: {reason(error)}") from None
+    missing = [part for part in ("settings", "train", "load") if not hasattr(made, part)]
+    if missing:
+        raise ConfigurationError(f"trainer '{kind}': lacks {', '.join(missing)}")
+    checked: Trainer = made
+    return checked

@@ -1,0 +1,332 @@
+"""Tunes the gains of any classical controller by CMA-ES on training plants with all leak levels and families.
+
+Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evolution strategies*, Evolutionary Computation
+9(2), 2001; the package ``cmaes``. Every kind gets the same optimiser, budget and training cases.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from cmaes import CMA
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller, search_space
+from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.running.seeds import first_training_seed
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import Group, read_text, validate, write_text
+from hydro_env.mistakes import unknown
+from hydro_env.plant.analysis import speed_limits
+
+Floats = NDArray[np.float64]
+Objective = Literal["mean", "equal"]
+
+LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
+"""l/min at 100 bar; every candidate runs with each leak in each family."""
+
+POPULATION = 14
+"""Number of candidates per generation."""
+
+EVALUATIONS = 2800
+"""Total number of candidates."""
+
+EFFORT_TIME = 3e-3
+"""s; the squared change of the command in a period costs as much as the travel at full speed in this time."""
+
+REFUSED = 1e3
+"""m; cost of an invalid or failing candidate."""
+
+_SIGMA = 0.2
+
+
+@dataclass(frozen=True)
+class TuningCases:
+    """The training cases of every candidate, each (N,); N should be a multiple of families × leak levels."""
+
+    seeds: tuple[int, ...]
+    leakage_flow_lpm: tuple[float, ...]
+    families: tuple[str, ...]
+
+    @classmethod
+    def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
+        """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
+        known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
+        first = first_training_seed(seed, count)
+        return cls(
+            tuple(range(first, first + count)),
+            tuple(LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(count)),
+            tuple(known[(index // len(LEAK_LEVELS)) % len(known)] for index in range(count)),
+        )
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
+
+    mean: float
+    """Mean over all cases of the mean absolute error."""
+    equal: float
+    """Geometric mean over the families of the mean over their cases; all families have the same weight."""
+
+
+class Trial:
+    """Runs candidates side by side: each drives its slice of one vector environment, on the same cases."""
+
+    def __init__(self, config: TaskConfig, cases: TuningCases, candidates: int) -> None:
+        self.config, self.cases, self.candidates = config, cases, candidates
+        count = candidates * len(cases)
+        self._env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
+        self._price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
+
+    def close(self) -> None:
+        """Release the threads of the environment."""
+        self._env.close()
+
+    def costs(self, controllers: Sequence[Controller | None]) -> Floats:
+        """Mean absolute error plus cost of command changes, m, (candidates, cases).
+
+        A failed axis costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an
+        error or returns a command that is not finite costs :data:`REFUSED`.
+        """
+        config, cases, size = self.config, self.cases, len(self.cases)
+        count = self.candidates * size
+        observation, _ = self._env.reset(
+            seed=list(cases.seeds) * self.candidates,
+            options={
+                "leakage_flow_lpm": np.tile(cases.leakage_flow_lpm, self.candidates),
+                "reference": list(cases.families) * self.candidates,
+            },
+        )
+        axes = self._env.axes
+        reference = axes.reference[:, : config.steps + 1].copy()
+        before = axes.column("command").copy()
+        memories: list[Any] = [None] * self.candidates
+        able = [controller is not None for controller in controllers]
+        alive, total = np.ones(count, dtype=np.bool_), np.zeros(count)
+        action = np.zeros((count, 1), dtype=np.float32)
+        started = np.ones(size, dtype=np.bool_)
+        for step in range(config.steps):
+            for number, controller in enumerate(controllers):
+                part = slice(number * size, (number + 1) * size)
+                action[part] = 0.0
+                if controller is not None and able[number]:
+                    try:
+                        commands, memories[number] = controller.predict(observation[part], memories[number], started)
+                        able[number] = bool(np.isfinite(commands).all())
+                    except Exception:
+                        able[number] = False
+                    if able[number]:
+                        action[part] = commands
+            observation, _, terminated, _, _ = self._env.step(action)
+            command = np.clip(action[:, 0].astype(np.float64), -1.0, 1.0)
+            error = np.abs(reference[:, step + 1] - axes.column("position"))
+            paid = error + self._price * (command - before) ** 2
+            total += np.where(alive, paid, config.plant.cylinder.stroke)
+            before = command
+            alive &= ~terminated
+            started = np.zeros(size, dtype=np.bool_)
+        result = (total / config.steps).reshape(self.candidates, size)
+        result[~np.array(able)] = REFUSED
+        return result
+
+    def scores(self, controllers: Sequence[Controller | None]) -> list[Score]:
+        """:class:`Score` of each candidate."""
+        families = np.array(self.cases.families)
+        groups = [families == name for name in dict.fromkeys(self.cases.families)]
+        return [
+            Score(float(row.mean()), float(np.exp(np.mean([np.log(row[group].mean()) for group in groups]))))
+            for row in self.costs(controllers)
+        ]
+
+
+class Space:
+    """The search space of a class of gains as a unit cube; fields with ``logarithmic`` have a logarithmic scale."""
+
+    def __init__(self, gains: type[Group]) -> None:
+        self.gains = gains
+        self.names = tuple(search_space(gains))
+        ends = np.array([(low, high) for low, high, _ in search_space(gains).values()])
+        self._logarithmic = np.array([logarithmic for _, _, logarithmic in search_space(gains).values()])
+        scaled = self._scaled(ends.T)
+        self._low, self._width = scaled[0], scaled[1] - scaled[0]
+
+    def _scaled(self, values: Floats) -> Floats:
+        return np.where(self._logarithmic, np.log(np.where(self._logarithmic, values, 1.0)), values)
+
+    def point(self, gains: Group) -> Floats:
+        """Gains as a point of the cube, (n,); a gain outside its search range is clipped to it."""
+        values = np.array([float(getattr(gains, name)) for name in self.names])
+        tiny = np.exp(self._low)
+        scaled = self._scaled(np.where(self._logarithmic, np.maximum(values, tiny), values))
+        point: Floats = np.clip((scaled - self._low) / self._width, 0.0, 1.0)
+        return point
+
+    def values(self, point: Floats) -> dict[str, float]:
+        """The gains at a point of the cube, by name."""
+        scaled = self._low + self._width * np.clip(point, 0.0, 1.0)
+        values = np.where(self._logarithmic, np.exp(np.where(self._logarithmic, scaled, 0.0)), scaled)
+        return dict(zip(self.names, values.tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The best candidate so far."""
+
+    gains: Group
+    score: Score
+    evaluations: int
+
+
+def tune(
+    kind: str,
+    config: TaskConfig,
+    objective: Objective = "equal",
+    evaluations: int = EVALUATIONS,
+    seed: int = 0,
+    cases: int = 42,
+    start: Group | None = None,
+    log: Path | None = None,
+    resume: bool = False,
+    progress: Callable[[Tuned], None] | None = None,
+    population: int = POPULATION,
+) -> Tuned:
+    """Tune the gains of a kind of :data:`~hydro_agents.controllers.registry.CONTROLLERS`.
+
+    Args:
+        kind: the controller.
+        config: the task.
+        objective: ``mean`` (mean absolute error) or ``equal`` (geometric mean over the families); see :class:`Score`.
+        evaluations: total number of candidates, rounded up to whole generations.
+        seed: of the optimiser and of the training cases.
+        cases: training cases of each candidate; a multiple of leak levels × families gives each the same number.
+        start: gains from which the search starts; their class's defaults by default. Fields that are not searched keep
+            these values.
+        log: CSV file with the costs of every generation. It is also the checkpoint.
+        resume: continue from ``log``; the result is bit-equal to that of an uninterrupted run.
+        progress: called after every generation with the best candidate so far.
+        population: candidates per generation.
+
+    Raises:
+        ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
+    """
+    if kind not in CONTROLLERS:
+        raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
+    make, group = CONTROLLERS[kind]
+    space, base = Space(group), start or group()
+    settings = {
+        "kind": kind,
+        "objective": objective,
+        "seed": seed,
+        "cases": cases,
+        "population": population,
+        "start": base.model_dump(mode="json"),
+        "task": config.model_dump(mode="json"),
+    }
+    done = _read(log, settings) if log is not None and resume else []
+    trial = Trial(config, TuningCases.of(config, cases, seed), population)
+    optimiser = CMA(
+        space.point(base),
+        _SIGMA,
+        bounds=np.tile([0.0, 1.0], (len(space.names), 1)),
+        seed=seed,
+        population_size=population,
+    )
+    rows, best = list(done), None
+    generations = -(-evaluations // population)
+    try:
+        for generation in range(generations):
+            points = [optimiser.ask() for _ in range(population)]
+            gains = [_gains(group, {**base.model_dump(), **space.values(point)}) for point in points]
+            if generation < len(done):
+                scores = done[generation]
+            else:
+                scores = trial.scores([_controller(make, one, config) for one in gains])
+                rows.append(scores)
+            costs = [getattr(score, objective) for score in scores]
+            leader = int(np.argmin(costs))
+            found = gains[leader]
+            if found is not None and (best is None or costs[leader] < getattr(best.score, objective)):
+                best = Tuned(found, scores[leader], 0)
+            optimiser.tell(list(zip(points, costs, strict=True)))
+            if generation >= len(done) and log is not None:
+                _write(log, settings, rows)
+            if best is not None and generation >= len(done) and progress is not None:
+                progress(Tuned(best.gains, best.score, (generation + 1) * population))
+    finally:
+        trial.close()
+    if best is None:
+        raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")
+    return Tuned(best.gains, best.score, generations * population)
+
+
+def _gains(group: type[Group], values: Mapping[str, Any]) -> Group | None:
+    """The gains of a candidate; ``None`` if they are invalid."""
+    try:
+        return validate(group, values, "candidate")
+    except ConfigurationError:
+        return None
+
+
+def _controller(make: Callable[[Any, TaskConfig], Controller], gains: Group | None, config: TaskConfig) -> Any:
+    """The controller of a candidate; ``None`` if it cannot be made (an unsolvable Riccati equation, say)."""
+    if gains is None:
+        return None
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return make(gains, config)
+    except Exception:
+        return None
+
+
+# The log ------------------------------------------------------------------------------------------------------------
+
+
+def _write(log: Path, settings: Mapping[str, Any], rows: Sequence[Sequence[Score]]) -> None:
+    text = io.StringIO()
+    text.write(f"# {json.dumps(settings)}\n")
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["generation", "candidate", "mean", "equal"])
+    for generation, scores in enumerate(rows):
+        for candidate, score in enumerate(scores):
+            table.writerow([generation, candidate, repr(score.mean), repr(score.equal)])
+    write_text(log, text.getvalue())
+
+
+def _read(log: Path, settings: Mapping[str, Any]) -> list[list[Score]]:
+    """The generations of a log.
+
+    Raises:
+        ConfigurationError: the log is damaged or belongs to other settings.
+    """
+    first, _, table = read_text(log).partition("\n")
+    try:
+        written = json.loads(first.removeprefix("# "))
+        scores: dict[int, list[Score]] = {}
+        for row in csv.DictReader(io.StringIO(table)):
+            generation = scores.setdefault(int(row["generation"]), [])
+            if int(row["candidate"]) != len(generation):
+                raise ValueError(f"candidate {row['candidate']} is out of order")
+            generation.append(Score(float(row["mean"]), float(row["equal"])))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(f"{log}: is damaged ({error}); --overwrite begins anew") from None
+    if not isinstance(written, dict):
+        raise ConfigurationError(f"{log}: is damaged (its first line holds no settings); --overwrite begins anew")
+    other = [name for name in settings if written.get(name) != json.loads(json.dumps(settings[name]))]
+    if other:
+        raise ConfigurationError(f"{log}: was written with another {other[0]}; --overwrite begins anew")
+    complete = all(len(row) == settings["population"] for row in scores.values())
+    if not complete or sorted(scores) != list(range(len(scores))):
+        raise ConfigurationError(f"{log}: is damaged (a generation is incomplete); --overwrite begins anew")
+    return [scores[generation] for generation in sorted(scores)]

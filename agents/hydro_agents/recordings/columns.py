@@ -1,0 +1,141 @@
+"""The signal of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, model_validator
+
+from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.recordings.units import UNITS, factor
+from hydro_env import ConfigurationError
+from hydro_env.files import Group, read_yaml, validate
+from hydro_env.units import Number
+
+COMMAND = SIGNALS.index("previous_command")
+MEASURED: tuple[str, ...] = ("position", "pressure_a", "pressure_b", "spool_position", "command")
+"""Names of the signals in a file, in the order of :data:`hydro_agents.leakage.head.SIGNALS`."""
+
+ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
+"""Other accepted headings; ``hydro simulate`` writes ``voltage``."""
+
+_HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
+
+
+class Column(Group):
+    """One signal of a recording: value = gain · cell + offset, in ``unit``."""
+
+    column: str | Annotated[int, Field(ge=1)] = Field(description="heading, or number of the column from 1")
+    unit: str | None = Field(None, description="unit of the value; default: the one in the heading, [mm] or (mm)")
+    gain: Number = Field(1.0, ge=-1e12, le=1e12, description="scale of a raw signal; −1 reverses the sign")
+    offset: Number = Field(0.0, ge=-1e12, le=1e12, description="in the unit of the value")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _heading_alone(cls, values: Any) -> Any:
+        return {"column": values} if isinstance(values, str | int) else values
+
+
+class CommandColumn(Column):
+    """The command; the rig's program may write it before it acts."""
+
+    rows_early: int = Field(
+        0, ge=-100, le=100, description="number of rows by which a command precedes the row in which it begins to act"
+    )
+
+
+class ColumnMap(Group):
+    """The columns of a recording; an absent signal was not measured."""
+
+    time: Column
+    command: CommandColumn
+    position: Column | None = None
+    pressure_a: Column | None = None
+    pressure_b: Column | None = None
+    spool_position: Column | None = None
+
+    def columns(self) -> dict[str, Column]:
+        """The given columns by signal."""
+        return {name: getattr(self, name) for name in ("time", *MEASURED) if getattr(self, name) is not None}
+
+
+def split_heading(heading: str) -> tuple[str, str | None]:
+    """Name and unit of a heading: ``position [mm]`` or ``position (mm)``."""
+    match = _HEADING.fullmatch(heading)
+    return (match[1], match[2]) if match else (heading, None)
+
+
+def read_map(path: Path) -> ColumnMap:
+    """A map from a YAML file.
+
+    Raises:
+        ConfigurationError: the file is unreadable, or not a map.
+    """
+    return validate(ColumnMap, read_yaml(path), str(path))
+
+
+def own_map(headings: Sequence[str], source: str) -> ColumnMap:
+    """The map of a file with the headings of this project, such as ``pressure_a [bar]``.
+
+    Raises:
+        ConfigurationError: time or command is missing, or a name occurs twice.
+    """
+    found: dict[str, Any] = {}
+    for place, heading in enumerate(headings, 1):
+        name = split_heading(heading)[0].lower()
+        name = ALIASES.get(name, name)
+        if name not in ("time", *MEASURED):
+            continue
+        if name in found:
+            raise ConfigurationError(f"{source}: two columns have the heading '{name}'; --map FILE selects one")
+        found[name] = {"column": place}
+    missing = [name for name in ("time", "command") if name not in found]
+    if missing:
+        shown = ", ".join(heading[:30] for heading in headings[:12])
+        raise ConfigurationError(
+            f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns, as in "
+            f"docs/diagnose.md; headings: {shown}"
+        )
+    return validate(ColumnMap, found, source)
+
+
+def place_of(column: Column, signal: str, headings: Sequence[str], source: str) -> int:
+    """Index of a column in the file.
+
+    Raises:
+        ConfigurationError: the column does not exist, or several columns have that heading.
+    """
+    if isinstance(column.column, int):
+        if column.column > len(headings):
+            raise ConfigurationError(
+                f"{source}: {signal}: column {column.column}: the file has {len(headings)} columns"
+            )
+        return column.column - 1
+    wanted = column.column.strip()
+    places = [place for place, heading in enumerate(headings) if heading.strip() == wanted]
+    places = places or [place for place, heading in enumerate(headings) if split_heading(heading)[0] == wanted]
+    if len(places) != 1:
+        shown = ", ".join(heading[:30] for heading in headings[:12])
+        count = "several columns have" if places else "no column has"
+        raise ConfigurationError(f"{source}: {signal}: {count} the heading '{wanted[:40]}'; headings: {shown}")
+    return places[0]
+
+
+def unit_of(column: Column, signal: str, heading: str, source: str) -> tuple[str, float]:
+    """Unit of a column, from the map or its heading, and SI units per unit.
+
+    Raises:
+        ConfigurationError: the unit is missing, or does not fit the signal.
+    """
+    unit = column.unit if column.unit is not None else split_heading(heading)[1]
+    if unit is None:
+        if signal == "time":
+            return "s", 1.0
+        raise ConfigurationError(
+            f"{source}: {signal}: column '{heading[:40]}' has no unit; write it in the heading, "
+            f"{signal} [{next(iter(UNITS[signal]))}], or in the map"
+        )
+    return unit, factor(signal, unit, f"{source}: {signal}")

@@ -1,0 +1,245 @@
+"""Files of measuring programs as columns: CSV, Parquet, MDF4, TDMS and MAT.
+
+Channels of MDF4 and TDMS have their own time stamps, which are kept. If the stamps of the chosen channels differ,
+:func:`together` interpolates them at the stamps of the command and reports it as a finding.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.recordings.findings import Finding, Weight
+from hydro_agents.recordings.preamble import find_table
+from hydro_env import ConfigurationError
+from hydro_env.files import read_text
+
+LARGEST_RECORDING = 200_000_000
+"""Largest size in bytes; about three hours at 200 rows per second as CSV."""
+
+OTHER_ENCODING = "cp1252"
+"""Of texts that are not UTF-8: that of Western Windows programs."""
+
+LONGEST_STEP = 2.0
+"""Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
+
+TIME_HEADING = "time [s]"
+"""Heading of the common time of channels with their own stamps."""
+
+Floats = NDArray[np.float64]
+
+
+class Columns(NamedTuple):
+    """The columns of a file, C of them."""
+
+    headings: list[str]  # (C,)
+    cells: list[pd.Series]  # (C,)
+    stamps: list[Floats | None]  # (C,), s, a column's own time stamps; None: those of the time column
+    first_line: int  # line of the first row in the file; 0 for a file without lines
+
+
+def read_columns(path: Path) -> Columns:
+    """Read a file; the end of its name gives its kind (.parquet, .mf4, .mdf, .tdms, .mat, otherwise CSV).
+
+    Raises:
+        ConfigurationError: the file is unreadable, too large or not a table, or its library is not installed.
+    """
+    kind = path.suffix.lower()
+    if kind not in _READERS:
+        return _read_csv(path)
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    if size > LARGEST_RECORDING:
+        raise ConfigurationError(f"{path}: is larger than {LARGEST_RECORDING / 1e6:g} MB")
+    library, read = _READERS[kind]
+    try:
+        module = importlib.import_module(library)
+    except ImportError:
+        raise ConfigurationError(
+            f"{path}: files of this kind need the library {library}: pip install 'hydro_env[recordings]'"
+        ) from None
+    try:
+        columns = read(path, module)
+    except ConfigurationError:
+        raise
+    except Exception as error:  # a damaged file makes these libraries raise errors of any kind
+        reason = " ".join(str(error).split())[:150] or type(error).__name__
+        raise ConfigurationError(f"{path}: is not a readable {kind} file: {reason}") from None
+    if not columns.cells or not max(map(len, columns.cells)):
+        raise ConfigurationError(f"{path}: holds no numbers")
+    return columns
+
+
+def together(columns: Columns, places: Mapping[str, int]) -> tuple[dict[str, pd.Series], list[Finding]]:
+    """The chosen columns by signal, all with the same rows.
+
+    Columns with their own time stamps are interpolated linearly at the stamps of the command, never extrapolated, and
+    are missing (NaN) in their gaps. A finding names each such signal.
+
+    Args:
+        columns: of the file.
+        places: index of each chosen column by signal, ``time`` and ``command`` among them.
+    """
+    base = columns.stamps[places["command"]]
+    cells = {signal: columns.cells[place] for signal, place in places.items()}
+    findings: list[Finding] = []
+    if base is None:
+        return cells, findings
+    if columns.headings[places["time"]] == TIME_HEADING:
+        cells["time"] = pd.Series(base)
+    for signal, place in places.items():
+        own = columns.stamps[place]
+        if own is None or (len(own) == len(base) and np.allclose(own, base, rtol=0.0, atol=1e-9)):
+            continue
+        values = pd.to_numeric(columns.cells[place], errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan)
+        cells[signal] = pd.Series(_interpolated(base, own, values))
+        usual = 1e3 * float(np.median(np.diff(own))) if len(own) > 1 else np.nan
+        what = f"has its own time stamps, one every {usual:.4g} ms; it is interpolated at those of the command"
+        findings.append(Finding(signal, what, Weight.NOTE))
+    return cells, findings
+
+
+def _interpolated(time: Floats, own: Floats, values: Floats) -> Floats:
+    """Values at ``time`` between the samples (own, values); NaN before, after, and in gaps."""
+    order = np.argsort(own, kind="stable")
+    own, values = own[order], values[order]
+    if len(own) < 2:
+        return np.full(len(time), np.nan)
+    after = np.clip(np.searchsorted(own, time), 1, len(own) - 1)
+    step = own[after] - own[after - 1]
+    inside = (time >= own[0]) & (time <= own[-1]) & (step <= LONGEST_STEP * np.median(np.diff(own)))
+    share = (time - own[after - 1]) / np.where(step > 0.0, step, 1.0)
+    between = values[after - 1] + share * (values[after] - values[after - 1])
+    return np.where(inside, between, np.nan)
+
+
+def _read_csv(path: Path) -> Columns:
+    """The table of a text file: its headings stand in the line above the first line of numbers (:func:`find_table`)."""
+    text = read_text(path, LARGEST_RECORDING, OTHER_ENCODING)
+    try:
+        found = find_table(text)
+    except csv.Error as error:
+        raise ConfigurationError(f"{path}: is not a table: {error}") from None
+    if found is None:
+        raise ConfigurationError(f"{path}: holds no table")
+    decimal = "," if found.separator != "," and "," in text[found.start : found.start + 100_000] else "."
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            table = pd.read_csv(
+                io.StringIO(text[found.start :]),
+                sep=found.separator,
+                decimal=decimal,
+                header=None,
+                names=range(len(found.headings)),
+                index_col=False,
+                skipinitialspace=True,
+                low_memory=False,
+            )
+    except pd.errors.ParserWarning:
+        raise ConfigurationError(f"{path}: rows have more columns than the line of headings") from None
+    except (ValueError, OverflowError, RecursionError) as error:  # pandas' own errors are ValueErrors
+        raise ConfigurationError(f"{path}: is not a table: {' '.join(str(error).split())[:200]}") from None
+    if not len(table):
+        raise ConfigurationError(f"{path}: holds headings but no rows")
+    return _of_table(table.set_axis(found.headings, axis=1), found.first_line)
+
+
+def _of_table(table: pd.DataFrame, first_line: int = 0) -> Columns:
+    headings = [str(name) for name in table.columns]
+    return Columns(headings, [table.iloc[:, k] for k in range(len(headings))], [None] * len(headings), first_line)
+
+
+def _read_parquet(path: Path, _: Any) -> Columns:
+    table = pd.read_parquet(path, engine="pyarrow")
+    return _of_table(table.reset_index() if table.index.name is not None else table)
+
+
+class _Channel(NamedTuple):
+    """A channel with or without (None) its own time stamps."""
+
+    group: str
+    name: str
+    unit: str
+    values: Any
+    stamps: Floats | None
+
+
+def _read_mdf(path: Path, asammdf: Any) -> Columns:
+    channels = []
+    with asammdf.MDF(path) as file:
+        for number, group in enumerate(file.groups):
+            for place in range(len(group.channels)):
+                if place == file.masters_db.get(number):
+                    continue
+                signal = file.get(group=number, index=place)
+                if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
+                    stamps = np.asarray(signal.timestamps, dtype=np.float64)
+                    channels.append(_Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
+    return _of_channels(channels)
+
+
+def _read_tdms(path: Path, nptdms: Any) -> Columns:
+    channels = []
+    for group in nptdms.TdmsFile.read(path).groups():
+        for channel in group.channels():
+            values = channel[:]
+            if not len(values):
+                continue
+            unit = str(channel.properties.get("unit_string", ""))
+            # Only a waveform has stamps; otherwise a column of the file is the time.
+            stamps = channel.time_track() if "wf_increment" in channel.properties else None
+            channels.append(_Channel(group.name, channel.name, unit, values, stamps))
+    return _of_channels(channels)
+
+
+def _read_mat(path: Path, scipy_io: Any) -> Columns:
+    try:
+        content = scipy_io.loadmat(path)
+    except NotImplementedError:  # version 7.3 is HDF5
+        with importlib.import_module("h5py").File(path) as file:
+            content = {name: item[()] for name, item in file.items() if hasattr(item, "shape")}
+    channels = [
+        _Channel("", name, "", np.ravel(values), None)
+        for name, values in content.items()
+        if not name.startswith("__") and np.issubdtype(values.dtype, np.number) and np.size(values) == max(values.shape)
+    ]
+    lengths = [len(channel.values) for channel in channels]
+    usual = max(set(lengths), key=lengths.count, default=0)
+    return _of_channels([channel for channel in channels if len(channel.values) == usual and usual > 1])
+
+
+def _of_channels(channels: Sequence[_Channel]) -> Columns:
+    """Headings ``name [unit]``, with the group before names that occur twice; the common time comes first."""
+    names = [channel.name for channel in channels]
+    headings = [
+        (f"{c.group}/{c.name}" if names.count(c.name) > 1 else c.name) + (f" [{c.unit}]" if c.unit else "")
+        for c in channels
+    ]
+    cells = [pd.Series(channel.values) for channel in channels]
+    stamps = [channel.stamps for channel in channels]
+    if any(one is not None for one in stamps):
+        longest = max((one for one in stamps if one is not None), key=len)
+        headings, cells, stamps = [TIME_HEADING, *headings], [pd.Series(longest), *cells], [None, *stamps]
+    return Columns(headings, cells, stamps, 0)
+
+
+_READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
+    ".parquet": ("pyarrow", _read_parquet),
+    ".mf4": ("asammdf", _read_mdf),
+    ".mdf": ("asammdf", _read_mdf),
+    ".tdms": ("nptdms", _read_tdms),
+    ".mat": ("scipy.io", _read_mat),
+}
+"""Library and reader by suffix of the file."""

@@ -1,0 +1,60 @@
+"""Findings about a recording: one line each, with its first time in seconds and its share of the recording."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.report.text import number
+
+NOT_RECORDED = "was not recorded"
+"""What is found about a signal without a column."""
+
+
+class Weight(StrEnum):
+    """Effect of a finding on the verdict."""
+
+    NOTE = "note"  # no effect
+    FAULT = "fault"  # a sensor of the rig is faulty
+    SEVERE = "severe"  # no verdict is possible
+
+
+class Finding(NamedTuple):
+    """One defect of a recording."""
+
+    signal: str  # or "time"
+    what: str  # rest of the sentence, beginning with a verb
+    weight: Weight
+    begin: float = np.nan  # s, first place; NaN for the whole recording
+    end: float = np.nan  # s, end of the first place
+    share: float = np.nan  # of the recording, 0 to 1
+
+    def line(self) -> str:
+        """The finding in one line."""
+        parts = [f"{self.signal} {self.what}"]
+        if np.isfinite(self.begin):
+            to = f" to {number(self.end, 3)}" if self.end > self.begin else ""
+            parts.append(f"first at {number(self.begin, 3)}{to} s")
+        if np.isfinite(self.share):
+            parts.append(f"{number(100.0 * self.share, digits=2)} % of the recording")
+        return ", ".join(parts)
+
+
+def runs_of(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First index of each run of true values, and the index after its last."""
+    edges = np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def severe_if(condition: object) -> Weight:
+    """SEVERE if the condition is true, otherwise NOTE."""
+    return Weight.SEVERE if condition else Weight.NOTE
+
+
+def finding_of(mask: NDArray[np.bool_], time: NDArray[np.float64], signal: str, what: str, weight: Weight) -> Finding:
+    """A finding about the rows where ``mask`` (n,) is true (at least one); ``time`` (n,), s."""
+    begins, ends = runs_of(mask)
+    return Finding(signal, what, weight, float(time[begins[0]]), float(time[ends[0] - 1]), float(mask.mean()))

@@ -1,0 +1,124 @@
+"""Reads a recording of a rig: a file with time stamps and one column per measured signal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_agents.recordings.files import read_columns, together
+from hydro_agents.recordings.findings import NOT_RECORDED, Finding, severe_if
+from hydro_env import ConfigurationError
+
+FEWEST_ROWS = 3
+
+Floats = NDArray[np.float64]
+
+
+class Recording(NamedTuple):
+    """Rows of a file in their order; a cell that is empty or not a number is NaN."""
+
+    source: str
+    time: Floats  # (n,), s, from the first row
+    signals: Floats  # (5, n), SI, in the order of MEASURED; the command acts at the time of the row
+    units: dict[str, str]  # by signal, from the file or the map
+    findings: list[Finding]
+
+
+def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
+    """Read a recording.
+
+    CSV: the headings stand above the numbers, with units in them or in the line below; what stands before is skipped.
+    Semicolons or tabs, which allow decimal commas, or commas separate the columns. The end of the name identifies
+    Parquet, MDF4, TDMS and MAT files (:mod:`hydro_agents.recordings.files`).
+
+    Args:
+        path: the file; text in UTF-8 or Windows-1252.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
+
+    Raises:
+        ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
+    """
+    file = read_columns(path)
+    headings, source = file.headings, str(path)
+    if columns is None:
+        columns = own_map(headings, source)
+    places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
+    cells, findings = together(file, places)
+    units: dict[str, str] = {}
+    time, signals = np.zeros(0), np.full((len(MEASURED), len(cells["command"])), np.nan)
+    for signal, column in columns.columns().items():
+        values = _time_stamps(cells[signal]) if signal == "time" else None
+        if values is None:
+            values = _numbers(cells[signal], signal, file.first_line, findings)
+            units[signal], size = unit_of(column, signal, headings[places[signal]], source)
+            values = size * (column.gain * values + column.offset)
+        values[~np.isfinite(values)] = np.nan
+        if signal == "time":
+            time = values
+        else:
+            signals[MEASURED.index(signal)] = values
+    if columns.command.rows_early:
+        signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
+    for signal in MEASURED:
+        if getattr(columns, signal) is None:
+            findings.append(Finding(signal, NOT_RECORDED, severe_if(signal == "command")))
+    known = np.isfinite(time)
+    if known.sum() < FEWEST_ROWS:
+        example = str(cells["time"].iloc[0])[:40]
+        raise ConfigurationError(
+            f"{source}: fewer than {FEWEST_ROWS} rows have a time stamp (the first one is {example!r}); allowed are "
+            "numbers, 2026-03-01T08:00:00.005 and 01.03.2026 08:00:00,005"
+        )
+    if not known.all():
+        share = float(1.0 - known.mean())
+        findings.append(
+            Finding("time", "is missing in some rows, which are left out", severe_if(share > 0.2), share=share)
+        )
+    time = time[known]
+    return Recording(source, time - time[0], signals[:, known], units, findings)
+
+
+def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
+    """Values of a column; text becomes NaN and a finding."""
+    values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
+    text = np.flatnonzero(np.isnan(values) & cells.notna().to_numpy())
+    if len(text):
+        example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)
+        place = f"line {first_line + text[0]}" if first_line else f"row {text[0] + 1}"
+        what = f"has {len(text)} cells that are not numbers, the first one {example!r} in {place}"
+        findings.append(Finding(signal, what, severe_if(share > 0.2), share=share))
+    return values
+
+
+def _time_stamps(cells: pd.Series) -> Floats | None:
+    """Seconds since the first date and time; ``None`` if the cells are numbers or other text.
+
+    ``2026-03-01T08:00:00.005`` (ISO 8601) and ``01.03.2026 08:00:00,005`` (day, month, year) are understood.
+    """
+    if pd.api.types.is_numeric_dtype(cells):
+        return None
+    stamps = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601")
+    if stamps.isna().mean() > 0.5:
+        texts = cells.astype(str).str.strip().str.replace(",", ".")
+        texts = texts.where(texts.str.count(r"\.") == 3, texts + ".0")  # two in the date, one before parts of a second
+        stamps = pd.to_datetime(texts, errors="coerce", utc=True, format="%d.%m.%Y %H:%M:%S.%f")
+    if stamps.isna().mean() > 0.5:
+        return None
+    seconds: Floats = (stamps - stamps.dropna().iloc[0]).dt.total_seconds().to_numpy(dtype=np.float64).copy()
+    return seconds
+
+
+def _shifted(values: Floats, rows: int) -> Floats:
+    """Values moved down by a number of rows; the gap is NaN."""
+    result = np.full_like(values, np.nan)
+    if abs(rows) < len(values):
+        if rows > 0:
+            result[rows:] = values[:-rows]
+        else:
+            result[:rows] = values[-rows:]
+    return result

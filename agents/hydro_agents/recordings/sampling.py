@@ -1,0 +1,166 @@
+"""Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.recordings.columns import COMMAND
+from hydro_agents.recordings.findings import Finding, Weight, finding_of, severe_if
+from hydro_agents.recordings.recording import Recording
+from hydro_agents.recordings.units import UNITS
+from hydro_env import TaskConfig
+
+Floats = NDArray[np.float64]
+
+LARGEST_DEVIATION = 0.02
+"""Largest relative deviation of the row distance from a whole fraction of the control period; clocks differ less."""
+
+JITTER = (0.05, 0.4)
+"""Jitter of time stamps, as a fraction of the row distance: limit for a note, and limit beyond which rows are
+ambiguous."""
+
+ROWS_TOGETHER = 20
+
+MOST_MISSING = 0.2
+"""Largest share of rows that may be missing or duplicate."""
+
+FOLLOWING = 0.1
+"""Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
+
+HOLD_SHARE = 0.8
+"""Smallest share of command changes at the same row within the control period."""
+
+
+class Sampled(NamedTuple):
+    """A recording at the control period; T samples."""
+
+    place: NDArray[np.int64]  # (T,), number of the control period since the first sample, rising; a gap skips numbers
+    time: Floats  # (T,), s
+    signals: Floats  # (5, T), SI, in the order of SIGNALS: column k holds u_{k-1}
+    period: float  # s
+    units: dict[str, str]  # by signal, as in the file
+    findings: list[Finding]
+
+
+def sampled(recording: Recording, config: TaskConfig) -> Sampled:
+    """The samples of a recording, one per control period of the task.
+
+    From n rows per control period, the last row before the command changes is the sample; the command of the previous
+    period still acts there. After a severe finding the samples are empty.
+    """
+    findings: list[Finding] = []
+    period = config.control_period
+    time, signals = recording.time, recording.signals
+    nothing = Sampled(
+        np.zeros(0, np.int64), np.zeros(0), np.zeros((len(signals), 0)), period, recording.units, findings
+    )
+
+    steps = np.diff(time)
+    if np.any(steps < 0.0):
+        back = np.append(False, steps < 0.0)
+        worst = f"runs backward {int(back.sum())} times, by up to {-steps.min():.3g} s"
+        findings.append(finding_of(back, time, "time", worst, Weight.SEVERE))
+        return nothing
+    twice = np.append(False, steps == 0.0)
+    if twice.any():
+        many = bool(twice.mean() > MOST_MISSING)
+        findings.append(finding_of(twice, time, "time", "has duplicate stamps; the first row counts", severe_if(many)))
+        if many:
+            return nothing
+        time, signals = time[~twice], signals[:, ~twice]
+
+    distance = _row_distance(time, period)
+    rows_per_period = _whole_fraction(distance, period)
+    if not rows_per_period:
+        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        return nothing
+    place, jitter_findings = _places(time, distance)
+    findings += jitter_findings
+    if any(finding.weight is Weight.SEVERE for finding in findings):
+        return nothing
+    chosen = np.ones(len(place), dtype=np.bool_)
+    if rows_per_period > 1:
+        phase, hold_findings = _phase(place, time, signals[COMMAND], rows_per_period, distance, config)
+        findings += hold_findings
+        if any(finding.weight is Weight.SEVERE for finding in findings):
+            return nothing
+        chosen = place % rows_per_period == phase
+    index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
+    return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+
+
+def _row_distance(time: Floats, period: float) -> float:
+    """Usual distance of two rows in s: the median, or that over many rows if only this fits the period."""
+    distance = float(np.median(np.diff(time)))
+    many = min(ROWS_TOGETHER, len(time) - 1)
+    together = float(np.median(time[many:] - time[:-many])) / many
+    return distance if _whole_fraction(distance, period) or not _whole_fraction(together, period) else together
+
+
+def _whole_fraction(distance: float, period: float) -> int:
+    """Rows per control period; 0 if the row distance is not a whole fraction of it."""
+    rows = round(period / distance)
+    return rows if rows >= 1 and abs(distance * rows / period - 1.0) <= LARGEST_DEVIATION else 0
+
+
+def _other_sampling(distance: float, period: float, unit: str) -> Finding:
+    """The finding that the row distance does not fit the control period, with a unit of time that would fit."""
+    units = UNITS["time"]
+    fitting = [name for name in units if 1 <= _whole_fraction(distance * units[name] / units[unit], period) <= 100]
+    what = f"has one row every {1e3 * distance:.4g} ms, but the rig's control period is {1e3 * period:g} ms"
+    if fitting:
+        what += f"; stamps in {fitting[0]} instead of {unit} would fit"
+    else:
+        what += ": the commands between the rows are unknown" if distance > period else ""
+        what += "; record at the control period or at a whole fraction of it, or give the --task of this rig"
+    return Finding("time", what, Weight.SEVERE)
+
+
+def _places(time: Floats, distance: float) -> tuple[NDArray[np.int64], list[Finding]]:
+    """Number of row distances since the first row, (n,), and findings about the time stamps."""
+    findings = []
+    place, off = np.zeros(len(time), dtype=np.int64), np.zeros(len(time))
+    clock, count = float(time[0]), 0
+    for row, stamp in enumerate(time[1:].tolist(), 1):
+        jump = max(round((stamp - clock) / distance), 1)
+        count += jump
+        place[row] = count
+        error = stamp - clock - jump * distance
+        off[row] = abs(error) / distance
+        clock = stamp - (1.0 - FOLLOWING) * error
+    jumps = np.diff(place, prepend=-1)
+    usual = float(np.quantile(off, 0.95))
+    if usual > JITTER[0]:
+        what = f"has stamps that jitter by up to {1e3 * usual * distance:.2g} ms (95 %) around one row every "
+        findings.append(Finding("time", what + f"{1e3 * distance:.4g} ms", severe_if(usual > JITTER[1])))
+    gaps = np.flatnonzero(jumps > 1)
+    if len(gaps):
+        share = float((jumps[gaps] - 1).sum()) / (count + 1)
+        longest = f"{1e3 * distance * (jumps.max() - 1):.3g} ms"
+        what = f"has {len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"has a gap of {longest}"
+        begin, end = time[gaps[0] - 1], time[gaps[0]]
+        findings.append(Finding("time", what, severe_if(share > MOST_MISSING), float(begin), float(end), share))
+    return place, findings
+
+
+def _phase(
+    place: NDArray[np.int64], time: Floats, command: Floats, rows: int, distance: float, config: TaskConfig
+) -> tuple[int, list[Finding]]:
+    """Index of the sample among the ``rows`` of a control period, from the rows in which the command changes."""
+    changed = np.append(False, np.diff(command) != 0.0) & np.append(False, np.diff(place) == 1)
+    changed &= np.isfinite(command) & np.append(False, np.isfinite(command[:-1]))
+    if not changed.any():  # a constant command: any row is suitable
+        return 0, []
+    counts = np.bincount(place[changed] % rows, minlength=rows)
+    if counts.max() < HOLD_SHARE * changed.sum():
+        spacing = int(np.median(np.diff(place[changed]))) if changed.sum() > 1 else 1
+        what = (
+            f"changes every {1e3 * distance * spacing:.3g} ms, at no fixed place in the control period of "
+            f"{1e3 * config.control_period:g} ms; give the --task of this rig"
+        )
+        return 0, [finding_of(changed, time, "command", what, Weight.SEVERE)]
+    back = max(round(config.command_latency / distance), 1)
+    return int((counts.argmax() - back) % rows), []

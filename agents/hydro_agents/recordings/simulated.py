@@ -1,0 +1,130 @@
+"""``hydro record``: a recording of a simulated axis with the signals of a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.recordings.columns import MEASURED
+from hydro_agents.recordings.units import factor
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import write_text
+from hydro_env.mistakes import unknown
+from hydro_env.task.faults import FAULTS
+
+Floats = NDArray[np.float64]
+
+WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b": "bar", "spool_position": "%"} | {
+    "command": "V"
+}
+"""Unit of each column."""
+
+_FORMAT = "%.7g"
+"""Enough digits for the 16-bit steps of every sensor."""
+
+LONGEST_RECORDING = 3600.0
+"""s"""
+
+
+class Recorded(NamedTuple):
+    """Summary of a recording."""
+
+    rows: int
+    duration: float  # s
+    leakage_flow_lpm: float  # at the end
+    failed_at: float | None  # s, time of the failure, where the recording ends; None: no failure
+
+
+def record_axis(
+    path: Path,
+    config: TaskConfig,
+    controller: Controller,
+    seed: int,
+    leakage_flow_lpm: float | None = None,
+    family: str | None = None,
+    faults: Mapping[str, float] | None = None,
+    note: str = "",
+) -> Recorded:
+    """Run one episode and write its measured signals as CSV, one row per control period.
+
+    The command of a row acts when the row is measured.
+
+    Args:
+        path: the file; replaced if it exists.
+        config: the task; its ``episode_duration`` is that of the recording.
+        controller: moves the axis.
+        seed: of plant, reference and noise.
+        leakage_flow_lpm: l/min at 100 bar; ``None``: drawn.
+        family: of the reference; ``None``: drawn.
+        faults: magnitude by name (:data:`hydro_env.task.faults.FAULTS`).
+        note: for a comment in the first line.
+
+    Raises:
+        ConfigurationError: an option is impossible, or the file cannot be written.
+    """
+    if config.episode_duration > LONGEST_RECORDING:
+        raise ConfigurationError(f"--duration = {config.episode_duration:g} s: must be at most {LONGEST_RECORDING:g} s")
+    layout = ObservationLayout.of(config)
+    measured = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # a rig may lack sensors
+    columns = [layout.index(SIGNALS[row]) for row in measured]
+    cases = Cases(
+        np.array([seed]),
+        None if leakage_flow_lpm is None else np.array([leakage_flow_lpm]),
+        None if family is None else np.array([family]),
+        faults={name: np.array([size]) for name, size in (faults or {}).items()} or None,
+    )
+    run = run_cases(config, controller, cases, columns, states=False)
+    assert run.signals is not None
+    rows = config.steps if run.failed_at[0] < 0 else int(run.failed_at[0]) + 1
+    scale = np.array([layout.scale[column] for column in columns], dtype=np.float64)
+    time = np.arange(rows, dtype=np.float64) * config.control_period
+    signals: Floats = np.full((len(SIGNALS), rows), np.nan)
+    signals[measured] = run.signals[0, :, :rows].astype(np.float64) * scale[:, None]
+    write_text(path, recording_csv(time, signals, note))
+    failed = None if run.failed_at[0] < 0 else rows * config.control_period
+    return Recorded(rows, rows * config.control_period, float(run.leakage_flow_lpm[0]), failed)
+
+
+def recording_csv(time: Floats, signals: Floats, note: str = "") -> str:
+    """A recording as CSV text; ``time`` (n,), s; ``signals`` (5, n), SI, in the order of MEASURED; NaN: absent."""
+    values = dict(zip(MEASURED, signals, strict=True))
+    table = pd.DataFrame({heading("time"): np.round(time, 6)})
+    for name in MEASURED:
+        if np.isfinite(values[name]).any():
+            table[heading(name)] = values[name] / factor(name, WRITTEN_UNITS[name], name)
+    comment = f"# {' '.join(note.split())}\n" if note else ""
+    text: str = table.to_csv(index=False, float_format=_FORMAT, lineterminator="\n")
+    return comment + text
+
+
+def named_faults(texts: Sequence[str]) -> dict[str, float]:
+    """The values of ``--fault NAME=VALUE``, by name.
+
+    Raises:
+        ConfigurationError: a value has the wrong form, or a name is unknown or given twice.
+    """
+    faults: dict[str, float] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name not in FAULTS:
+            raise ConfigurationError(f"--fault {text}: {unknown(name, FAULTS, 'fault')}")
+        if name in faults:
+            raise ConfigurationError(f"--fault {text}: '{name}' is given twice")
+        try:
+            faults[name] = float(value)
+        except ValueError:
+            raise ConfigurationError(f"--fault {text}: must be NAME=VALUE, such as {name}=0.01") from None
+    return faults
+
+
+def heading(signal: str, units: Mapping[str, str] = WRITTEN_UNITS) -> str:
+    """Heading of a column: ``position [mm]``."""
+    return f"{signal} [{units[signal]}]"

@@ -1,0 +1,269 @@
+"""Drawing of all figures: one style, one palette, and the same SVG and PNG on every machine.
+
+Each controller has the same colour, marker and line in all figures. The same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from numpy.typing import NDArray
+
+from hydro_agents.report.hover import name_categories, with_values
+from hydro_agents.report.palette import NEUTRALS, SERIES, themed
+from hydro_agents.report.text import number, setting
+
+if TYPE_CHECKING:
+    from hydro_agents.evaluation.protocol import Evaluation
+
+Array = NDArray[np.floating[Any]]
+
+WIDTH, HEIGHT = 4.6, 3.0
+"""inches; 440 pixels, about the width of a phone, so that text keeps its size there."""
+
+WIDE = 8.6
+"""inches; a figure of several panels side by side."""
+
+INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line", "paper"))
+
+STYLE: Any = {
+    "svg.hashsalt": "hydro_env",
+    "svg.fonttype": "path",  # letters as outlines: the browser needs no font
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.6,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "legend.columnspacing": 1.4,
+    "legend.borderpad": 0.2,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 5.0,
+    "errorbar.capsize": 2.5,
+}
+
+
+@dataclass(frozen=True)
+class Plot:
+    """A figure of a page, with title, note and description."""
+
+    key: str  # name of its file
+    title: str
+    note: str  # how to read it
+    alt: str  # description for readers who cannot see it
+    svg: str  # element of the page, in the colours of the reader's theme
+    file: bytes  # SVG in light colours
+    wide: bool = False  # as wide as the page
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colour, marker and line of a controller or a leak in all figures."""
+
+    colour: str
+    marker: str
+    line: Any  # a linestyle of matplotlib
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """Options of a line."""
+        return {"color": self.colour, "linestyle": self.line}
+
+
+COLOURS = tuple(colour.light for colour in SERIES)
+
+MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
+
+
+def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
+    """The look of each controller, by its position in the list."""
+    return {
+        name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
+        for i, name in enumerate(names)
+    }
+
+
+def controllers_of(evaluation: Evaluation) -> list[str]:
+    """Names of the controllers; the first is the baseline of the comparison."""
+    return [str(name) for name in evaluation.cases["controller"].unique()]
+
+
+def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
+    """Files (``svg``, ``png``) of a figure of a size (inches) that ``paint`` draws."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(STYLE)
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        paint(figure)
+        files = []
+        for kind in kinds:
+            file = io.BytesIO()
+            nothing: dict[str, Any] = dict.fromkeys(
+                ("Date", "Creator", "Format", "Type") if kind == "svg" else ["Software"]
+            )
+            figure.savefig(file, format=kind, dpi=120, metadata=nothing, facecolor=PAPER)
+            files.append(with_values(file.getvalue(), figure) if kind == "svg" else file.getvalue())
+    return files
+
+
+def make_plot(
+    key: str,
+    title: str,
+    note: str,
+    alt: str,
+    paint: Callable[[Figure], None],
+    height: float = HEIGHT,
+    width: float = WIDTH,
+) -> Plot:
+    """A figure of a page (inches); ``key`` is unique on it."""
+    (file,) = render(paint, (width, height), "svg")
+    return as_plot(key, title, note, alt, file, wide=width > WIDTH)
+
+
+def as_plot(key: str, title: str, note: str, alt: str, file: bytes, wide: bool = False) -> Plot:
+    """A figure of a page from an SVG file."""
+    return Plot(key, title, note, alt, _inline(file, key, alt), file, wide)
+
+
+def _inline(file: bytes, key: str, alt: str) -> str:
+    """The SVG element for a page; its ids begin with ``key``, except those of letters, which all figures share."""
+    svg = file.decode()
+    own = r'(\bid="|url\(#|href="#)(?!DejaVuSans)'
+    text = re.sub(own, lambda match: f"{match.group(0)}{key}-", svg[svg.index("<svg") :])
+    short = re.sub(r'(?<= )(d|x|y)="[^"]*"', lambda match: _shortened(match.group(0)), text)
+    label = f'role="img" aria-label="{escape(alt)}"'
+    return themed(re.sub(r'width="[^"]*" height="[^"]*"', lambda _: label, short, count=1))
+
+
+def _shortened(path: str) -> str:
+    """An SVG path rounded to a tenth of a point, without the letters of its straight lines."""
+    rounded = re.sub(r"\.(\d)\d+", r".\1", path)
+    lines = r"[ML][^A-Za-z]+(?:L[^A-Za-z]+)+"
+    return re.sub(lines, lambda match: re.sub(r"\s+L ", " ", match.group(0)), rounded)
+
+
+def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes], None], height: float = HEIGHT) -> Plot:
+    """A figure of one panel that ``paint`` draws, with a legend above."""
+
+    def painted(figure: Figure) -> None:
+        axes = figure.subplots()
+        paint(axes)
+        add_legend(axes)
+
+    return make_plot(key, title, note, alt, painted, height)
+
+
+def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
+    """All numbers of a figure as text, by controller."""
+    parts = [f"{name}: " + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name]) for name in rows]
+    return f"{title}. {'; '.join(parts)}."
+
+
+# Parts of figures ---------------------------------------------------------------------------------------------------
+
+
+def add_legend(axes: Axes) -> None:
+    """Add a legend above the axes, where it covers no data."""
+    handles, labels = axes.get_legend_handles_labels()
+    if labels:
+        columns = max(min(len(labels), 52 // (max(map(len, labels)) + 6)), 1)
+        axes.legend(handles, labels, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=columns)
+
+
+def legend_inside(axes: Axes, **options: Any) -> None:
+    """Add a legend with a white background, which covers the lines behind it."""
+    axes.legend(**({"fontsize": 8.0, "frameon": True, "framealpha": 0.9, "edgecolor": "none"} | options))
+
+
+def ticks(axis: Axis, values: Sequence[float], labels: Callable[[float], str] = setting) -> None:
+    """Put ticks at these values only, with their labels."""
+    axis.set_major_locator(FixedLocator(values))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: labels(value)))
+
+
+def log_leak_axis(axes: Axes, levels: Sequence[float], label: str = "leak, l/min at 100 bar") -> None:
+    """A logarithmic horizontal axis with a tick at every level."""
+    axes.set(xscale="log", xlabel=label)
+    ticks(axes.xaxis, levels)
+
+
+def level_axis(axes: Axes, levels: Sequence[float]) -> dict[float, float]:
+    """Scale the axis by the logarithm of the levels, with a leak of zero at the left end; returns their places."""
+    zero = float(np.log10(min((level for level in levels if level > 0.0), default=1.0))) - 0.5
+    places = {level: float(np.log10(level)) if level > 0.0 else zero for level in levels}
+    name_categories(axes.xaxis, places.values(), [setting(level) for level in places])
+    axes.set_xlabel("leak, l/min at 100 bar")
+    axes.grid(visible=False, axis="x")
+    return places
+
+
+def row_axis(axes: Axes, labels: Sequence[str]) -> None:
+    """Categories from top to bottom."""
+    name_categories(axes.yaxis, range(len(labels)), labels)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.grid(visible=False, axis="y")
+
+
+def bars(axes: Axes, places: Any, frame: pd.DataFrame, column: str, look: Look, label: str, kind: str = "line") -> None:
+    """Values with their intervals (columns ``low`` and ``high``): as a line, as points, or as points in rows."""
+    value, low, high = (frame[name].to_numpy(dtype=np.float64) for name in (column, "low", "high"))
+    lengths = np.maximum(np.nan_to_num(np.array([value - low, high - value])), 0.0)
+    style: dict[str, Any] = {"color": look.colour, "marker": look.marker, "label": label}
+    style["linestyle"] = look.line if kind == "line" else "none"
+    if kind == "rows":
+        axes.errorbar(value, places, xerr=lengths, **style)
+    else:
+        axes.errorbar(places, value, yerr=lengths, **style)
+
+
+def bars_by(
+    axes: Axes,
+    parts: Mapping[str, pd.DataFrame],
+    by: str,
+    values: Sequence[str],
+    column: str,
+    looks: Mapping[str, Look],
+    kind: str,
+) -> None:
+    """Draw bars of every controller for each value of the column ``by``; the bars of one value stand side by side."""
+    width = min(0.2, 0.7 / len(parts)) if kind == "rows" else 0.16
+    for index, (name, part) in enumerate(parts.items()):
+        places = np.array([values.index(str(value)) for value in part[by]]) + dodge(len(parts), index, width)
+        bars(axes, places, part, column, looks[name], name, kind)
+
+
+def dodge(count: int, index: int, width: float) -> float:
+    """Offset of one of several controllers that share a place on the axis."""
+    return width * (index - 0.5 * (count - 1))

@@ -1,0 +1,194 @@
+"""The tables of the report: metrics by leak and reference, ratios, detection, definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.protocol import Evaluation
+from hydro_agents.evaluation.statistics import Interval, conditional_value_at_risk
+from hydro_agents.report.canvas import controllers_of
+from hydro_agents.report.findings import interval_text, percent, plants_of, row_interval, verdict
+from hydro_agents.report.text import Table, decimals_for, family_name, number, setting
+
+SHOWN: dict[str, tuple[str, str, float]] = {
+    "mean_error_mm": ("Mean error", "mm", 1.0),
+    "rms_error_mm": ("Root-mean-square error", "mm", 1.0),
+    "peak_error_mm": ("Peak error", "mm", 1.0),
+    "settling_time_s": ("Settling time, if settled", "s", 1.0),
+    "unsettled_share": ("Standstills without settling", "%", 100.0),
+    "overshoot_percent": ("Overshoot of steps", "%", 1.0),
+    "steady_state_error_mm": ("Steady-state error", "mm", 1.0),
+    "itae_mm_s2": ("Time-weighted error (ITAE)", "mm s²", 1.0),
+    "control_effort": ("Command, root mean square", "V", 10.0),
+    "valve_travel_per_s": ("Valve travel", "strokes per second", 1.0),
+    "reversals_per_s": ("Reversals of the command", "per second", 1.0),
+    "supply_energy_j": ("Energy from the supply", "J", 1.0),
+    "mean_error_sensor_mm": ("Mean error in the frame of the sensor", "mm", 1.0),
+    "steady_state_error_sensor_mm": ("Steady-state error in the frame of the sensor", "mm", 1.0),
+    "failed": ("Failed runs", "%", 100.0),
+}
+"""Name, displayed unit and factor of each metric."""
+
+
+def _shown(metric: str) -> tuple[str, str, float]:
+    return SHOWN.get(metric, (metric, METRICS[metric][0], 1.0))
+
+
+OVERVIEW = ("mean_error_mm", "peak_error_mm", "valve_travel_per_s", "reversals_per_s", "supply_energy_j", "failed")
+"""Metrics side by side: an error is no result without its cost."""
+
+
+def overview(evaluation: Evaluation) -> Table:
+    """One row per controller over all runs: error, ratio to the first one, worst cases, and costs."""
+    names = controllers_of(evaluation)
+    cells = {name: _overview_cells(evaluation.cases, name) for name in names}
+    return Table(
+        "Errors and costs, mean over all runs",
+        ("Controller", _overview_header()[0], f"÷ {names[0]}'s", "worst 5 %, mm", *_overview_header()[1:]),
+        [(name, mean, *_overall(evaluation, name), *rest) for name, (mean, *rest) in cells.items()],
+    )
+
+
+def level_tables(evaluation: Evaluation) -> dict[float, Table]:
+    """The same for each leak level, without the ratio."""
+    names = controllers_of(evaluation)
+    return {
+        float(level): Table(
+            f"Leak of {setting(float(level))} l/min",
+            ("Controller", *_overview_header()),
+            [(name, *_overview_cells(cases, name)) for name in names],
+        )
+        for level, cases in evaluation.cases.groupby("leakage_flow_lpm")
+    }
+
+
+def _overview_header() -> tuple[str, ...]:
+    return tuple(f"{label.lower()}, {unit}" for label, unit, _ in map(_shown, OVERVIEW))
+
+
+def _overall(evaluation: Evaluation, name: str) -> tuple[str, str]:
+    """Ratio of the mean error with its interval, and the mean of the worst 5 % of the runs."""
+    rows = evaluation.ratios
+    rows = rows[(rows["controller"] == name) & (rows["group"] == "all")] if len(rows) else rows
+    ratio = interval_text(row_interval(rows.iloc[0], "ratio"), decimals=3) if len(rows) else "–"
+    errors = evaluation.cases.loc[evaluation.cases["controller"] == name, "mean_error_mm"]
+    return ratio, number(conditional_value_at_risk(errors.to_numpy()))
+
+
+def _overview_cells(cases: pd.DataFrame, name: str) -> tuple[str, ...]:
+    own = cases[cases["controller"] == name]
+    return tuple(number(_shown(metric)[2] * float(own[metric].mean())) for metric in OVERVIEW)
+
+
+def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
+    """Mean with interval, worst 5 % and worst run of every controller."""
+    column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
+    table = evaluation.levels if by == "level" else evaluation.families
+    table = table[table["metric"] == metric]
+    label, unit, factor = _shown(metric)
+    names = controllers_of(evaluation)
+    means = factor * table["mean"].abs()
+    decimals = decimals_for(float(means[means > 0.0].median()))
+    rows = []
+    for value in table[table["mean"].notna()][column].unique():
+        cells = [setting(value) if by == "level" else family_name(str(value))]
+        for name in names:
+            row = table[(table["controller"] == name) & (table[column] == value)].iloc[0]
+            mean = Interval(*(factor * float(row[key]) for key in ("mean", "low", "high")))
+            tail = (factor * float(row[key]) for key in ("cvar_5_percent", "worst"))
+            cells += [interval_text(mean, decimals=decimals), *(number(part, decimals) for part in tail)]
+        rows.append(tuple(cells))
+    caption = f"{label}, {unit}, by {'leak size' if by == 'level' else 'kind of reference'}"
+    header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
+    return Table(caption, header, rows, tuple((name, 3) for name in names))
+
+
+def metric_tables(evaluation: Evaluation, by: str) -> list[Table]:
+    """All other metrics that have a value, and the failures if there are any."""
+    frame = evaluation.levels if by == "level" else evaluation.families
+    shown = frame["mean"].notna() & ((frame["metric"] != "failed") | (frame["mean"] > 0.0))
+    valued = {str(name) for name in frame[shown]["metric"]} - {"mean_error_mm"}
+    return [metric_table(evaluation, by, metric) for metric in METRICS if metric in valued]
+
+
+def ratio_tables(evaluation: Evaluation) -> list[Table]:
+    """Ratios of errors to the first controller, with verdicts; none with one controller."""
+    if evaluation.ratios.empty:
+        return []
+    plants, tables = plants_of(evaluation), []
+    for name, frame in evaluation.ratios.groupby("controller", sort=False):
+        rows = []
+        for row in frame.to_dict("records"):
+            interval, value = row_interval(row, "ratio"), str(row["value"])
+            label = {"": "all runs"}.get(value, family_name(value))
+            label = f"leak of {setting(float(value))} l/min" if row["group"] == "level" else label
+            share = float(row["share_of_cases_better"])
+            better = "–" if np.isnan(share) else f"{number(100.0 * share, 0)} %"
+            rows.append((label, interval_text(interval, decimals=3), verdict(interval, plants), better))
+        header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
+        tables.append(Table(f"Mean error of {name} over mean error of {frame['against'].iloc[0]}", header, rows))
+    return tables
+
+
+def detection_tables(evaluation: Evaluation) -> list[Table]:
+    """Shares of flagged episodes and the summary; none without a leakage head."""
+    if evaluation.detection.empty:
+        return []
+    return [
+        _detection_rates(evaluation, "class", "Share of episodes flagged, by class of leak", "Class"),
+        _detection_rates(evaluation, "range", "Share of leaks flagged, by size", "Leak, l/min"),
+        _detection_summary(evaluation),
+    ]
+
+
+def _detection_rates(evaluation: Evaluation, group: str, caption: str, first: str) -> Table:
+    rates, names = evaluation.detection_rates, controllers_of(evaluation)
+    part = rates[rates["group"] == group]
+    rows = []
+    for value in part["value"].unique():
+        each = [part[(part["controller"] == name) & (part["value"] == value)].iloc[0] for name in names]
+        cells = [percent(row_interval(row, "flagged_share")) for row in each]
+        rows.append((str(value), *cells, str(int(each[0]["episodes"]))))
+    return Table(caption, (first, *names, "episodes"), rows)
+
+
+SUMMARY: dict[str, tuple[str, float, int, str]] = {
+    "auroc": ("Area under the ROC curve, leaks above {above:g} l/min", 1.0, 3, ""),
+    "average_precision": ("Average precision, leaks above {above:g} l/min", 1.0, 3, ""),
+    "threshold": ("Threshold of the leak probability", 1.0, 3, ""),
+    "false_alarm_rate": ("False alarms at this threshold", 100.0, 1, " %"),
+    "detection_rate_moderate": ("Leaks from {moderate:g} l/min flagged at this threshold", 100.0, 1, " %"),
+    "detection_rate_moderate_at_1_percent": (
+        "Leaks from {moderate:g} l/min flagged at a threshold with 1 % false alarms on these episodes",
+        100.0,
+        1,
+        " %",
+    ),
+    "median_size_error_factor": ("Size: factor of error, half of the leaks within", 1.0, 2, ""),
+    "p90_size_error_factor": ("Size: factor of error, nine in ten within", 1.0, 2, ""),
+    "healthy_episodes": ("Healthy episodes", 1.0, 0, ""),
+    "leaking_episodes": ("Leaking episodes", 1.0, 0, ""),
+}
+"""Name, factor, decimals and unit of the rows of the summary."""
+
+
+def _detection_summary(evaluation: Evaluation) -> Table:
+    summary = evaluation.detection_summary
+    bounds = evaluation.bounds
+    names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
+    rows = [
+        (label.format(**names), *(number(factor * float(value), decimals) + unit for value in summary[key]))
+        for key, (label, factor, decimals, unit) in SUMMARY.items()
+        if key in summary
+    ]
+    return Table("Detection, summary", ("Quantity", *map(str, summary["controller"])), rows)
+
+
+def definitions() -> Table:
+    """Definitions of the metrics."""
+    rows = []
+    for name, (unit, meaning) in METRICS.items():
+        rows.append((_shown(name)[0], meaning if unit == "1" else f"{meaning}; {unit}", name))
+    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows)

@@ -1,0 +1,164 @@
+"""``hydro simulate``: one open-loop run of a rig as CSV and picture."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hydro_agents.recordings.table import read_table
+from hydro_agents.report.canvas import WIDE, looks_of, render
+from hydro_agents.rigs.check import resting_place
+from hydro_agents.running.folders import output_folder
+from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
+from hydro_env.files import write_text, write_whole
+from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
+from hydro_env.plant.workable import refuse_unworkable
+from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.rig import read_rig
+from hydro_env.units import LITRE_PER_MINUTE
+
+CSV_FILE = "trajectory.csv"
+PICTURE_FILE = "trajectory.png"
+RIG_FILE = "rig.yaml"
+FILES = (CSV_FILE, PICTURE_FILE, RIG_FILE)
+MOST_SAMPLES = 1_000_000
+LONGEST_RUN = 3600.0
+LARGEST_VOLTAGE = 10.0
+
+
+def input_voltage(signal: str, voltage: float, samples: int, sample_time: float, holding: float) -> NDArray[np.float64]:
+    """A built-in input in V, (samples,): ``voltage`` times a shape, added to the voltage that holds the start.
+
+    ``step``: constant after 10 % of the time. ``stop``: constant, and the holding voltage for the last 60 %.
+    ``sine``: 1 Hz. ``sweep``: from 0.5 to 50 Hz, logarithmically. The sum is limited to ±10 V.
+    """
+    time = sample_time * np.arange(samples)
+    duration = samples * sample_time
+    if signal == "step":
+        shape = np.where(time >= 0.1 * duration, 1.0, 0.0)
+    elif signal == "stop":
+        shape = np.where((time >= 0.05 * duration) & (time < 0.4 * duration), 1.0, 0.0)
+    elif signal == "sine":
+        shape = np.sin(2 * math.pi * time)
+    else:
+        low, high = 0.5, 50.0
+        rate = math.log(high / low) / duration
+        shape = np.sin(2 * math.pi * low * (np.exp(rate * time) - 1.0) / rate)
+    return np.clip(holding + voltage * shape, -LARGEST_VOLTAGE, LARGEST_VOLTAGE)
+
+
+def read_voltage(path: Path) -> NDArray[np.float64]:
+    """Voltages of a table, one row per sample: the column headed ``voltage``, otherwise the last one.
+
+    Raises:
+        ConfigurationError: the file is not a table of numbers (:func:`hydro_agents.recordings.table.read_table`), or a
+            voltage is outside ±10 V.
+    """
+    table = read_table(path)
+    names = [re.sub(r"\s*\[.*\]$", "", name).lower() for name in table.names]
+    values = table.values[:, names.index("voltage") if "voltage" in names else -1]
+    wrong = np.flatnonzero(np.abs(values) > LARGEST_VOLTAGE)
+    if len(wrong):
+        raise ConfigurationError(
+            f"{path}: line {table.lines[wrong[0]]}: {values[wrong[0]]:g} V: must be within -10 to 10 V"
+        )
+    return values
+
+
+def simulate_to_folder(
+    folder: Path,
+    rig: Path | None,
+    signal: str,
+    voltage: float,
+    input_file: Path | None,
+    duration: float,
+    sample_time: float,
+    leakage: float | None,
+    position: float | None,
+    overwrite: bool,
+) -> list[str]:
+    """Simulate and write ``trajectory.csv``, ``trajectory.png`` and ``rig.yaml``; see ``hydro simulate --help``.
+
+    Returns:
+        Lines for the user: the start, the range of the voltage, and the files.
+
+    Raises:
+        ConfigurationError: an argument is impossible, or the folder cannot be used.
+    """
+    source = str(rig) if rig is not None else "rig"
+    parameters = read_rig(rig).plant if rig is not None else PlantParameters()
+    if leakage is not None:
+        if not 0.0 <= leakage <= LEAKAGE_LIMIT:
+            raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
+        parameters = parameters.replace(leakage={"internal_resistance": resistance_from_flow(leakage)})
+    if not abs(voltage) <= LARGEST_VOLTAGE:
+        raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
+    if not sample_time > 0.0:
+        raise ConfigurationError(f"--sample-time = {sample_time:g} s: must be above 0 s")
+    inputs = read_voltage(input_file) if input_file is not None else None
+    samples = duration / sample_time if inputs is None else len(inputs)
+    if not (0.5 < samples <= MOST_SAMPLES and samples * sample_time <= LONGEST_RUN):
+        asked = f"--duration = {duration:g} s" if inputs is None else f"{input_file}"
+        raise ConfigurationError(
+            f"{asked} with --sample-time = {sample_time:g} s: must be 1 to {MOST_SAMPLES:,} samples and at most "
+            f"{LONGEST_RUN:g} s"
+        )
+    refuse_unworkable(parameters, source)
+    if position is None:
+        position = resting_place(parameters)
+    _, holding = equilibrium(parameters, position)
+    if inputs is None:
+        inputs = input_voltage(signal, voltage, max(round(samples), 1), sample_time, holding)
+    run = simulate(parameters, inputs, sample_time, {"position": position})
+    for given in (rig, input_file):
+        if given is not None and given.resolve() in {(folder / name).resolve() for name in FILES}:
+            raise ConfigurationError(f"{given}: would be replaced by the results; choose another --output")
+    with output_folder(folder, "simulate", FILES, overwrite=overwrite):
+        write_text(folder / CSV_FILE, trajectory_csv(run))
+        (picture,) = render(lambda figure: paint_trajectory(figure, run), (WIDE, 10.5), "png")
+        write_whole(folder / PICTURE_FILE, picture)
+        parameters.to_yaml(folder / RIG_FILE)
+    range_line = f"voltage: {inputs.min():.3g} to {inputs.max():.3g} V"
+    if input_file is None:
+        range_line += f" ({holding:.3g} V hold the initial position, plus --voltage {voltage:g} V)"
+    return [f"start: {1e3 * position:g} mm from mid-stroke", range_line, *(str(folder / name) for name in FILES)]
+
+
+def trajectory_csv(run: Trajectory) -> str:
+    """All quantities in SI; the first line names each with its unit."""
+    table = pd.DataFrame({f"{name} [{TRAJECTORY_UNITS[name]}]": run[name] for name in TRAJECTORY_NAMES})
+    text: str = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    return text
+
+
+def paint_trajectory(figure: Figure, run: Trajectory) -> None:
+    """Draw command and spool, position, pressures, flows and acceleration over time."""
+    axes = figure.subplots(5, 1, sharex=True)
+    flow = 1.0 / LITRE_PER_MINUTE
+    pressures = {"a (bore)": run.pressure_a, "b (rod)": run.pressure_b, "supply": run.supply_pressure}
+    panels = [
+        ("valve, %", [("command", 10 * run.voltage), ("spool", 100 * run.spool_position)]),
+        ("position, mm", [("position", 1e3 * run.position)]),
+        ("pressure, bar", [(name, pressure / 1e5) for name, pressure in pressures.items()]),
+        (
+            "flow, l/min",
+            [("into a", flow * run.flow_a), ("out of b", flow * run.flow_b), ("leakage a→b", flow * run.leakage_flow)],
+        ),
+        ("acceleration, m/s²", [("acceleration", run.acceleration)]),
+    ]
+    for axis, (label, lines) in zip(axes, panels, strict=True):
+        for (name, values), look in zip(lines, looks_of(range(3)).values(), strict=False):
+            axis.plot(run.time, values, label=name, linewidth=1.2, **look.stroke)
+        axis.set_ylabel(label)
+        if len(lines) > 1:
+            # Above the panel: inside it would cover a line.
+            axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=len(lines), frameon=False)
+    axes[-1].set_xlabel("time, s")
+    figure.suptitle(f"internal leakage {leak_at_test_pressure(run.parameters):.3g} l/min at 100 bar", fontsize=10)

@@ -1,0 +1,244 @@
+"""Runs a controller on a list of independent episodes and returns their trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.axes import Axes
+from hydro_env.errors import reason
+from hydro_env.plant.arrays import derived_array
+from hydro_env.plant.equations import Derived
+from hydro_env.plant.states import State
+from hydro_env.task.sensors import CHANNELS
+
+_SPOOL = State._fields.index("spool_position")
+_SUPPLY_PRESSURE = State._fields.index("supply_pressure")
+_SUPPLY_FLOW = Derived._fields.index("supply_flow")
+_POSITION = CHANNELS.index("position")
+
+
+class ControllerError(ConfigurationError):
+    """A controller raised an exception or returned an invalid command."""
+
+
+@runtime_checkable
+class TrueStateController(Protocol):
+    """An object that acts on true states instead of observations, such as the best found; not a controller."""
+
+    def begin(self, axes: Axes) -> None:
+        """Prepare for the axes whose episodes begin."""
+        ...
+
+
+@dataclass(frozen=True)
+class Cases:
+    """A list of N independent episodes, each with its seed, leak and reference family. All arrays (N,)."""
+
+    seeds: NDArray[np.int64]
+    leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
+    families: NDArray[np.str_] | None = None  # None: drawn
+    parameters: Mapping[str, Mapping[str, float | str]] | None = None  # of every plant, as the option of reset
+    faults: Mapping[str, NDArray[np.float64]] | None = None  # magnitudes by name, each (N,)
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    def part(self, first: int, last: int) -> Cases:
+        """The cases from ``first`` to before ``last``."""
+        leak = self.leakage_flow_lpm[first:last] if self.leakage_flow_lpm is not None else None
+        families = self.families[first:last] if self.families is not None else None
+        faults = {name: sizes[first:last] for name, sizes in self.faults.items()} if self.faults is not None else None
+        return Cases(self.seeds[first:last], leak, families, self.parameters, faults)
+
+    def describe(self, case: int) -> str:
+        """Seed, reference and leak of one case, for messages."""
+        parts = [f"seed {self.seeds[case]}"]
+        if self.families is not None:
+            parts.append(f"reference {self.families[case]}")
+        if self.leakage_flow_lpm is not None:
+            parts.append(f"leak {self.leakage_flow_lpm[case]:g} l/min")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One episode of each case; N cases, T control periods; values at the T samples after the first.
+
+    A case that fails (``terminated``) keeps the values of its last sample and gets no further reward. Without
+    ``states`` the arrays of position, reference, command, spool, supply power and reward have the shape (N, 0).
+    """
+
+    time: NDArray[np.float64]  # (T,), s
+    position: NDArray[np.float32]  # (N, T), m, true
+    reference: NDArray[np.float32]  # (N, T), m
+    command: NDArray[np.float32]  # (N, T), as limited, −1…1
+    spool: NDArray[np.float32]  # (N, T), true
+    supply_power: NDArray[np.float32]  # (N, T), W; flow that the valve draws, times supply pressure
+    reward: NDArray[np.float32]  # (N, T)
+    failed_at: NDArray[np.int64]  # (N,), step of the failure, −1 for none
+    position_bias: NDArray[np.float64]  # (N,), m; the sensor reads the true position plus this
+    signals: NDArray[np.float16 | np.float32] | None  # (N, S, T), chosen columns of the observation
+    leakage_flow_lpm: NDArray[np.float64]  # (N,), at the end
+    leakage_class: NDArray[np.int64]  # (N,)
+
+
+def run_cases(
+    config: TaskConfig,
+    controller: Controller,
+    cases: Cases,
+    signal_columns: Sequence[int] | NDArray[np.int64] | None = None,
+    states: bool = True,
+    chunk: int = 2048,
+    progress: Callable[[int], None] | None = None,
+) -> Rollout:
+    """Run one episode of every case with a controller.
+
+    Args:
+        config: the task.
+        controller: the controller.
+        cases: the episodes; the seed of each case draws all quantities that the case does not fix.
+        signal_columns: columns of the observation to keep.
+        states: keep positions, commands and so on as well.
+        chunk: number of cases that run together; does not change results.
+        progress: called with the number of finished cases.
+
+    Raises:
+        ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
+            1) with a state; the message names the case.
+    """
+    check_predict(controller)
+    parts = []
+    for first in range(0, len(cases), chunk):
+        parts.append(_run_chunk(config, controller, cases.part(first, first + chunk), signal_columns, states))
+        if progress is not None:
+            progress(min(first + chunk, len(cases)))
+    joined: dict[str, Any] = {"time": parts[0].time}
+    for name in Rollout.__dataclass_fields__:
+        if name != "time":
+            values = [getattr(part, name) for part in parts]
+            joined[name] = None if values[0] is None else np.concatenate(values)
+    return Rollout(**joined)
+
+
+def _run_chunk(config: TaskConfig, controller: Controller, cases: Cases, columns: Any, keep_states: bool) -> Rollout:
+    count, steps = len(cases), config.steps
+    # NEXT_STEP shows the last sample of an episode before its axis restarts.
+    env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
+    options: dict[str, Any] = {}
+    if cases.leakage_flow_lpm is not None:
+        options["leakage_flow_lpm"] = cases.leakage_flow_lpm
+    if cases.families is not None:
+        options["reference"] = [str(name) for name in cases.families]
+    if cases.parameters:
+        options["parameters"] = cases.parameters
+    if cases.faults:
+        options["faults"] = cases.faults
+    observation, _ = env.reset(seed=[int(seed) for seed in cases.seeds], options=options)
+    axes, memory = env.axes, None
+    if isinstance(controller, TrueStateController):
+        controller.begin(axes)
+    kept = steps if keep_states else 0
+    position, command, spool, power, reward = (np.zeros((count, kept), dtype=np.float32) for _ in range(5))
+    reference = axes.reference[:, 1 : kept + 1].astype(np.float32)
+    signals = np.zeros((steps, count, len(columns)), dtype=np.float32) if columns is not None else None
+    failed_at = np.full(count, -1, dtype=np.int64)
+    flow = axes.column("leak_flow").copy()
+    bias = axes.column("bias")[:, _POSITION].copy()
+    for step in range(steps):
+        alive = failed_at < 0
+        if signals is not None:
+            signals[step] = observation[:, columns]
+            signals[step, ~alive] = signals[step - 1, ~alive]
+        started = np.full(count, step == 0)
+        action, memory = _act(controller, observation, memory, started, alive, cases, step * config.control_period)
+        observation, rewards, terminated, _, _ = env.step(action)
+        if keep_states:
+            position[:, step] = axes.column("position")
+            command[:, step] = axes.column("command")
+            spool[:, step] = axes.state[:, _SPOOL]
+            power[:, step] = _supply_power(axes)
+            reward[:, step] = rewards
+            # A failed axis keeps its position, while its reference continues.
+            for array in (position, command, spool, power):
+                array[~alive, step] = array[~alive, step - 1]
+            reward[~alive, step] = 0.0
+        flow = np.where(alive, axes.column("leak_flow"), flow)
+        failed_at[alive & terminated] = step
+    env.close()
+    return Rollout(
+        time=config.control_period * np.arange(1, steps + 1, dtype=np.float64),
+        position=position,
+        reference=reference,
+        command=command,
+        spool=spool,
+        supply_power=power,
+        reward=reward,
+        failed_at=failed_at,
+        position_bias=bias,
+        signals=None if signals is None else signals.transpose(1, 2, 0),
+        leakage_flow_lpm=flow,
+        leakage_class=axes.leakage_class(flow),
+    )
+
+
+def _supply_power(axes: Axes) -> NDArray[np.float64]:
+    """Hydraulic power that each axis draws from its supply now, W, (N,)."""
+    state = np.ascontiguousarray(axes.state)
+    power: NDArray[np.float64] = (
+        state[:, _SUPPLY_PRESSURE] * (derived_array(state, np.ascontiguousarray(axes.coefficient))[:, _SUPPLY_FLOW])
+    )
+    return power
+
+
+def check_predict(controller: Any) -> None:
+    """Check that an object is a controller.
+
+    Raises:
+        ControllerError: the object has no method ``predict``, or is a class.
+    """
+    what = type(controller).__name__
+    if isinstance(controller, type):
+        raise ControllerError(f"{controller.__name__} is a class; a controller must be an instance of it")
+    if not callable(getattr(controller, "predict", None)):
+        raise ControllerError(f"{what} has no method predict(observation, state, episode_start, deterministic)")
+
+
+def _act(
+    controller: Controller,
+    observation: NDArray[np.float32],
+    memory: Any,
+    started: NDArray[np.bool_],
+    alive: NDArray[np.bool_],
+    cases: Cases,
+    time: float,
+) -> tuple[NDArray[Any], Any]:
+    """Commands (N, 1) of the controller, checked; an axis that has failed gets 0."""
+    when = f"in a batch of {len(cases)} from {cases.describe(0)}, at {time:.3f} s"
+    answer: Any
+    try:
+        answer = controller.predict(observation, memory, started, True)
+    except Exception as error:
+        raise ControllerError(f"{when}: predict raised {reason(error)}") from error
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")
+    needed = (len(cases), 1)
+    try:
+        action = np.asarray(answer[0], dtype=np.float64)
+        kind = f"of shape {action.shape}"
+    except (TypeError, ValueError, RuntimeError):
+        action, kind = np.zeros(0), f"that are not numbers ({type(answer[0]).__name__})"
+    if action.shape != needed:
+        raise ControllerError(
+            f"{when}: predict returned commands {kind} for observations of shape {observation.shape}; must be {needed}"
+        )
+    bad = np.flatnonzero(alive & ~np.isfinite(action[:, 0]))
+    if len(bad):
+        raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
+    return np.where(alive[:, None], action, 0.0), answer[1]

@@ -1,0 +1,182 @@
+"""Weights as safetensors with a JSON file, checkpoints as one file; loading runs no code."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, model_validator
+from safetensors import SafetensorError
+from safetensors.numpy import load as unpack
+from safetensors.numpy import save as pack
+
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_env import ConfigurationError
+from hydro_env.files import Group, write_whole
+
+Tensors = Mapping[str, NDArray[Any]]
+FORMAT_VERSION = 1
+LARGEST_FILE = 2**31
+"""Largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake."""
+
+_DESCRIPTION, _DIGEST = "description", "digest"
+
+
+class StoredLayout(Group):
+    """The part of a weights' JSON that describes observations; subclasses add their own fields."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    observation_names: tuple[str, ...]
+    observation_scale: tuple[float, ...]
+    control_period: float = Field(gt=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StoredLayout:
+        if len(self.observation_names) != len(self.observation_scale) or not all(self.observation_scale):
+            raise ValueError("observation_scale must hold one number other than zero per name")
+        try:
+            _ = self.layout.preview_times
+        except ValueError:
+            raise ValueError(
+                "observation_names: a preview must contain its time, such as reference_preview_5ms"
+            ) from None
+        return self
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The observations that the weights were trained on."""
+        return ObservationLayout(self.observation_names, self.observation_scale, self.control_period)
+
+
+def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
+    """Write ``path``.safetensors and ``path``.json, each atomically.
+
+    Args:
+        path: without suffix (a suffix ``.safetensors`` or ``.json`` is removed; any other dot belongs to the name).
+        kind: kind of the weights; ``load_weights`` checks it.
+        tensors: arrays by name.
+        settings: everything else that inference needs, as JSON.
+
+    Raises:
+        ConfigurationError: the folder cannot be written.
+    """
+    weights, description = weight_files(path)
+    stored = {"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **settings}
+    write_whole(weights, _packed(tensors))
+    write_whole(description, (json.dumps(stored, indent=2) + "\n").encode())
+    return weights
+
+
+def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read weights and settings.
+
+    Raises:
+        ConfigurationError: a file is missing, unreadable, damaged, or of another kind.
+    """
+    weights, description = weight_files(path)
+    settings = _described(_content(description), kind, description)
+    return _unpacked(weights), settings
+
+
+def weight_files(path: str | Path) -> tuple[Path, Path]:
+    """The file of tensors and the file of settings of a name.
+
+    Raises:
+        ConfigurationError: the path has no file name, such as ``.`` or ``/``.
+    """
+    path = Path(path)
+    name = path.name.removesuffix(".safetensors").removesuffix(".json") if path.name else ""
+    if name in ("", "..") or "\0" in str(path):
+        raise ConfigurationError(f"{str(path)!r}: must be the name of weights, with or without .safetensors")
+    return path.with_name(f"{name}.safetensors"), path.with_name(f"{name}.json")
+
+
+def save_checkpoint(path: Path, kind: str, tensors: Tensors, description: Mapping[str, Any]) -> None:
+    """Write arrays and their description (JSON) into one safetensors file, which keeps them together.
+
+    Raises:
+        ConfigurationError: the folder cannot be written.
+    """
+    text = json.dumps({"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **description})
+    content = {**tensors, _DESCRIPTION: np.frombuffer(text.encode(), dtype=np.uint8)}
+    write_whole(path, _packed({**content, _DIGEST: _digest(content)}))
+
+
+def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read what :func:`save_checkpoint` wrote.
+
+    Raises:
+        ConfigurationError: the file is missing, unreadable, damaged, or of another kind.
+    """
+    tensors = _unpacked(path)
+    digest = tensors.pop(_DIGEST, None)
+    if digest is None or _DESCRIPTION not in tensors or not np.array_equal(digest, _digest(tensors)):
+        raise ConfigurationError(f"{path}: damaged, or not a checkpoint of this version")
+    return tensors, _described(tensors.pop(_DESCRIPTION).tobytes(), kind, path)
+
+
+def require(tensors: Tensors, wanted: Tensors, where: str | Path, finite: bool = True) -> None:
+    """Check that arrays have the names, shapes and number types of the ``wanted`` ones.
+
+    Raises:
+        ConfigurationError: an array is missing, has another shape or type, or (with ``finite``) contains NaN or
+            infinity.
+    """
+    for name, like in wanted.items():
+        if name not in tensors:
+            raise ConfigurationError(f"{where}: holds no tensor '{name}'")
+        array = tensors[name]
+        if array.shape != like.shape or array.dtype != like.dtype:
+            raise ConfigurationError(
+                f"{where}: tensor '{name}' holds {array.dtype} of shape {array.shape}, "
+                f"must be {like.dtype} of shape {like.shape}"
+            )
+        if finite and not np.isfinite(array).all():
+            raise ConfigurationError(f"{where}: tensor '{name}' holds values that are not finite")
+
+
+def _packed(tensors: Tensors) -> bytes:
+    content: bytes = pack({name: np.ascontiguousarray(array).reshape(array.shape) for name, array in tensors.items()})
+    return content
+
+
+def _digest(tensors: Tensors) -> NDArray[np.uint8]:
+    return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_FILE:
+            raise ConfigurationError(f"{path}: holds {size} bytes, more than {LARGEST_FILE}: not read")
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _unpacked(path: Path) -> dict[str, NDArray[Any]]:
+    content = _content(path)
+    try:
+        tensors: dict[str, NDArray[Any]] = unpack(content)
+    except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:  # KeyError: BF16 and the like
+        reason = str(error).replace("\n", " ")
+        raise ConfigurationError(f"{path}: damaged or not a safetensors file of NumPy arrays ({reason})") from None
+    return tensors
+
+
+def _described(text: bytes, kind: str, path: Path) -> dict[str, Any]:
+    try:
+        settings: Any = json.loads(text.decode())
+    except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
+        raise ConfigurationError(f"{path}: not a JSON file") from None
+    found = settings.get("format") if isinstance(settings, dict) else None
+    if found != f"hydro_env {kind}" or settings.get("format_version") != FORMAT_VERSION:
+        shown = str(found)[:60]
+        raise ConfigurationError(f"{path}: holds {shown!r}: must be 'hydro_env {kind}' of format 1")
+    return dict(settings)

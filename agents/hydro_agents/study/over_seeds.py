@@ -1,0 +1,162 @@
+"""A study with several training seeds: how far its figures depend on the luck of a training."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.table import Table
+
+from hydro_agents.evaluation.statistics import seeds_interval
+from hydro_agents.learning.validation import validation_errors
+from hydro_agents.report.text import number
+from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.folders import output_folder
+from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.study.phases import Phases
+from hydro_agents.study.run import TUNED_FILE, is_finished, run_study
+from hydro_agents.study.settings import StudySettings
+from hydro_agents.study.training import read_curve
+from hydro_agents.study.work import HEAD_PHASE
+from hydro_env.files import write_whole
+
+TABLE, CURVES, CURVE_FILE = "tables/over_seeds.csv", "tables/learning_curves.csv", "learning_curve.svg"
+SEED = "seed"
+"""Begins the names of the studies' folders and of the table's columns, as in ``seed 0``."""
+
+FIRST_ERROR = "first_mean_error_mm"
+"""Column of the learning curves: error of the first controller on the same validation plants."""
+
+RATIOS = {"all": "mean error", "equal_weight": "mean error, kinds of reference weigh the same"}
+"""Groups of the ratios that are told, and their words."""
+
+Figure = tuple[str, str, float]
+
+
+def run_over_seeds(
+    study: StudySettings,
+    folder: Path,
+    seeds: range,
+    resume: bool = False,
+    overwrite: bool = False,
+    command: str = "hydro study --seeds",
+) -> Path:
+    """Run a study with each training seed in a folder of its own, then write what they reached into one table.
+
+    All of them are judged on the same test plants; their results differ by the training alone.
+
+    Args:
+        study: the study.
+        folder: for the studies (``seed 0``, ``seed 1``, …), the table and the learning curves.
+        seeds: of the trainings.
+        resume: keep the finished studies, go on with an interrupted one.
+        overwrite: begin anew.
+        command: the command line, for the reports.
+
+    Returns:
+        The file with the table: one row per figure, with its mean over the seeds, the 95 % interval of Student's t,
+        and one column per seed.
+
+    Raises:
+        ConfigurationError: as :func:`~hydro_agents.study.run.run_study`; or a file is in the way.
+        KeyboardInterrupt: Ctrl-C; the finished work remains.
+    """
+    for seed in seeds:
+        own = folder / f"{SEED} {seed}"
+        if not (resume and is_finished(study, own, seed)):
+            run_study(study, own, seed, resume, overwrite, command)
+    with (
+        output_folder(folder, "study --seeds", [TABLE, CURVES, CURVE_FILE], overwrite=True),
+        ProgressDisplay() as display,
+    ):
+        table, curves = over_seeds(study, folder, seeds), learning_curves(study, folder, seeds)
+        write_whole(folder / TABLE, table.to_csv(index=False).encode())
+        if not curves.empty:
+            write_whole(folder / CURVES, curves.to_csv(index=False).encode())
+            first = next(iter(study.controllers))
+            for plot in learning_plots(relative(curves), first, 1.0):
+                write_whole(folder / CURVE_FILE, plot.file)
+        display.console.lines(_summary(table, len(seeds)))
+    return folder / TABLE
+
+
+def over_seeds(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame:
+    """Figures (``figure``) of what was trained (``of``): ``mean``, ``low``, ``high`` and a column per seed."""
+    columns = {
+        f"{SEED} {seed}": {(of, figure): value for of, figure, value in _figures(study, folder / f"{SEED} {seed}")}
+        for seed in seeds
+    }
+    table = pd.DataFrame(columns).rename_axis(["of", "figure"])
+    intervals = [seeds_interval(row)._asdict() for row in table.to_numpy(dtype=np.float64)]
+    spread = pd.DataFrame(intervals, index=table.index).rename(columns={"value": "mean"})
+    shares = table.index.get_level_values("figure").str.endswith("%")
+    spread[shares] = spread[shares].clip(0.0, 100.0)
+    return pd.concat([spread, table], axis=1).reset_index()
+
+
+def learning_curves(study: StudySettings, folder: Path, seeds: range) -> pd.DataFrame:
+    """Errors on validation plants (mm) while the controllers learn; ``controller`` is NAME#SEED. Empty without any."""
+    first = next(iter(study.controllers))
+    parts = []
+    for seed in seeds:
+        own = folder / f"{SEED} {seed}"
+        acting = StudySettings.from_yaml(own / TUNED_FILE).make(first) if first in study.tuned else study.make(first)
+        first_error = validation_errors(study.task, acting)[0]
+        for name in study.trained:
+            curve = read_curve(own / "controllers" / name).rename(columns={"time/total_timesteps": "steps"})
+            if ERROR in curve:
+                kept = curve[[column for column in ("steps", ERROR, BASE_ERROR) if column in curve]]
+                kept = kept.assign(controller=f"{name}{SEED_MARK}{seed}", **{FIRST_ERROR: first_error})
+                parts.append(kept.dropna(subset=[ERROR]))
+    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+
+def relative(curves: pd.DataFrame) -> pd.DataFrame:
+    """Learning curves in parts of the first controller's error."""
+    errors = [name for name in (ERROR, BASE_ERROR) if name in curves]
+    return curves.assign(**{name: curves[name] / curves[FIRST_ERROR] for name in errors})
+
+
+def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:
+    """What one study reached: what was trained, name of the figure, value."""
+    seconds = Phases(folder).seconds
+    ratios = pd.read_csv(folder / "tables" / "ratios.csv")
+    first = next(iter(study.controllers))
+    for name in study.trained:
+        for group, words in RATIOS.items():
+            own, corrected = (_ratio(ratios, who, group) for who in (name, study.controllers[name].corrects))
+            yield name, f"{words} ÷ {first}'s", own
+            if not np.isnan(corrected):
+                yield name, f"{words} ÷ that of {study.controllers[name].corrects}", own / corrected
+        yield name, "training, s", seconds[f"train {name}"]
+    if study.leakage_head is not None:
+        summary = pd.read_csv(folder / "tables" / "detection_summary.csv").iloc[0]
+        rates = pd.read_csv(folder / "tables" / "detection_rates.csv")
+        rates = rates[(rates["controller"] == first) & (rates["group"] == "range")]
+        head = f"leakage head, under {first}"
+        for _, row in rates.iterrows():
+            yield head, f"leaks of {row['value']} l/min flagged, %", 100.0 * row["flagged_share"]
+        yield head, "false alarms, %", 100.0 * summary["false_alarm_rate"]
+        yield head, "area under the ROC curve", summary["auroc"]
+        yield head, "size of the leak, median error as a factor", summary["median_size_error_factor"]
+        yield head, "training, s", seconds[HEAD_PHASE]
+
+
+def _ratio(ratios: pd.DataFrame, name: str | None, group: str) -> float:
+    """Ratio of a controller to the first one; NaN for the first one and for none."""
+    rows = ratios[(ratios["controller"] == name) & (ratios["group"] == group)]["ratio"]
+    return float(rows.iloc[0]) if len(rows) else float("nan")
+
+
+def _summary(table: pd.DataFrame, count: int) -> Table:
+    """Mean and interval of every figure, for the console."""
+    shown = Table(title=f"Over {count} training seeds (test plants)")
+    for heading in ("trained", "figure", "mean [95 %, Student's t]"):
+        shown.add_column(heading, justify="right" if heading.startswith("mean") else "left")
+    for _, row in table.iterrows():
+        mean, low, high = (number(row[name], digits=4) for name in ("mean", "low", "high"))
+        shown.add_row(row["of"], row["figure"], f"{mean} [{low}, {high}]")
+    return shown

@@ -1,0 +1,189 @@
+"""Results of an evaluation: tables, report, example episodes, and the main figures on the console."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from rich.table import Table
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.opponents import shipped_weights
+from hydro_agents.evaluation.protocol import Evaluation, evaluate
+from hydro_agents.experiments.leak_price import leak_price
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.learning.validation import validation_errors
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.report.report import Example, StudyRecord, write_report, write_tables
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.study.model_cards import card_file, controller_card, head_card
+from hydro_agents.study.phases import Phases
+from hydro_agents.study.settings import StudySettings
+from hydro_env import TaskConfig
+from hydro_env.files import write_text, write_whole
+
+REPORT_FILE = "report.html"
+CARDS = "model_cards"
+REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
+MOST_COLUMNS = 4
+"""Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
+
+EXAMPLE_SEED = TEST_SEEDS.start + 900_000
+EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
+
+
+def evaluate_study(
+    study: StudySettings,
+    controllers: Mapping[str, Controller],
+    head: LeakageHead | None,
+    folder: Path,
+    display: ProgressDisplay,
+    *,
+    configuration: str,
+    command: str,
+    seed: int = 0,
+    phases: Phases | None = None,
+    training_curve: pd.DataFrame | None = None,
+    weights: Mapping[str, str] | None = None,
+) -> Evaluation:
+    """Evaluate controllers; write tables, report and model cards into the folder.
+
+    If a controller fails, a message on standard error names it; the results of the others are written. The code on the
+    cards loads ``weights``, paths by name of the controller or ``leakage_head``; default: the shipped ones.
+    """
+
+    def work() -> Evaluation:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # the errors are printed below
+            return evaluate(study.task, controllers, head, study.evaluation, display.update)
+
+    evaluation = phases.run("evaluate", work) if phases is not None else work()
+    display.update("report", 0, 1)
+    working = {name: controller for name, controller in controllers.items() if name not in evaluation.errors}
+    levels = sorted(study.evaluation.leak_levels)
+    price = leak_price(study.task, levels)
+    write_tables(folder / "tables", evaluation)
+    write_whole(folder / "tables" / "leak_price.csv", price.to_csv(index=False).encode())
+    curve = training_curve if training_curve is not None else pd.DataFrame()
+    first = next(iter(working.values()))
+    record = StudyRecord(
+        title=study.title,
+        configuration=configuration,
+        command=command,
+        versions=package_versions(),
+        machine=machine_description(),
+        seed=seed,
+        timings=dict(phases.seconds) if phases is not None else {},
+        training_curve=curve,
+        examples=example_traces(study.task, working, levels),
+        corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
+        date=date_now(),
+        leak_price=price,
+        validation_error_mm=validation_errors(study.task, first)[0] if len(curve) else float("nan"),
+    )
+    write_report(folder / REPORT_FILE, evaluation, record)
+    paths, ships, corrects = weights or {}, shipped_weights("ppo", study.task).name, record.corrects
+    cards = {
+        name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
+        for name, controller in working.items()
+    }
+    if head is not None:
+        cards["leakage_head"] = head_card(head, evaluation, command, paths.get("leakage_head"))
+    for name, card in cards.items():
+        if card is not None:
+            write_text(folder / CARDS / card_file(name), card)
+    display.update("report", 1, 1)
+    for error in evaluation.errors.values():
+        print(f"hydro: {error}; the others were evaluated without it", file=sys.stderr)
+    return evaluation
+
+
+def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], levels: Sequence[float]) -> list[Example]:
+    """Time traces of two test episodes under every controller, each at every leak level (l/min at 100 bar)."""
+    kinds = [(family, level) for family in EXAMPLE_FAMILIES for level in levels]
+    cases = Cases(
+        np.full(len(kinds), EXAMPLE_SEED, dtype=np.int64),
+        np.array([level for _, level in kinds]),
+        np.array([family for family, _ in kinds]),
+    )
+    runs = {name: run_cases(config, controller, cases) for name, controller in controllers.items()}
+    first = next(iter(runs.values()))
+    examples = []
+    for case, (family, level) in enumerate(kinds):
+        examples.append(
+            Example(
+                title=EXAMPLE_FAMILIES[family],
+                time=first.time,
+                reference=first.reference[case],
+                position={name: run.position[case] for name, run in runs.items()},
+                command={name: run.command[case] for name, run in runs.items()},
+                preview=max(config.references.preview_times, default=0.0),
+                leak=level,
+            )
+        )
+    return examples
+
+
+def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
+    """Print the main figures as tables on the console."""
+    if len(evaluation.controllers) <= MOST_COLUMNS:
+        display.console.lines(_errors_by_leak(evaluation))
+    display.console.lines(_errors_in_all(evaluation))
+    if not evaluation.detection_summary.empty:
+        display.console.lines(_detection(evaluation))
+
+
+def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
+    ratios = evaluation.ratios
+    row = ratios[(ratios["controller"] == name) & (ratios["group"] == group)].iloc[0]
+    return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
+
+
+def _errors_in_all(evaluation: Evaluation) -> Table:
+    """One row per controller, with its ratio to the first."""
+    first, *others = evaluation.controllers
+    table = Table(title="Mean absolute tracking error (test plants)")
+    table.add_column("controller")
+    for heading in ("mm", f"÷ {first} [95 %]", "references weighted equally"):
+        table.add_column(heading, justify="right", no_wrap=heading == "mm")
+    means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
+    table.add_row(first, f"{means[first]:.4f}", "", "")
+    for name in others:
+        ratios = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
+        table.add_row(name, f"{means[name]:.4f}", *ratios)
+    return table
+
+
+def _errors_by_leak(evaluation: Evaluation) -> Table:
+    """One row per leak, one column per controller."""
+    table = Table(title="Mean absolute tracking error, mm (test plants)")
+    for heading in ("leak, l/min", *evaluation.controllers):
+        table.add_column(heading, justify="right")
+    errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
+    for level in evaluation.cases["leakage_flow_lpm"].unique():
+        table.add_row(f"{level:g}", *(f"{errors[name, level]:.4f}" for name in evaluation.controllers))
+    return table
+
+
+def _detection(evaluation: Evaluation) -> Table:
+    bounds = evaluation.bounds
+    table = Table(title="Leakage head, one episode of observations (test plants)")
+    auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
+    for heading in ("controller", auroc, "false alarms", moderate, "size error, median"):
+        table.add_column(heading, justify="left" if heading == "controller" else "right")
+    for _, entry in evaluation.detection_summary.iterrows():
+        table.add_row(
+            str(entry["controller"]),
+            f"{entry['auroc']:.4f}",
+            f"{100 * entry['false_alarm_rate']:.2f} %",
+            f"{100 * entry['detection_rate_moderate']:.2f} %",
+            f"× {entry['median_size_error_factor']:.2f}",
+        )
+    return table

@@ -1,0 +1,292 @@
+"""Settings of a study: the task, the controllers, the training of the leakage head, the size of the evaluation."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, StringConstraints, model_validator
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
+from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.leakage.training import HeadTrainingSettings
+from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
+from hydro_agents.running.settings_files import read_settings, read_task
+from hydro_agents.study.absent_sensors import without_absent_sensors
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_yaml, validate
+from hydro_env.folders import config_file
+from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.task.configuration import task_config
+
+Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
+
+
+class TuningSettings(Group):
+    """Tuning of a classical controller (:func:`hydro_agents.learning.tuning.tune`) before it takes part in a study."""
+
+    objective: Literal["mean", "equal"] = Field("equal", description="mean error, or each family with equal weight")
+    evaluations: int = Field(840, ge=1, le=10_000_000, description="total number of candidates")
+    cases: int = Field(42, ge=1, le=100_000, description="training cases per candidate")
+
+
+def _known_kind(kind: str) -> str:
+    if ":" not in kind and kind not in (*CONTROLLERS, *TRAINERS):
+        raise ValueError(f"{unknown(kind, (*CONTROLLERS, *TRAINERS))}, or 'module:attribute'")
+    return kind
+
+
+class ControllerEntry(Group):
+    """One controller of a study."""
+
+    kind: Annotated[str, AfterValidator(_known_kind)] = Field(
+        description="pid, ppo, or module:attribute for your own controller or trainer"
+    )
+    settings: dict[str, Any] = Field(
+        default_factory=dict, description="settings of the controller or its training; or the path of a YAML file"
+    )
+    corrects: str | None = Field(None, description="name of the controller whose command a trained one corrects")
+    tune: TuningSettings | None = Field(
+        None,
+        description="for a classical controller: tune its gains first, beginning with its settings; --rig always does",
+    )
+
+    @cached_property
+    def trainer(self) -> Trainer | None:
+        """Its trainer; ``None`` for a controller that needs no training.
+
+        Raises:
+            ConfigurationError: its module cannot be imported.
+        """
+        if self.kind in CONTROLLERS:
+            return None
+        if ":" in self.kind:
+            given = imported(self.kind)
+            return trainer(self.kind) if hasattr(given, "train") and hasattr(given, "load") else None
+        return TRAINERS[self.kind]
+
+
+class StudySettings(Group):
+    """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
+
+    seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
+    title: str = "A servo axis that leaks: PID, PPO and the leakage head"
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    controllers: dict[Name, ControllerEntry] = Field(
+        min_length=1, description="by name; the first one is the baseline of the comparison"
+    )
+    leakage_head: HeadTrainingSettings | None = Field(
+        default_factory=HeadTrainingSettings, description="null: the study trains no leakage head"
+    )
+    evaluation: ProtocolSettings = Field(default_factory=ProtocolSettings)
+
+    @model_validator(mode="after")
+    def _corrections(self) -> StudySettings:
+        earlier: list[str] = []
+        for name, entry in self.controllers.items():
+            if entry.corrects is not None and entry.corrects not in earlier:
+                raise ValueError(
+                    f"controllers.{name}: corrects = '{entry.corrects}': must be a controller before it"
+                    f" ({', '.join(earlier) or 'none'}){did_you_mean(entry.corrects, earlier)}"
+                )
+            earlier.append(name)
+        return self
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> StudySettings:
+        """Read a study; a group, and the settings of a controller, may be the path of another YAML file.
+
+        Such a path is relative to the file of the study. The task may be the name of one in ``configs/tasks``.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key or impossible value.
+        """
+        values = read_yaml(path)
+        folder = Path(path).parent
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), Path(path))
+        groups: dict[str, type[Group]] = {
+            "leakage_head": HeadTrainingSettings,
+            "evaluation": ProtocolSettings,
+        }
+        for key, group in groups.items():
+            if isinstance(values.get(key), str):
+                file = folder / values.pop(key)
+                with kept(errors):
+                    values[key] = validate(group, read_yaml(file), str(file))
+        with kept(errors):
+            sources = read_settings(values.get("controllers"), Path(path))
+        with kept(errors):
+            study = validate(cls, values, str(path))
+        refuse(errors, str(path))
+        study.check(str(path), sources)
+        return study
+
+    def check(self, source: str = "study", sources: Mapping[str, str] | None = None) -> None:
+        """Check everything that would otherwise fail after hours of work.
+
+        Args:
+            source: for messages.
+            sources: files with the settings of controllers, by name.
+
+        Raises:
+            ConfigurationError: a controller cannot be made, settings contradict each other, or the episodes are too
+                short for the leakage head.
+        """
+        errors: list[ConfigurationError] = []
+        for name in self.controllers:
+            with kept(errors):
+                self._check_controller(name, source, (sources or {}).get(name))
+        with kept(errors):
+            try:
+                if self.leakage_head is not None:
+                    self.leakage_head.check(self.task)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{source}: {error}") from None
+        refuse(errors, source)
+
+    def _check_controller(self, name: str, source: str, file: str | None) -> None:
+        """Check one controller; ``file`` holds its settings if they have a file of their own."""
+        entry, here = self.controllers[name], f"{source}: controllers.{name}"
+        settings_at = (file, "") if file is not None else (source, f"controllers.{name}.settings")
+        try:
+            trainer = entry.trainer
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{here}: {error}") from error
+        if trainer is None:
+            if entry.kind in CONTROLLERS:
+                validate(CONTROLLERS[entry.kind][1], entry.settings, *settings_at)
+            try:
+                opponent(make_controller(entry.kind, self.task, entry.settings), self.task, name)
+            except ConfigurationError as error:
+                raise ConfigurationError(f"{file or here}: {error}") from error
+            if entry.corrects is not None:
+                raise ConfigurationError(f"{here}: corrects: only a trained one can correct")
+            if entry.tune is not None and entry.kind not in CONTROLLERS:
+                raise ConfigurationError(f"{here}: tune: only {', '.join(CONTROLLERS)} can be tuned")
+        else:
+            if entry.tune is not None:
+                raise ConfigurationError(f"{here}: tune: a trained one cannot be tuned")
+            settings = validate(trainer.settings, entry.settings, *settings_at)
+            if getattr(settings, "residual", False) and entry.corrects is None:
+                raise ConfigurationError(
+                    f"{here}: is trained as a correction (residual: true): give 'corrects: NAME' of the controller "
+                    "that it corrects"
+                )
+
+    def make(self, name: str) -> Controller:
+        """A controller of the study that needs no training."""
+        entry = self.controllers[name]
+        return make_controller(entry.kind, self.task, entry.settings)
+
+    def training_settings(self, name: str) -> Group:
+        """Settings of the training of a controller.
+
+        Raises:
+            ConfigurationError: the controller needs no training, or its settings are wrong.
+        """
+        trainer = self.controllers[name].trainer
+        if trainer is None:
+            raise ConfigurationError(f"controllers.{name}: is not trained")
+        return validate(trainer.settings, self.controllers[name].settings, f"controllers.{name}")
+
+    @property
+    def trained(self) -> list[str]:
+        """Names of the controllers that are trained."""
+        return [name for name, entry in self.controllers.items() if entry.trainer is not None]
+
+    @property
+    def tuned(self) -> list[str]:
+        """Names of the classical controllers that are tuned before they take part."""
+        return [name for name, entry in self.controllers.items() if entry.tune is not None]
+
+    def with_weights(self, agents: Mapping[str, str]) -> dict[str, Controller]:
+        """All controllers ready to act, without any training.
+
+        Args:
+            agents: additional controllers, or replacements of those of the study, as texts for
+                :func:`~hydro_agents.evaluation.opponents.opponent`. Any other trained controller takes the shipped
+                weights.
+
+        Raises:
+            ConfigurationError: a controller cannot be made or has no weights.
+        """
+        controllers: dict[str, Controller] = {}
+        for name, entry in self.controllers.items():
+            if name in agents:
+                controllers[name] = opponent(agents[name], self.task, name, entry.trainer)
+            elif entry.trainer is None:
+                controllers[name] = opponent(self.make(name), self.task, name)
+            elif entry.kind in SHIPPED_WEIGHTS:
+                controllers[name] = opponent(shipped(entry.kind, self.task), self.task, name)
+            else:
+                raise ConfigurationError(f"{name}: no weights of this kind are shipped; give --agent {name}=PATH")
+        for name, what in agents.items():
+            if name not in controllers:
+                controllers[name] = opponent(what, self.task, name)
+        return controllers
+
+    def with_shipped_gains(self) -> StudySettings:
+        """The study with the gains that ship for its rig, where a controller would have to be tuned for it first."""
+        controllers = {}
+        for name, entry in self.controllers.items():
+            file = gains_file(entry.kind, self.task) if entry.tune is not None else None
+            changes = {"settings": read_yaml(file), "tune": None} if file is not None else {}
+            controllers[name] = entry.model_copy(update=changes)
+        return self.model_copy(update={"controllers": controllers})
+
+    def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
+        """Like :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
+        reasons = []
+        study = self
+        for name, entry in self.controllers.items():
+            if entry.trainer is not None and name not in agents:
+                try:
+                    opponent(shipped(entry.kind, self.task), self.task, name)
+                except ConfigurationError as error:
+                    reasons.append(str(error))
+                    others = {key: value for key, value in study.controllers.items() if key != name}
+                    study = study.model_copy(update={"controllers": others})
+        return study.with_weights(agents), reasons
+
+
+def default_study(
+    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
+) -> StudySettings:
+    """The study of a file or of ``make study``, optionally with another task or rig.
+
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
+    absent sensors are left out, with one line each on standard error.
+
+    Args:
+        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
+        task: name or file of the task, instead of the study's.
+        rig: name or file of another rig for the task.
+
+    Raises:
+        ConfigurationError: a file is wrong, or settings contradict each other.
+    """
+    study = StudySettings.from_yaml(config_file("studies", path or "default"))
+    if task is None and rig is None:
+        return study
+    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
+    if rig is not None:
+        changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
+        changes["controllers"] = {
+            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
+            if entry.kind in CONTROLLERS
+            else entry
+            for name, entry in study.controllers.items()
+        }
+    study, notes = without_absent_sensors(study.model_copy(update=changes))
+    for note in notes:
+        print(f"hydro: {note}", file=sys.stderr)
+    study.check("study" if path is None else str(path))
+    return study

@@ -1,0 +1,199 @@
+"""Tunes and trains the controllers and trains the leakage head of a study, with progress on the console."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.gains_file import GAINS_FILE, gains_text
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.leakage.training import HeadTrainingSettings, train_head
+from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
+from hydro_agents.learning.tuning import Tuned, tune
+from hydro_agents.rigs.starting_gains import stable_start
+from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.study.settings import StudySettings, TuningSettings
+from hydro_env import TaskConfig
+from hydro_env.files import Group, validate, write_text
+
+WEIGHTS = "policy"
+HEAD_WEIGHTS = "leakage_head"
+CHECKPOINTS = "checkpoint*"
+HEAD_CHECKPOINTS = "head_checkpoint*"
+TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfevents.*")
+"""Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
+
+TUNING_LOG = "tuning.csv"
+TUNING_FILES = (GAINS_FILE, TUNING_LOG)
+"""Files that the tuning of a controller writes."""
+
+HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
+
+
+def train_controller(
+    study: StudySettings,
+    name: str,
+    folder: Path,
+    seed: int,
+    resume: bool,
+    base: Controller | None,
+    display: ProgressDisplay,
+    settings: Group | None = None,
+) -> Controller:
+    """Train one controller of a study; write weights, checkpoints and log into the folder.
+
+    Args:
+        study: the study.
+        name: name of the controller.
+        folder: for its files.
+        seed: seed of all random numbers.
+        resume: continue from the checkpoint in the folder.
+        base: the controller that it corrects.
+        display: shows the progress.
+        settings: settings of the training, instead of the study's.
+
+    Raises:
+        ConfigurationError: the settings are impossible, or the checkpoint is missing, damaged or of other settings.
+        KeyboardInterrupt: Ctrl-C; the trainer has written a checkpoint.
+    """
+    settings = settings if settings is not None else study.training_settings(name)
+    trainer = study.controllers[name].trainer
+    assert trainer is not None
+    last = [0.0, 0.0]
+
+    def report(progress: Progress) -> None:
+        passed, steps = progress.seconds - last[0], progress.steps - last[1]
+        rate = f"{steps / passed:,.0f} steps/s" if passed > 0 and last[1] else ""
+        last[:] = progress.seconds, progress.steps
+        reward = "" if math.isnan(progress.mean_reward) else f"mean reward {progress.mean_reward:.4f}"
+        note = ", ".join(part for part in (rate, reward) if part)
+        display.update(f"train {name}", min(progress.steps, progress.total_steps), progress.total_steps, note)
+
+    if not resume:
+        display.update(f"train {name}", 0, getattr(settings, "total_steps", 0))
+    controller = trainer.train(
+        study.task, settings, seed=seed, folder=folder, resume=resume, base=base, progress=report
+    )
+    controller.save(folder / WEIGHTS)
+    return controller
+
+
+def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, display: ProgressDisplay) -> Controller:
+    """Tune one classical controller of a study, and write its gains into the folder; continues after an interruption.
+
+    Args:
+        study: the study.
+        name: name of a controller with ``tune``.
+        folder: for gains and log.
+        seed: seed of the search.
+        display: shows the progress.
+
+    Raises:
+        ConfigurationError: a log of other settings, or no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
+    """
+    entry, log = study.controllers[name], folder / TUNING_LOG
+    assert entry.tune is not None
+    given = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
+    start = stable_start(study.task, given)
+    if start is not given:
+        display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
+    tuned = tune_gains(
+        entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, log, seed, log.exists(), display, f"tune {name}"
+    )
+    return make_controller(entry.kind, study.task, tuned.gains.model_dump())
+
+
+def tune_gains(
+    kind: str,
+    task: TaskConfig,
+    budget: TuningSettings,
+    start: Group | None,
+    file: Path,
+    log: Path,
+    seed: int,
+    resume: bool,
+    display: ProgressDisplay,
+    phase: str,
+) -> Tuned:
+    """Tune gains with progress on the console; the best gains so far are written after every generation.
+
+    Args:
+        kind: of the controller.
+        task: the task.
+        budget: objective, number of candidates and of training cases.
+        start: gains where the search starts; default: those of their class.
+        file: for the gains.
+        log: for the costs of every candidate.
+        seed: seed of the search.
+        resume: continue from the log.
+        display: shows the progress.
+        phase: name of the phase on the console.
+
+    Raises:
+        ConfigurationError: a log of other settings, or no candidate can control the axis.
+        KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
+    """
+
+    def write(best: Tuned) -> None:
+        write_text(file, gains_text(best.gains))
+
+    def report(best: Tuned) -> None:
+        note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
+        display.update(phase, min(best.evaluations, budget.evaluations), budget.evaluations, note)
+        write(best)
+
+    display.update(phase, 0, budget.evaluations)
+    tuned = tune(
+        kind,
+        task,
+        budget.objective,
+        budget.evaluations,
+        seed,
+        budget.cases,
+        start=start,
+        log=log,
+        resume=resume,
+        progress=report,
+    )
+    write(tuned)
+    return tuned
+
+
+def read_curve(folder: Path) -> pd.DataFrame:
+    """The log of a training; empty if there is none. Columns: see :mod:`hydro_agents.learning.progress`.
+
+    Raises:
+        ConfigurationError: the file is damaged.
+    """
+    file = folder / PROGRESS_FILE
+    return pd.DataFrame(read_progress(file) if file.exists() else [])
+
+
+def train_leakage_head(
+    study: StudySettings,
+    folder: Path,
+    seed: int,
+    resume: bool,
+    controllers: Sequence[Controller],
+    display: ProgressDisplay,
+) -> LeakageHead:
+    """Train the leakage head on episodes under each controller; write its weights into the folder.
+
+    Raises:
+        ConfigurationError: the settings are impossible, or the rig lacks a sensor that the head reads.
+    """
+    settings = study.leakage_head or HeadTrainingSettings()
+    settings.check(study.task)
+
+    def report(phase: str, done: int, total: int, loss: float) -> None:
+        display.update(f"leakage head, {phase}", done, total, "" if math.isnan(loss) else f"loss {loss:.4f}")
+
+    head = train_head(study.task, controllers, settings, seed, report, folder=folder, resume=resume)
+    head.save(folder / HEAD_WEIGHTS)
+    return head
