@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.diagnosis.diagnose import Diagnosis, diagnose
-from hydro_agents.diagnosis.verdict import Kind
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.operations import MOTIONS
 from hydro_agents.evaluation.opponents import shipped
-from hydro_agents.leak_protocol.operations import MOTIONS
-from hydro_agents.leakage.head import LeakageHead
 from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.rigs.diagnose import Diagnosis, diagnose
+from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import TaskConfig

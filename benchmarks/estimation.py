@@ -17,11 +17,11 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.estimation.estimate import Estimate, estimate
 from hydro_agents.estimation.following import estimate_run
 from hydro_agents.estimation.names import LEAKAGE
 from hydro_agents.estimation.unknowns import default_unknowns
-from hydro_agents.leak_protocol.operations import ACTING, MOTIONS
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig

@@ -18,8 +18,8 @@ import numpy as np
 
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from hydro_agents.evaluation.opponents import opponent
-from hydro_agents.identification.identify import Identification, identify
 from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.rigs.identify import Identification, identify
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_yaml

@@ -20,12 +20,12 @@ from hydro_agents import evaluate
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.evaluation.opponents import shipped
-from hydro_agents.identification.identify import identify, identify_to_folder
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
 from hydro_agents.learning.tuning import tune
 from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.rigs.identify import identify, identify_to_folder
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.running.seeds import TRAINING_SEEDS

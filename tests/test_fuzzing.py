@@ -17,7 +17,7 @@ from command_line import hydro, own_lines
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.recordings.columns import read_map
 from hydro_agents.recordings.quality import check_recording

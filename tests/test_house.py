@@ -21,14 +21,31 @@ FLOORS = (
     ("agents/hydro_agents/running/", 5),
     ("agents/hydro_agents/learning/", 6),
     ("agents/hydro_agents/estimation/", 6),
-    ("agents/hydro_agents/code_generation/", 7),
-    ("agents/hydro_agents/leakage/", 7),
-    ("agents/hydro_agents/alarms/", 8),
-    ("agents/hydro_agents/experiments/", 8),
+    ("agents/hydro_agents/detection/", 7),
     ("agents/hydro_agents/evaluation/", 8),
     ("agents/hydro_agents/report/", 9),
-    ("agents/hydro_agents/", 10),
+    ("agents/hydro_agents/recordings/", 10),
+    ("agents/hydro_agents/rigs/", 10),
+    ("agents/hydro_agents/export/", 10),
+    ("agents/hydro_agents/study/", 10),
+    ("agents/hydro_agents/reproduction/", 10),
+    ("agents/hydro_agents/benchmark/", 10),
+    ("agents/hydro_agents/", 11),
 )
+DEBTS = {
+    ("agents/hydro_agents/detection/operations.py", "hydro_agents.evaluation.opponents"),
+    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.report.text"),
+    ("agents/hydro_agents/evaluation/bound_comparison.py", "hydro_agents.report.canvas"),
+    ("agents/hydro_agents/evaluation/leak_bound_tables.py", "hydro_agents.report.canvas"),
+    ("agents/hydro_agents/evaluation/move_trial.py", "hydro_agents.report.canvas"),
+    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.diagnosis_windows"),
+    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.verdict"),
+    ("agents/hydro_agents/evaluation/leak_bound_tables.py", "hydro_agents.report.text"),
+    ("agents/hydro_agents/evaluation/move_trial.py", "hydro_agents.report.text"),
+    ("agents/hydro_agents/evaluation/opponents.py", "hydro_agents.export.exported"),
+}
+"""Imports that still run upwards; none may be added."""
+
 HEAVY = {"torch", "stable_baselines3", "matplotlib", "pandas", "safetensors", "typer", "rich", "jinja2"}
 FORBIDDEN = {0: HEAVY | {"gymnasium", "pygame"}, 1: HEAVY | {"gymnasium", "pygame"}, 2: HEAVY | {"pygame"}, 3: HEAVY}
 
@@ -58,9 +75,9 @@ def test_nothing_imports_upwards(file):
     here = floor_of(file)
     for name in imports_of(ROOT / file):
         assert name.split(".")[0] not in FORBIDDEN.get(here, set()), f"{file} imports {name}"
-        there = floor_of(name.replace(".", "/") + "/")
+        there = floor_of(name.replace(".", "/").replace("hydro_agents", "agents/hydro_agents") + "/")
         if file != "hydro_env/__init__.py":  # it loads lazily what stands above
-            assert there is None or there <= here, f"{file} imports {name}"
+            assert there is None or there <= here or (file, name) in DEBTS, f"{file} imports {name}"
 
 
 def test_the_environment_loads_no_learning_library():

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hydro_agents.code_generation.compiler import c_compiler
-from hydro_agents.code_generation.controller_folder import exported_files
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.evaluation.opponents import opponent
-from hydro_agents.leak_protocol.protocol import LeakProtocol
+from hydro_agents.evaluation.robustness_protocol import protocol_named
+from hydro_agents.export.compiler import c_compiler
+from hydro_agents.export.controller_folder import exported_files
 from hydro_agents.recordings.columns import read_map
-from hydro_agents.robustness.conditions import protocol_named
 from hydro_env import ServoHydraulicEnv, TaskConfig
 
 ROOT = Path(__file__).parents[1]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hydro_agents.alarms.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.alarms.detector import Activity, Cause
-from hydro_agents.alarms.looks import Looks
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_detectors import Activity, Cause
+from hydro_agents.detection.looks import Looks
 from hydro_env import ConfigurationError
 
 SCALE = {"highest_baseline": 0.0, "spread": 1.0, "shift": 1.0}

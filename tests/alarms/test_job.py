@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from hydro_agents.alarms.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.alarms.calibration import scale_of
-from hydro_agents.alarms.detector import Activity, Cause, EstimatorDetector, HeadDetector
-from hydro_agents.alarms.job import FAULTS, LEVELS, AlarmJob, run_job, work_of
-from hydro_agents.alarms.looks import Looks
-from hydro_agents.leakage.features import SIGNALS
-from hydro_agents.leakage.training import untrained_head
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_calibration import scale_of
+from hydro_agents.detection.alarm_detectors import Activity, Cause, EstimatorDetector, HeadDetector
+from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job, work_of
+from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.head_training import untrained_head
+from hydro_agents.detection.looks import Looks
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()

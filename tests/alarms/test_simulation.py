@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hydro_agents.alarms.detector import Activity, Evidence, activity_of
-from hydro_agents.alarms.looks import looks_at
-from hydro_agents.alarms.operation import working_references
-from hydro_agents.alarms.simulation import Onset, Operation, simulate
-from hydro_agents.alarms.store import Bench
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.detection.alarm_detectors import Activity, Evidence, activity_of
+from hydro_agents.detection.alarm_operation import working_references
+from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.alarm_store import Bench
+from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.looks import looks_at
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()

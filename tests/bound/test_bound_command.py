@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_agents.bound.comparison import (
+from hydro_agents.evaluation.bound_comparison import (
     NOMINAL,
     TRUTH,
     ComparisonSettings,

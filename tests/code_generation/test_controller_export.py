@@ -13,17 +13,17 @@ import onnx
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
-from hydro_agents.code_generation.compiler import c_compiler
-from hydro_agents.code_generation.contract import read_contract
-from hydro_agents.code_generation.controller_code import controller_code
-from hydro_agents.code_generation.controller_folder import exported_files
-from hydro_agents.code_generation.controller_graph import controller_graph
-from hydro_agents.code_generation.exported import ExportedController, onnx_session
-from hydro_agents.code_generation.measured import MeasuredController
-from hydro_agents.code_generation.measured_signals import MeasuredSignals
-from hydro_agents.code_generation.tracing import TraceError
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.evaluation.opponents import opponent, trained_for
+from hydro_agents.export.compiler import c_compiler
+from hydro_agents.export.contract import read_contract
+from hydro_agents.export.controller_code import controller_code
+from hydro_agents.export.controller_folder import exported_files
+from hydro_agents.export.controller_graph import controller_graph
+from hydro_agents.export.exported import ExportedController, onnx_session
+from hydro_agents.export.measured import MeasuredController
+from hydro_agents.export.measured_signals import MeasuredSignals
+from hydro_agents.export.tracing import TraceError
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.cases import Cases, run_cases

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from hydro_agents.code_generation import head_folder
-from hydro_agents.code_generation.c_types import DOUBLE, INT, UINT64, array
-from hydro_agents.code_generation.compiler import c_compiler
-from hydro_agents.code_generation.expressions import TranslationError
-from hydro_agents.code_generation.head_folder import ESTIMATES, FILES, LARGEST_DIFFERENCE, check_c, exported_head
-from hydro_agents.code_generation.translator import Translator
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.export import head_folder
+from hydro_agents.export.c_types import DOUBLE, INT, UINT64, array
+from hydro_agents.export.compiler import c_compiler
+from hydro_agents.export.expressions import TranslationError
+from hydro_agents.export.head_folder import ESTIMATES, FILES, LARGEST_DIFFERENCE, check_c, exported_head
+from hydro_agents.export.translator import Translator
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import HydroError
 from hydro_env.compiling import inline

@@ -7,9 +7,9 @@ import subprocess
 import numpy as np
 import pytest
 
-from hydro_agents.code_generation.expressions import TranslationError
-from hydro_agents.code_generation.plant_code import plant_code
-from hydro_agents.code_generation.translator import Translator
+from hydro_agents.export.expressions import TranslationError
+from hydro_agents.export.plant_code import plant_code
+from hydro_agents.export.translator import Translator
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
 from hydro_env.compiling import inline
 from hydro_env.plant.arrays import coefficient_array

@@ -6,10 +6,10 @@ import subprocess
 import numpy as np
 import pytest
 
-from hydro_agents.code_generation.c_writer import C_TYPES, CWriter
-from hydro_agents.code_generation.compiler import c_compiler
-from hydro_agents.code_generation.onnx_writer import OnnxWriter
-from hydro_agents.code_generation.tracing import TraceError, trace
+from hydro_agents.export.c_writer import C_TYPES, CWriter
+from hydro_agents.export.compiler import c_compiler
+from hydro_agents.export.onnx_writer import OnnxWriter
+from hydro_agents.export.tracing import TraceError, trace
 
 
 def moves(a, b, s):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_agents.diagnosis.verdict import NO_COMMANDS, Kind, Limits, Reading, combined, judge
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
+from hydro_agents.rigs.verdict import NO_COMMANDS, Kind, Limits, Reading, combined, judge
 
 LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hydro_agents.detection.manners import still
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.following import Follower, estimate_run
 from hydro_agents.estimation.known_windows import known_windows, leak_cases
@@ -12,7 +13,6 @@ from hydro_agents.estimation.priors import Prior, prior_of
 from hydro_agents.estimation.replay import Commands, replay
 from hydro_agents.estimation.unknowns import default_unknowns, priors_of
 from hydro_agents.evaluation.opponents import shipped
-from hydro_agents.leakage.operation import still
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS

@@ -7,9 +7,9 @@ import pytest
 
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.detection import detection_cases
 from hydro_agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
-from hydro_agents.leakage.training import untrained_head
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.evaluation.statistics import (
+from hydro_agents.running.statistics import (
     conditional_value_at_risk,
     geometric_ratio_interval,
     mean_interval,

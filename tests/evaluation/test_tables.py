@@ -16,9 +16,9 @@ from hydro_agents.evaluation.detection import (
     signal_columns,
 )
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
 from hydro_agents.evaluation.tables import per_plant, ratio_table, summary_table
 from hydro_agents.running.cases import Cases
+from hydro_agents.running.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
 from hydro_env import TaskConfig
 
 PLANTS = 4

@@ -6,8 +6,8 @@ import pytest
 from proportional import Proportional, exact_task
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
-from hydro_agents.experiments.frequency import bandwidths, crossing, frequency_response
-from hydro_agents.experiments.runs import HiddenPreview, sine_fit
+from hydro_agents.evaluation.frequency import bandwidths, crossing, frequency_response
+from hydro_agents.evaluation.sweeps import HiddenPreview, sine_fit
 from hydro_env import resistance_from_flow
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.experiments.leak_price import full_command_speed, leak_price, stall_force
+from hydro_agents.evaluation.leak_price import full_command_speed, leak_price, stall_force
 from hydro_env import TaskConfig, resistance_from_flow
 from hydro_env.plant.analysis import full_pressure_forces, speed_limits
 from hydro_env.plant.arrays import plant_coefficients

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from proportional import Proportional
 
-from hydro_agents.experiments.series import EXPERIMENTS, run_experiments
+from hydro_agents.evaluation.experiments import EXPERIMENTS, run_experiments
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 

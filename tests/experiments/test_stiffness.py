@@ -6,7 +6,7 @@ import pytest
 from proportional import Proportional, exact_task
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
-from hydro_agents.experiments.stiffness import force_sine, force_step
+from hydro_agents.evaluation.stiffness import force_sine, force_step
 from hydro_env import resistance_from_flow
 
 

@@ -4,7 +4,7 @@ import math
 
 import yaml
 
-from hydro_agents.identification.found_rig import _line, _with_unit
+from hydro_agents.rigs.found_rig import _line, _with_unit
 from hydro_env import PlantParameters
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.rig import rig_from

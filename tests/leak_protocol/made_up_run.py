@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 from small_leaks import small
 
-from hydro_agents.leak_protocol.detectors import INTERNAL, NONE, UNKNOWN, VALVE
-from hydro_agents.leak_protocol.running import LeakRun
-from hydro_agents.leak_protocol.tables import make_tables
+from hydro_agents.detection.detectors import INTERNAL, NONE, UNKNOWN, VALVE
+from hydro_agents.evaluation.leak_running import LeakRun
+from hydro_agents.evaluation.leak_tables import make_tables
 
 LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0, -1.0]
 CONDITIONS = {

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hydro_agents.leak_protocol.detectors import NONE, VALVE, Reading
-from hydro_agents.leak_protocol.protocol import LeakProtocol
+from hydro_agents.detection.detectors import NONE, VALVE, Reading
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
 
 SMALL = {
     "task": {"episode_duration": 0.3},

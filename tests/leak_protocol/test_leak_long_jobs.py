@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from small_leaks import SMALL, Spread, small
 
-from hydro_agents.alarms.alarm import AlarmSettings
-from hydro_agents.alarms.detector import Cause, Evidence
-from hydro_agents.leak_protocol import alarm_jobs
-from hydro_agents.leak_protocol.alarm_jobs import AlarmJob, alarm_plan
-from hydro_agents.leak_protocol.bound_jobs import bound_plan
-from hydro_agents.leak_protocol.running import run_leak_protocol
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm_detectors import Cause, Evidence
+from hydro_agents.evaluation import leak_alarm_jobs as alarm_jobs
+from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
+from hydro_agents.evaluation.leak_bound_jobs import bound_plan
+from hydro_agents.evaluation.leak_running import run_leak_protocol
 from hydro_agents.running.jobs import JOBS_FOLDER
 
 SCALE = {"highest_baseline": 0.0, "spread": 1.0, "shift": 1.0}

@@ -7,10 +7,10 @@ import pytest
 from browser import problems_everywhere
 from made_up_run import tables
 
-from hydro_agents.leak_report.findings import findings
-from hydro_agents.leak_report.page import render_page
-from hydro_agents.leak_report.record import Record
-from hydro_agents.leak_report.tables import confusions, right_verdicts
+from hydro_agents.report.leak_findings import findings
+from hydro_agents.report.leak_page import render_page
+from hydro_agents.report.leak_page_tables import confusions, right_verdicts
+from hydro_agents.report.leak_record import Record
 
 
 @pytest.fixture(scope="module")

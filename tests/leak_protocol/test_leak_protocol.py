@@ -5,8 +5,8 @@ import pytest
 from command_line import ROOT
 from small_leaks import SMALL, small
 
-from hydro_agents.leak_protocol.operations import ACTING, MOTIONS
-from hydro_agents.leak_protocol.protocol import DRAWN, FIRST_TEST_SEED, HEALTHY, LeakProtocol, is_leak_protocol
+from hydro_agents.detection.operations import ACTING, MOTIONS
+from hydro_agents.evaluation.leak_protocol import DRAWN, FIRST_TEST_SEED, HEALTHY, LeakProtocol, is_leak_protocol
 from hydro_agents.running.cases import run_cases
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import ConfigurationError

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from hydro_agents.detection.detectors import EXTERNAL, NONE, RETURN, SENSOR, VALVE, DetectorChoice, logit
+from hydro_agents.detection.readers import EstimatorReader, HeadReader, make_detector, named_fault
 from hydro_agents.estimation.unknowns import default_unknowns, priors_of
-from hydro_agents.leak_protocol.detectors import EXTERNAL, NONE, RETURN, SENSOR, VALVE, DetectorChoice, logit
-from hydro_agents.leak_protocol.readers import EstimatorReader, HeadReader, make_detector, named_fault
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 

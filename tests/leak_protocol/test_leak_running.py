@@ -6,8 +6,8 @@ import pytest
 from joblib import parallel_config
 from small_leaks import SMALL, Spread, small
 
-from hydro_agents.leak_protocol.detectors import INTERNAL, UNKNOWN, VALVE
-from hydro_agents.leak_protocol.running import judged, run_leak_protocol
+from hydro_agents.detection.detectors import INTERNAL, UNKNOWN, VALVE
+from hydro_agents.evaluation.leak_running import judged, run_leak_protocol
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_env import ConfigurationError
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.leakage.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
-from hydro_agents.leakage.features import CHANGE, FEATURES, LABELS
-from hydro_agents.leakage.operation import MANNERS, OPERATIONS, Operation, slow, still
-from hydro_agents.leakage.sheet import sheet_of
-from hydro_agents.leakage.training import HeadTrainingSettings
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
+from hydro_agents.detection.head_training import HeadTrainingSettings
+from hydro_agents.detection.manners import MANNERS, OPERATIONS, Operation, slow, still
+from hydro_agents.detection.sheet import sheet_of
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS

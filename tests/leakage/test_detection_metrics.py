@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from hydro_agents.leakage.metrics import (
+from hydro_agents.detection.roc import (
     area_under_roc,
     average_precision,
     detection_rate,

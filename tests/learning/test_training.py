@@ -219,7 +219,7 @@ def saved(tmp_path):
 
 
 def test_foreign_and_damaged_weights_are_refused(saved):
-    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.detection.head import LeakageHead
 
     with pytest.raises(ConfigurationError, match="holds 'hydro_env policy': must be 'hydro_env leakage head'"):
         LeakageHead.load(saved)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from recorded import CONFIG, changed, healthy
 
-from hydro_agents.diagnosis.windows import cut
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.recordings.quality import check_recording
+from hydro_agents.rigs.diagnosis_windows import cut
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight

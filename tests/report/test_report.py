@@ -12,10 +12,9 @@ import pytest
 from browser import open_page, problems_everywhere
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.detection.head_training import untrained_head
+from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from hydro_agents.evaluation.statistics import Interval
-from hydro_agents.experiments.leak_price import leak_price
-from hydro_agents.leakage.training import untrained_head
 from hydro_agents.report.canvas import controllers_of, looks_of
 from hydro_agents.report.findings import caution, failures, findings, interval_text, verdict
 from hydro_agents.report.leaks import LOOKS
@@ -24,6 +23,7 @@ from hydro_agents.report.plots import example_plot
 from hydro_agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
 from hydro_agents.report.text import correction_name, duration, number
 from hydro_agents.report.training_plots import learning_plots, training_plots
+from hydro_agents.running.statistics import Interval
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)

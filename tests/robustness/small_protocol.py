@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hydro_agents.robustness.conditions import Protocol
+from hydro_agents.evaluation.robustness_protocol import Protocol
 
 TASK = {"episode_duration": 0.3}
 SMALL = {

@@ -8,8 +8,8 @@ from command_line import ROOT
 from joblib import parallel_config
 from small_protocol import small
 
-from hydro_agents.robustness.participants import participants
-from hydro_agents.robustness.running import run_protocol
+from hydro_agents.evaluation.participants import participants
+from hydro_agents.evaluation.robustness_running import run_protocol
 
 # Processes of either backend start without this one's search path.
 SEARCHED = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])

@@ -7,7 +7,7 @@ from command_line import ROOT
 from small_protocol import SMALL, small
 
 from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
-from hydro_agents.robustness.conditions import FIRST_SEED, Protocol, file_sha256, protocol_named
+from hydro_agents.evaluation.robustness_protocol import FIRST_SEED, Protocol, file_sha256, protocol_named
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 

@@ -5,11 +5,11 @@ import pandas as pd
 import pytest
 from small_protocol import Proportional, small
 
+from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.robustness.comparison import Grid
-from hydro_agents.robustness.participants import Participants
-from hydro_agents.robustness.running import run_protocol
-from hydro_agents.robustness.tables import (
+from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.robustness_running import run_protocol
+from hydro_agents.evaluation.robustness_tables import (
     Tables,
     comparison_table,
     families_table,
@@ -108,7 +108,7 @@ def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
 
 
 def fake_run(cases):
-    from hydro_agents.robustness.running import ProtocolRun
+    from hydro_agents.evaluation.robustness_running import ProtocolRun
 
     names = cases["controller"].unique()
     status = pd.DataFrame(

@@ -8,10 +8,10 @@ from joblib import parallel_config
 from small_protocol import Broken, Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.robustness.jobs import Job
-from hydro_agents.robustness.participants import Participants, fingerprint, participants, sees, split_name
-from hydro_agents.robustness.running import DONE, FAILED, NOT_APPLICABLE, replay, run_protocol
-from hydro_agents.robustness.tables import make_tables
+from hydro_agents.evaluation.participants import Participants, fingerprint, participants, sees, split_name
+from hydro_agents.evaluation.robustness_jobs import Job
+from hydro_agents.evaluation.robustness_running import DONE, FAILED, NOT_APPLICABLE, replay, run_protocol
+from hydro_agents.evaluation.robustness_tables import make_tables
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER, load_result, save_result
 from hydro_env import ConfigurationError, TaskConfig

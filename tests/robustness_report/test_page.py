@@ -8,13 +8,18 @@ from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
 from hydro_agents.report.findings import Finding
+from hydro_agents.report.heat import heat_map
 from hydro_agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
 from hydro_agents.report.report import Example
-from hydro_agents.robustness_report.findings import findings
-from hydro_agents.robustness_report.heat import heat_map
-from hydro_agents.robustness_report.page import render_page
-from hydro_agents.robustness_report.record import Record, Trace
-from hydro_agents.robustness_report.tables import cycles_by_condition, energy_table, standstill_tables, stiffness_table
+from hydro_agents.report.robustness_findings import findings
+from hydro_agents.report.robustness_page import render_page
+from hydro_agents.report.robustness_page_tables import (
+    cycles_by_condition,
+    energy_table,
+    standstill_tables,
+    stiffness_table,
+)
+from hydro_agents.report.robustness_record import Record, Trace
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import pytest
 from made_up_tables import cases, protocol_tables
 from proportional import Proportional
 
-from hydro_agents.experiments.stiffness import force_step
+from hydro_agents.evaluation.stiffness import force_step
 from hydro_agents.report.canvas import COLOURS
-from hydro_agents.robustness_report.page import PAGE_FILE, write_robustness_report
-from hydro_agents.robustness_report.traces import worst_rows, worst_traces
+from hydro_agents.report.robustness_page import PAGE_FILE, write_robustness_report
+from hydro_agents.report.traces import worst_rows, worst_traces
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 
@@ -71,7 +71,7 @@ def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(
     tmp_path, monkeypatch, config, controllers, replay
 ):
     monkeypatch.setattr(
-        "hydro_agents.experiments.series.EXPERIMENTS", {"force_step": force_step}
+        "hydro_agents.evaluation.experiments.EXPERIMENTS", {"force_step": force_step}
     )  # the others take longer
     seeded = {"PID": controllers["PID"], "Good#0": controllers["Good"], "Good#1": controllers["Fair"]}
     seen = []

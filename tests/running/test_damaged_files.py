@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.running.folders import pretrained_folder

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from hydro_agents.evaluation.statistics import seeds_interval
 from hydro_agents.learning.validation import validation_errors
+from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.study import over_seeds
 from hydro_agents.study.settings import StudySettings
 from hydro_env.files import write_yaml

@@ -15,8 +15,8 @@ import numpy as np
 
 from hydro_agents.benchmark.table import Case, Row, UnavailableError, one_row
 from hydro_agents.benchmark.timing import Extent, fresh_process
-from hydro_agents.leakage.head import LeakageHead
-from hydro_agents.leakage.monitor import MonitoredController
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.monitor import MonitoredController
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ENVIRONMENT_ID, ServoHydraulicVectorEnv

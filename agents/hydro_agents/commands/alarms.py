@@ -10,7 +10,7 @@ import typer
 from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
 
 if TYPE_CHECKING:
-    from hydro_agents.alarms.detector import Detector
+    from hydro_agents.detection.alarm_detectors import Detector
     from hydro_env import TaskConfig
 
 Watching = Literal["head", "estimator"]
@@ -56,9 +56,9 @@ def alarms(
     per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
     shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
     """
-    from hydro_agents.alarms.job import SIZES, run_job, work_of
-    from hydro_agents.alarms.store import PATTERN, Bench
-    from hydro_agents.bound.comparison import markdown
+    from hydro_agents.detection.alarm_job import SIZES, run_job, work_of
+    from hydro_agents.detection.alarm_store import PATTERN, Bench
+    from hydro_agents.evaluation.bound_comparison import markdown
     from hydro_agents.evaluation.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
@@ -95,9 +95,9 @@ def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
     """The leakage head as detector, and its name."""
     import torch
 
-    from hydro_agents.alarms.detector import HeadDetector
+    from hydro_agents.detection.alarm_detectors import HeadDetector
+    from hydro_agents.detection.head import LeakageHead
     from hydro_agents.evaluation.opponents import check_layout
-    from hydro_agents.leakage.head import LeakageHead
     from hydro_agents.running.folders import pretrained_folder
     from hydro_env import ConfigurationError
 
@@ -113,7 +113,7 @@ def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
 
 def _estimator(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
     """The estimator as detector, and its name."""
-    from hydro_agents.alarms.detector import EstimatorDetector
+    from hydro_agents.detection.alarm_detectors import EstimatorDetector
     from hydro_env import ConfigurationError
 
     if weights is not None:

@@ -25,13 +25,13 @@ from hydro_agents.commands.export import export
 from hydro_agents.commands.identify import identify
 from hydro_agents.commands.ladder import ladder
 from hydro_agents.commands.leak_bound import leak_bound
+from hydro_agents.commands.move_design import design_test_move
 from hydro_agents.commands.new_rig import new_rig
 from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from hydro_agents.commands.record import record
 from hydro_agents.commands.render import render
 from hydro_agents.commands.simulate import simulate
 from hydro_agents.commands.study import study
-from hydro_agents.commands.test_move import design_test_move
 from hydro_agents.commands.train import train
 from hydro_agents.running.console import discard_output
 from hydro_env import HydroError, __version__

@@ -36,7 +36,7 @@ def bound(
     """
     import pandas as pd
 
-    from hydro_agents.bound.comparison import (
+    from hydro_agents.evaluation.bound_comparison import (
         NOMINAL,
         TRUTH,
         ComparisonSettings,

@@ -35,11 +35,11 @@ def diagnose(
     page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the last line is the verdict.
     Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
     """
-    from hydro_agents.alarms.alarm import AlarmSettings
-    from hydro_agents.diagnosis.diagnose import diagnose as diagnose_recording
-    from hydro_agents.diagnosis.diagnose import diagnose_to_folder
-    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_agents.detection.head import LeakageHead
     from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
+    from hydro_agents.rigs.diagnose import diagnose_to_folder
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import pretrained_folder
     from hydro_env.task.configuration import task_config

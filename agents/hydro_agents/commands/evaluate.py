@@ -21,7 +21,7 @@ from hydro_agents.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.detection.head import LeakageHead
     from hydro_agents.study.settings import StudySettings
     from hydro_env import TaskConfig
 
@@ -83,7 +83,7 @@ def evaluate(
     if protocol is not None:
         from hydro_agents.commands.leak_protocol import evaluate_leak_protocol
         from hydro_agents.commands.robustness import Place, evaluate_protocol
-        from hydro_agents.leak_protocol.protocol import is_leak_protocol
+        from hydro_agents.evaluation.leak_protocol import is_leak_protocol
         from hydro_env.folders import config_file
 
         file, place = config_file("protocols", protocol), Place(task, rig, output)

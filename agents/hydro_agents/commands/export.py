@@ -70,8 +70,8 @@ def export(
 
 
 def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
-    from hydro_agents.code_generation.fmu import make_fmu
-    from hydro_agents.code_generation.plant_code import plant_code
+    from hydro_agents.export.fmu import make_fmu
+    from hydro_agents.export.plant_code import plant_code
     from hydro_agents.running.folders import output_folder
 
     with output_folder(output, JOB, [FMU_FILE, *SOURCES], overwrite=overwrite):
@@ -81,9 +81,9 @@ def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
 
 
 def _export_head(output: Path, overwrite: bool) -> None:
-    from hydro_agents.code_generation.head_folder import FILES, exported_head
-    from hydro_agents.code_generation.onnx_writer import onnx_package
-    from hydro_agents.leakage.head import LeakageHead
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.export.head_folder import FILES, exported_head
+    from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.running.folders import output_folder, pretrained_folder
     from hydro_env.files import write_whole
 
@@ -96,7 +96,7 @@ def _export_head(output: Path, overwrite: bool) -> None:
 
 
 def _export_playground(output: Path, overwrite: bool) -> None:
-    from hydro_agents.playground.page import PAGE_FILE, playground_page, web_compiler
+    from hydro_agents.export.playground import PAGE_FILE, playground_page, web_compiler
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import write_whole
 
@@ -107,11 +107,11 @@ def _export_playground(output: Path, overwrite: bool) -> None:
 
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
-    from hydro_agents.code_generation.controller_folder import FILES, exported_files
-    from hydro_agents.code_generation.exported import ExportedController
-    from hydro_agents.code_generation.onnx_writer import onnx_package
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.evaluation.opponents import trained_for
+    from hydro_agents.export.controller_folder import FILES, exported_files
+    from hydro_agents.export.exported import ExportedController
+    from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.running.folders import output_folder
     from hydro_env import ConfigurationError, PlantParameters
     from hydro_env.files import write_whole

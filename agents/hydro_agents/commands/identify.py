@@ -37,9 +37,9 @@ def identify(
     recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
     contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
-    from hydro_agents.identification.identify import identify as identify_recording
-    from hydro_agents.identification.identify import identify_to_folder
     from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.identify import identify as identify_recording
+    from hydro_agents.rigs.identify import identify_to_folder
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig

@@ -53,9 +53,9 @@ def leak_bound(
     of sensors, lengths of the window, and motions. It takes some minutes; its first parts show how many on your
     machine. It writes all numbers as CSV, tables as Markdown and a picture.
     """
+    from hydro_agents.evaluation.leak_bound_survey import SurveySettings, checked, survey
+    from hydro_agents.evaluation.leak_bound_tables import as_markdown, picture
     from hydro_agents.evaluation.opponents import opponent
-    from hydro_agents.information.survey import SurveySettings, checked, survey
-    from hydro_agents.information.tables import as_markdown, picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole

@@ -8,20 +8,20 @@ import joblib
 from rich.box import SIMPLE
 from rich.table import Table
 
-from hydro_agents.alarms.alarm import AlarmSettings
-from hydro_agents.alarms.detector import HeadDetector
 from hydro_agents.commands.robustness import PROTOCOL_FILE, Place
-from hydro_agents.leak_protocol.alarm_jobs import AlarmJob, alarm_plan
-from hydro_agents.leak_protocol.protocol import LeakProtocol
-from hydro_agents.leak_protocol.readers import HeadReader, make_detector
-from hydro_agents.leak_protocol.running import run_leak_protocol
-from hydro_agents.leak_protocol.tables import LeakTables, make_tables
-from hydro_agents.leak_protocol.timings import timings_table
-from hydro_agents.leak_report.page import PAGE_FILE, write_leak_report
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm_detectors import HeadDetector
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.readers import HeadReader, make_detector
+from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_running import run_leak_protocol
+from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
+from hydro_agents.evaluation.leak_timings import timings_table
+from hydro_agents.evaluation.robustness_protocol import file_sha256
+from hydro_agents.report.leak_page import PAGE_FILE, write_leak_report
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.text import number, setting
-from hydro_agents.robustness.conditions import file_sha256
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs

@@ -53,9 +53,9 @@ def render(
     `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
     from hydro_agents.evaluation.opponents import opponent
-    from hydro_agents.film.frames import film, film_size, panels
-    from hydro_agents.film.writing import FORMATS, check_mp4, frame_rate, write_film
     from hydro_agents.recordings.simulated import named_faults
+    from hydro_agents.report.film import FORMATS, check_mp4, frame_rate, write_film
+    from hydro_agents.report.film_frames import film, film_size, panels
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config

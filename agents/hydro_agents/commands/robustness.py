@@ -11,20 +11,20 @@ import pandas as pd
 from rich.box import SIMPLE
 from rich.table import Table
 
-from hydro_agents.bound.best_found import best_found
 from hydro_agents.controllers.base import Controller
-from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.robustness.conditions import Protocol, file_sha256, protocol_named
-from hydro_agents.robustness.participants import (
+from hydro_agents.evaluation.best_found import best_found
+from hydro_agents.evaluation.participants import (
     CONDITION_MARK,
     Participants,
     participants,
     shipped_controllers,
     split_name,
 )
-from hydro_agents.robustness.running import NOT_APPLICABLE, replay, run_protocol
-from hydro_agents.robustness.tables import Tables, make_tables
-from hydro_agents.robustness_report.page import PAGE_FILE, write_robustness_report
+from hydro_agents.evaluation.robustness_protocol import Protocol, file_sha256, protocol_named
+from hydro_agents.evaluation.robustness_running import NOT_APPLICABLE, replay, run_protocol
+from hydro_agents.evaluation.robustness_tables import Tables, make_tables
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.report.robustness_page import PAGE_FILE, write_robustness_report
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs

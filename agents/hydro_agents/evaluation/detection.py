@@ -9,10 +9,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.evaluation.statistics import share_interval
-from hydro_agents.leakage.features import SIGNALS
-from hydro_agents.leakage.head import LeakageHead
-from hydro_agents.leakage.metrics import (
+from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.roc import (
     area_under_roc,
     average_precision,
     detection_rate,
@@ -22,6 +21,7 @@ from hydro_agents.leakage.metrics import (
 )
 from hydro_agents.running.cases import Cases, Rollout
 from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
 
 SEEDS_OFFSET = 500_000

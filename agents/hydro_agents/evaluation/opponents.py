@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hydro_agents.code_generation.exported import ExportedController
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.gains_file import GAINS_FILE, controller_from_gains
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.export.exported import ExportedController
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder

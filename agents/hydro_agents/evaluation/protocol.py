@@ -16,6 +16,7 @@ import pandas as pd
 from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_cases,
@@ -28,7 +29,6 @@ from hydro_agents.evaluation.detection import (
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.opponents import check_head, opponent
 from hydro_agents.evaluation.tables import ratio_table, summary_table
-from hydro_agents.leakage.head import LeakageHead
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig

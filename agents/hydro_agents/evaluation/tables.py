@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.statistics import (
+from hydro_agents.running.statistics import (
     conditional_value_at_risk,
     geometric_ratio_interval,
     mean_interval,

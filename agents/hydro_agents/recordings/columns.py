@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.detection.features import SIGNALS
 from hydro_agents.recordings.units import UNITS, factor
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
@@ -17,7 +17,7 @@ from hydro_env.units import Number
 
 COMMAND = SIGNALS.index("previous_command")
 MEASURED: tuple[str, ...] = ("position", "pressure_a", "pressure_b", "spool_position", "command")
-"""Names of the signals in a file, in the order of :data:`hydro_agents.leakage.head.SIGNALS`."""
+"""Names of the signals in a file, in the order of :data:`hydro_agents.detection.head.SIGNALS`."""
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""

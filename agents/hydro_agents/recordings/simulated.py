@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.leakage.features import SIGNALS
+from hydro_agents.detection.features import SIGNALS
 from hydro_agents.recordings.columns import MEASURED
 from hydro_agents.recordings.units import factor
 from hydro_agents.running.cases import Cases, run_cases

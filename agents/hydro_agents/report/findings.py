@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
 from hydro_agents.report.canvas import controllers_of
 from hydro_agents.report.text import decimals_for, family_name, listed, number, unbroken
+from hydro_agents.running.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-from hydro_agents.evaluation.statistics import mean_interval
 from hydro_agents.report.canvas import (
     HEIGHT,
     INK,
@@ -33,6 +32,7 @@ from hydro_agents.report.canvas import (
     ticks,
 )
 from hydro_agents.report.text import family_name, number, setting
+from hydro_agents.running.statistics import mean_interval
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation

@@ -21,7 +21,7 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
     """Holding power, and reserve of speed and force, over the leak.
 
     Args:
-        table: of :func:`~hydro_agents.experiments.leak_price.leak_price`; empty without it.
+        table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`; empty without it.
     """
     if table.empty:
         return []

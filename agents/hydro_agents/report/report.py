@@ -15,7 +15,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.evaluation.protocol import Evaluation
-from hydro_agents.evaluation.statistics import RESAMPLES
 from hydro_agents.report.canvas import Look, Plot, controllers_of, looks_of
 from hydro_agents.report.detection_plots import detection_plots
 from hydro_agents.report.findings import caution, failures, findings, plants_of
@@ -35,6 +34,7 @@ from hydro_agents.report.text import Table, correction_name, duration, family_na
 from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.statistics import RESAMPLES
 from hydro_env.files import write_whole
 
 HERE = Path(__file__).parent
@@ -80,7 +80,7 @@ class StudyRecord:
     date: str = ""  # UTC
     leak_price: pd.DataFrame = field(
         default_factory=pd.DataFrame
-    )  # see hydro_agents.experiments.leak_price; may be empty
+    )  # see hydro_agents.evaluation.leak_price; may be empty
     validation_error_mm: float = float("nan")  # of the first controller, on the plants of the training curve
 
 

@@ -10,10 +10,10 @@ import pandas as pd
 import yaml
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.protocol import Evaluation
-from hydro_agents.evaluation.statistics import Interval, ratio_interval, share_interval
 from hydro_agents.evaluation.tables import per_plant, ratio_table
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.running.statistics import Interval, ratio_interval, share_interval
 from hydro_env import TaskConfig, __version__
 
 ENVIRONMENT = "ServoHydraulic-v0"
@@ -42,7 +42,7 @@ HEAD_USE = """import math
 
 import gymnasium as gym
 import hydro_env  # registers the environment
-from hydro_agents.leakage.head import LeakageHead
+from hydro_agents.detection.head import LeakageHead
 {more}
 head = LeakageHead.load({weights})
 env = gym.make("{environment}", config=head.settings.task)  # the task of its training

@@ -12,9 +12,9 @@ from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.detection.head_training import HeadTrainingSettings
 from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.evaluation.protocol import ProtocolSettings
-from hydro_agents.leakage.training import HeadTrainingSettings
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.settings_files import read_settings, read_task
 from hydro_agents.study.absent_sensors import without_absent_sensors

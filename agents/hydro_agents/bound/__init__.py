@@ -1,1 +1,0 @@
-"""The best found: commands of a predictive controller that knows the plant's true state."""

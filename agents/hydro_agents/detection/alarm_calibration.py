@@ -1,0 +1,193 @@
+"""Computes the settings of an alarm from simulated axes of the validation seeds.
+
+Healthy axes give the baselines and the scatter of the looks about them. Axes with the onset of a leak of known size
+give the rise of the score. Each candidate way to sum up evidence then gets the thresholds for the wanted rate of false
+alarms; the one that finds the leaks soonest is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm, Scale, Sum
+from hydro_agents.detection.alarm_detectors import Activity, Floats
+from hydro_agents.detection.alarm_rates import fit_tail, peaks
+from hydro_agents.detection.alarm_simulation import Onset
+from hydro_agents.detection.looks import Looks
+from hydro_env import ConfigurationError
+
+BLOCK = 20.0
+"""Length in s of the blocks of looks whose averages give the spread; neighbouring looks have correlated errors."""
+
+HIGHEST_SHARE = 0.95
+"""Share of healthy axes whose baseline is below ``highest_baseline``."""
+
+PATIENCE = 60.0
+"""Time in s after which an undetected leak counts as missed."""
+
+CANDIDATES: tuple[tuple[Sum, ...], ...] = (
+    (Sum(method="mean"),),
+    (Sum(method="mean", memory=10.0),),
+    (Sum(method="cusum"),),
+    (Sum(method="mean", memory=2.0), Sum(method="cusum")),
+    (Sum(method="mean", memory=1.0), Sum(method="mean", memory=5.0), Sum(method="cusum")),
+    (Sum(method="mean"), Sum(method="mean", memory=4.0), Sum(method="mean", memory=16.0)),
+)
+
+
+class OnsetLooks(NamedTuple):
+    """Looks at axes before and after an onset."""
+
+    onset: Onset
+    time: float  # s, of the onset
+    before: Looks
+    after: Looks
+
+
+class Candidate(NamedTuple):
+    """A candidate with its thresholds and its delays on validation axes."""
+
+    settings: AlarmSettings
+    delays: dict[str, tuple[float, float]]  # by onset: median in s, share missed
+
+    @property
+    def cost(self) -> float:
+        """Mean over the onsets of log(median delay, at most PATIENCE) + share missed."""
+        logs = [np.log(min(median, PATIENCE)) + missed for median, missed in self.delays.values()]
+        return float(np.mean(logs))
+
+
+def _scores(looks: Looks, activity: Activity) -> Floats:
+    return np.where(looks.activity == activity, looks.score, np.nan)
+
+
+def _medians(scores: Floats, least: int) -> tuple[Floats, NDArray[np.bool_]]:
+    """Median of each axis (N,), and whether it has at least ``least`` looks."""
+    enough = np.isfinite(scores).sum(axis=1) >= least
+    medians = np.full(len(scores), np.nan)
+    medians[enough] = np.nanmedian(scores[enough], axis=1)
+    return medians, enough
+
+
+def scale_of(healthy: Looks, design: Sequence[OnsetLooks], activity: Activity, learning: int) -> Scale:
+    """The scale of one activity.
+
+    The spread is the standard deviation of averages over blocks, times the square root of the looks in a block. Looks
+    with correlated errors therefore get less weight.
+
+    Raises:
+        ConfigurationError: too few healthy axes had this activity for long enough.
+    """
+    scores = _scores(healthy, activity)
+    medians, enough = _medians(scores, learning)
+    if enough.sum() < 20:
+        raise ConfigurationError(
+            f"alarms: {enough.sum()} healthy axes were {activity.name.lower()} for {learning} looks: must be at least "
+            "20; simulate more hours"
+        )
+    interval = float(healthy.time[1] - healthy.time[0])
+    size = max(round(BLOCK / interval), 1)
+    residual = scores[enough] - medians[enough, None]
+    blocks = residual[:, : residual.shape[1] // size * size].reshape(len(residual), -1, size)
+    known = np.isfinite(blocks).sum(axis=2)
+    squares = np.nansum(blocks, axis=2) ** 2 / np.maximum(known, 1)
+    spread = float(np.sqrt(squares[known >= 0.5 * size].mean()))
+    rises: list[float] = []
+    for found in design:
+        own, _ = _medians(_scores(found.before, activity), learning // 2)
+        own = np.where(np.isnan(own), np.median(medians[enough]), own)
+        later, seen = _medians(_scores(found.after, activity), size // 4)
+        rises.extend((later - own)[seen])
+    shift = float(np.median(rises)) if rises else 0.0
+    error = 1.25 * float(np.std(rises)) / np.sqrt(len(rises)) if rises else 0.0  # of a median
+    shift = shift if shift > 2.0 * error else 0.0  # otherwise noise
+    return Scale(highest_baseline=float(np.quantile(medians[enough], HIGHEST_SHARE)), spread=spread, shift=shift)
+
+
+def thresholds(settings: AlarmSettings, healthy: Looks, rate: float) -> AlarmSettings:
+    """The settings with thresholds for ``rate`` false alarms per 100 h; each sum gets the same share of them."""
+    single = []
+    for each in settings.sums:
+        alone = settings.model_copy(update={"sums": (each.model_copy(update={"threshold": 1.0}),)})
+        share = rate / 100.0 / len(settings.sums)
+        single.append(max(_threshold(alone, healthy, share), 1e-6))
+    pairs = zip(settings.sums, single, strict=True)
+    sums = tuple(each.model_copy(update={"threshold": threshold}) for each, threshold in pairs)
+    together = settings.model_copy(update={"sums": sums})
+    factor = _threshold(together, healthy, rate / 100.0) if len(sums) > 1 else 1.0
+    final = tuple(each.model_copy(update={"threshold": each.threshold * factor}) for each in sums)
+    return settings.model_copy(update={"sums": final, "false_alarms_per_100_h": rate})
+
+
+def _threshold(settings: AlarmSettings, healthy: Looks, per_hour: float) -> float:
+    alarm, _ = LeakAlarm(settings).follow(healthy)
+    return fit_tail(np.concatenate(peaks(alarm.total)), healthy.hours).threshold_at(per_hour)
+
+
+def delays(alarm: LeakAlarm, found: OnsetLooks) -> tuple[Floats, NDArray[np.bool_]]:
+    """Time in s from the onset to the alarm (infinite: none), and which axes had an alarm before the onset, (N,)."""
+    before, state = alarm.follow(found.before)
+    raised = alarm.follow(found.after, state)[0].alarm
+    delay = found.after.time[raised.argmax(axis=1)] - found.time
+    return np.where(raised.any(axis=1), delay, np.inf), before.alarm[:, -1]
+
+
+def delay_figures(alarm: LeakAlarm, found: OnsetLooks) -> tuple[float, float]:
+    """Median delay in s and share missed, over the axes without an alarm before the onset."""
+    delay, early = delays(alarm, found)
+    kept = delay[~early]
+    if len(kept) == 0:
+        return float("nan"), 1.0
+    return float(np.median(kept)), float(np.mean(kept > PATIENCE))
+
+
+def calibrate(
+    healthy: Looks,
+    design: Sequence[OnsetLooks],
+    onsets: Sequence[OnsetLooks],
+    rate: float,
+    learning: int,
+    detector: str,
+    candidates: Sequence[tuple[Sum, ...]] = CANDIDATES,
+) -> list[Candidate]:
+    """All candidates with their thresholds, the best first.
+
+    Args:
+        healthy: looks at healthy axes.
+        design: onsets of the leak that the alarm is designed for, in each activity.
+        onsets: onsets by which the candidates are compared.
+        rate: wanted false alarms per 100 h.
+        learning: looks in each activity until an axis's own baseline is known.
+        detector: name of the detector.
+        candidates: ways to sum up evidence.
+
+    Raises:
+        ConfigurationError: too few looks.
+    """
+    base = AlarmSettings(
+        detector=detector,
+        interval=round(float(healthy.time[1] - healthy.time[0]), 6),
+        learning=learning,
+        scales={each.name.lower(): scale_of(healthy, design, each, learning) for each in Activity},
+        sums=candidates[0],
+    )
+    if not base.table("shift").any():
+        raise ConfigurationError(f"alarms: the score of '{detector}' does not rise with the leak in any activity")
+    tried: list[Candidate] = []
+    refused: ConfigurationError | None = None
+    for sums in candidates:
+        try:
+            settings = thresholds(base.model_copy(update={"sums": sums}), healthy, rate)
+        except ConfigurationError as error:  # too few peaks for its tail
+            refused = error
+            continue
+        alarm = LeakAlarm(settings)
+        reached = {each.onset.name: delay_figures(alarm, each) for each in onsets}
+        tried.append(Candidate(settings, reached))
+    if not tried and refused is not None:
+        raise refused
+    return sorted(tried, key=lambda each: each.cost)

@@ -1,0 +1,112 @@
+"""Tests of an alarm on simulated axes outside its calibration: false alarms, delays, other faults."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_calibration import PATIENCE, OnsetLooks, delays
+from hydro_agents.detection.alarm_rates import fit_tail, peaks, poisson_interval, rate_with_interval
+from hydro_agents.detection.growth import growth
+from hydro_agents.detection.looks import Looks
+from hydro_agents.running.statistics import share_interval
+
+
+def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
+    """False alarms per 100 h at multiples of the thresholds: counted with a Poisson interval, and from the tail.
+
+    At multiples below 1 alarms are frequent enough to count; the counts check the fitted tail. Alarms cluster: the
+    column ``axes`` gives the number of axes with alarms.
+    """
+    alarm, _ = LeakAlarm(settings).follow(healthy)
+    per_axis = peaks(alarm.total)
+    everything = np.concatenate(per_axis)
+    tail = fit_tail(everything, healthy.hours)
+    rows = []
+    for factor in (0.25, 0.5, 0.75, 1.0, 1.5):
+        count = int((everything > factor).sum())
+        counted = poisson_interval(count, healthy.hours / 100.0)
+        row = {"threshold": factor, "hours": healthy.hours, "alarms": count}
+        row["axes"] = sum(bool((found > factor).any()) for found in per_axis)
+        row |= counted.columns("per_100_h")
+        if factor >= tail.start:
+            by_tail = rate_with_interval(per_axis, healthy.hours, factor)
+            row |= {"by_tail": by_tail.value, "tail_low": by_tail.low, "tail_high": by_tail.high}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
+    """Delay from the onset by size and activity: median and 90 % quantile in s, and the share missed after a minute."""
+    alarm, rows = LeakAlarm(settings), []
+    for found in onsets:
+        delay, early = delays(alarm, found)
+        kept = delay[~early]
+        median, late = np.quantile(kept, [0.5, 0.9], method="higher") if len(kept) else (np.nan, np.nan)
+        row: dict[str, Any] = {
+            "leak_lpm": found.onset.leak_lpm,
+            "then": found.onset.then.name.lower() if found.onset.then is not None else "all",
+            "axes": len(kept),
+            "alarm_before": int(early.sum()),
+            "median_s": float(median),
+            "p90_s": float(late),
+        }
+        rows.append(row | share_interval(int((kept > PATIENCE).sum()), len(kept)).columns("missed"))
+    return pd.DataFrame(rows)
+
+
+def share_table(settings: AlarmSettings, cases: Sequence[tuple[str, Looks]]) -> pd.DataFrame:
+    """Share of axes with an alarm at the end, and the time in s until half of the axes have one, case by case."""
+    rows = []
+    for name, looks in cases:
+        alarm, _ = LeakAlarm(settings).follow(looks)
+        raised = alarm.alarm
+        half = raised.mean(axis=0) >= 0.5
+        row = {"case": name, "axes": len(raised), "seconds": float(looks.time[-1])}
+        row |= share_interval(int(raised[:, -1].sum()), len(raised)).columns("alarmed")
+        rows.append(row | {"half_after_s": float(looks.time[half.argmax()]) if half.any() else np.inf})
+    return pd.DataFrame(rows)
+
+
+def fault_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
+    """Share of axes that raise an alarm after the onset of another fault with a healthy seal; see :func:`delays`."""
+    alarm, rows = LeakAlarm(settings), []
+    for found in onsets:
+        delay, early = delays(alarm, found)
+        hits = np.isfinite(delay[~early])
+        name = " ".join(f"{value}" for value in found.onset.fault or ("none",))
+        row = {"fault": name, "axes": len(hits), "seconds": float(found.after.time[-1] - found.time)}
+        rows.append(row | share_interval(int(hits.sum()), len(hits)).columns("alarmed"))
+    return pd.DataFrame(rows)
+
+
+def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
+    """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
+
+    Args:
+        found: looks at axes whose leaks grow beyond the limit.
+        limit_lpm: the limit, l/min at 100 bar.
+        least_lpm: smallest size that the detector can read.
+    """
+    rows = []
+    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
+        half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
+        trend = growth(found.after.time[: half + 1], flow[: half + 1], limit_lpm, least_lpm)
+        left = float(found.after.time[full] - found.after.time[half]) / 3600.0
+        expected = trend.hours_to_limit
+        row = {"hours_left": left, **expected.columns("expected_hours")}
+        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
+    return pd.DataFrame(rows)
+
+
+def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row: axes with a trend, medians, and the share of intervals that contain the true time."""
+    known = table.dropna()  # NaN: too few looks at a readable size
+    holds = share_interval(int(known["holds"].sum()), len(known))
+    row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
+    row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
+    return pd.DataFrame([row | {"holds": holds.value, "holds_low": holds.low, "holds_high": holds.high}])

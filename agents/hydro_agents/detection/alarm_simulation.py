@@ -1,0 +1,174 @@
+"""Simulated axes at work, and the looks of a detector at them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.detection.alarm_detectors import Activity, Detector, activity_of
+from hydro_agents.detection.alarm_operation import working_references
+from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.looks import Looks
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import LeakageDraw, task_config
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
+from hydro_env.task.settings import choice
+
+_ONSET, _GROWTH = (choice(LeakageDraw, "schedule", name) for name in ("onset", "growth"))
+_FAULT_ONSET = choice(Fault, "schedule", "onset")
+
+
+@dataclass(frozen=True)
+class Operation:
+    """Axes at work, with consecutive seeds."""
+
+    first_seed: int
+    axes: int
+    duration: float  # s, up to the onset
+    interval: float  # s, between looks
+    leak_lpm: float | None = None  # at 100 bar, from the start; None: healthy, drawn by the seed
+    after: float = 0.0  # s, that follow each onset
+    parameters: Mapping[str, Mapping[str, float]] | None = None  # of every plant, as the option of reset
+
+
+@dataclass(frozen=True)
+class Onset:
+    """Change of the axes after ``Operation.duration``; each onset continues the same axes."""
+
+    leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
+    then: Activity | None = None  # from then on; None: all activities in turn
+    grows: bool = False  # log-linearly until the end, instead of suddenly
+    fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude, sudden
+
+    @property
+    def name(self) -> str:
+        """Name for files and tables."""
+        parts = ["none" if self.leak_lpm is None else f"{self.leak_lpm:g}"]
+        parts += [self.then.name.lower()] if self.then is not None else []
+        parts += ["growing"] if self.grows else []
+        return "_".join([*parts, *(f"{value}" for value in self.fault or ())])
+
+
+def simulate(
+    config: TaskConfig,
+    controller: Controller,
+    detector: Detector,
+    operation: Operation,
+    onsets: tuple[Onset, ...] = (),
+) -> list[Looks]:
+    """Simulate axes at work and look at them at regular times; axes, references and noise depend on the seeds alone.
+
+    Returns:
+        Looks at the axes up to the onset, then the looks after each onset, all with the same past.
+
+    Raises:
+        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+    """
+    work = _Work(config, controller, detector, operation)
+    before = work.looks(work.change)
+    results, start = [before], work.memory()
+    for onset in onsets:
+        work.recall(start)
+        work.begin(onset)
+        results.append(work.looks(work.end))
+    work.env.close()
+    return results
+
+
+class _Work:
+    """Axes at work; :meth:`recall` returns to an earlier state for the next onset."""
+
+    def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
+        self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
+        self.period = config.control_period
+        self.every = max(round(operation.interval / self.period), 1)
+        self.change = round(operation.duration / self.period)
+        self.end = self.change + round(operation.after / self.period)
+        if self.change < detector.window:
+            raise ConfigurationError(
+                f"alarms: work of {operation.duration:g} s is shorter than a window of "
+                f"{detector.window * self.period:g} s"
+            )
+        leakage = {**config.leakage.model_dump(), "schedule": "constant"}
+        # One period more than is simulated: no axis restarts.
+        self.config = task_config(config, episode_duration=(self.end + 1) * self.period, leakage=leakage)
+        layout = ObservationLayout.of(self.config)
+        self.rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # the rig may lack a sensor
+        self.columns = [layout.index(SIGNALS[row]) for row in self.rows]
+        self.scale = np.array([layout.scale[column] for column in self.columns])
+        self.seeds = np.arange(operation.first_seed, operation.first_seed + operation.axes)
+        self.env = ServoHydraulicVectorEnv(operation.axes, self.config, info=False)
+        options: dict[str, Any] = {
+            "reference": working_references(self.config, self.seeds),
+            "leakage_flow_lpm": self._flows(),
+            **({"parameters": operation.parameters} if operation.parameters else {}),
+        }
+        self.observation, _ = self.env.reset(seed=[int(seed) for seed in self.seeds], options=options)
+        self.window = np.full((operation.axes, len(SIGNALS), detector.window), np.nan)
+        self.alive = np.ones(operation.axes, dtype=np.bool_)
+        self.controller_memory: Any = None
+        self.step = 0
+
+    def _flows(self) -> NDArray[np.float64]:
+        if self.operation.leak_lpm is not None:
+            return np.full(len(self.seeds), self.operation.leak_lpm)
+        low, high = np.log(self.config.leakage.healthy_range)
+        return np.array([np.exp(np.random.default_rng([int(seed), 2]).uniform(low, high)) for seed in self.seeds])
+
+    def memory(self) -> tuple[Any, ...]:
+        """The complete state."""
+        numbers = self.observation.copy(), self.window.copy(), self.alive.copy()
+        return self.env.get_state(), *numbers, self.controller_memory, self.step, deepcopy(self.detector)
+
+    def recall(self, memory: tuple[Any, ...]) -> None:
+        """Return to a state of :meth:`memory`."""
+        state, observation, window, alive, self.controller_memory, self.step, detector = memory
+        self.env.set_state(state)
+        self.detector = deepcopy(detector)
+        self.observation, self.window, self.alive = observation, window.copy(), alive
+
+    def begin(self, onset: Onset) -> None:
+        """Change the leaks and the activities of the axes from now on."""
+        axes, now = self.env.axes, self.step * self.period
+        if onset.then is not None:
+            axes.reference[:] = working_references(self.config, self.seeds, (now, onset.then))
+        row = axes.record
+        if onset.leak_lpm is not None:
+            row["leak_schedule"] = _GROWTH if onset.grows else _ONSET
+            row["leak_start_time"] = now
+            row["leak_start_flow"] = row["leak_flow"]
+            row["leak_target_flow"] = onset.leak_lpm
+        if onset.fault is not None:
+            name, magnitude = onset.fault
+            kind = FAULT_KINDS.index(KIND_OF_FAULT[name])
+            row["faulty"] = 1.0
+            row["fault_schedule"][:, kind] = _FAULT_ONSET
+            row["fault_start"][:, kind] = now
+            row["fault_target"][:, FAULTS.index(name)] = magnitude
+
+    def looks(self, end: int) -> Looks:
+        """Simulate until a step, and return the looks."""
+        length, rows = self.detector.window, []
+        while self.step < end:
+            self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale
+            if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
+                signals = np.roll(self.window, -(self.step + 1), axis=2)
+                evidence = self.detector(signals)
+                evidence = evidence._replace(score=np.where(self.alive, evidence.score, np.nan))
+                flow = self.env.axes.column("leak_flow").copy()
+                rows.append((self.step * self.period, *evidence, activity_of(signals, self.period), flow))
+            started = np.full(len(self.seeds), self.step == 0)
+            action, self.controller_memory = self.controller.predict(
+                self.observation, self.controller_memory, started, True
+            )
+            self.observation, _, terminated, _, _ = self.env.step(np.where(self.alive[:, None], action, 0.0))
+            self.alive = self.alive & ~terminated
+            self.step += 1
+        time, *columns = zip(*rows, strict=True)
+        return Looks(np.array(time), *(np.stack(values, axis=1) for values in columns))

@@ -1,0 +1,335 @@
+"""The flow balance of both chambers, fitted to a window of measured signals by least squares, without simulation.
+
+Integrated from the start of the window, the balances (12), (13) give the travel of the piston:
+
+    A_a x = ∫ (Q_a − G_i (p_a − p_b)) dt − C_a,     A_b x = ∫ (Q_b − G_i (p_a − p_b) + G_e p_b) dt + C_b
+
+C is the volume by which the oil of a chamber was compressed. Q_a and Q_b are the flows (2), (3) through the valve at
+the measured spool position and pressures. Each unknown (:class:`~hydro_agents.detection.sheet.Unknowns`) has a prior
+from the data sheet (maximum a posteriori): without information in the window, it keeps the value of the prior.
+
+Two residuals are fitted. The first is the balance of chamber a, in metres of piston travel; it contains the white noise
+of the position sensor. The second is the difference between the travels of the two balances: the position cancels, and
+the white noise of the pressures remains. Errors of the flows add up over time, as a random walk. A scalar Kalman filter
+whitens both residuals and their derivatives, which turns the Gauss–Newton fit into generalised least squares (Kailath,
+Sayed & Hassibi 2000, *Linear Estimation*, chapter 9).
+
+The noise of the pressures is also in the derivative with respect to the compressibility. Plain least squares would
+estimate the oil as too stiff, above all at standstill. The fit therefore subtracts the known variance of that noise
+(corrected least squares: Fuller 1987, *Measurement Error Models*, section 2.2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.normal_equations import factor, hold, substitute, whiten
+from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
+from hydro_agents.detection.spool import best_valve, spool_between
+from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.parts.chambers import chamber_volumes
+from hydro_env.plant.parts.supply import supply_rates
+from hydro_env.plant.parts.valve import smooth_root
+from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+
+ITERATIONS = 12
+"""Largest number of evaluations of the balance."""
+
+FIRST_DAMPING = 1e-3
+"""Fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)."""
+
+ENOUGH = 0.1
+"""Decrease of the cost (χ²) below which the fit ends."""
+
+LARGEST_MOVE = 1.5
+"""Largest change of an unknown in one iteration, in standard deviations of its prior."""
+
+SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
+
+CAVITATING = 1e-3
+"""m per period; error of the travel while a pressure may be at the end of its sensor's range."""
+
+PARTS = 8
+"""Number of equal parts of a window; the leak is also estimated for each part alone."""
+
+COUNT = len(Unknowns._fields)
+GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
+
+LEAK_UNIT = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+
+_read_unknowns = tuple_reader(Unknowns)
+_read_coefficients = tuple_reader(Coefficients)
+_set_to = tuple_replacer(Coefficients, "relief_pressure")
+
+
+class _Supplied(NamedTuple):
+    """The part of the state that the law of the supply reads."""
+
+    supply_pressure: float
+    gas_volume: float
+
+
+@inline
+def _absolute(pressure):
+    return max(pressure + ATMOSPHERIC_PRESSURE, 0.2 * ATMOSPHERIC_PRESSURE)
+
+
+@inline
+def _root_slope(pressure_drop, transition_squared):
+    """Derivative of :func:`smooth_root`, 1/√Pa."""
+    squared = pressure_drop * pressure_drop
+    total = squared + transition_squared
+    return (0.5 * squared + transition_squared) / (total * math.sqrt(math.sqrt(total)))
+
+
+@inline
+def _without_lag(sensed, sheet, pressure):
+    """Pressure before a transducer's first-order lag; the inverse of :func:`hydro_env.task.signals.lagged`."""
+    decay = sheet.pressure_decay
+    follow = sheet.pressure_lag * (1.0 - decay) - decay
+    pressure[0] = sensed[0]
+    for k in range(sensed.shape[0] - 1):
+        pressure[k + 1] = (sensed[k + 1] - decay * sensed[k] - follow * pressure[k]) / (1.0 - decay - follow)
+
+
+@inline
+def _add_flows(travel, slope, a, b, spool, supply, excess_share, duration, u, c):
+    """Add the effect of the flows during a short time to both travels and their derivatives (2, COUNT).
+
+    Returns:
+        The flow in m³/s that the valve draws from the supply.
+    """
+    gain = c.edge_gain * u.flow_gain
+    internal, external = LEAK_UNIT * u.internal_leak, LEAK_UNIT * u.external_leak
+    opening = spool - u.null
+    width = math.sqrt(opening * opening + u.underlap * u.underlap)
+    forward, backward = 0.5 * (width + opening), 0.5 * (width - opening)
+    t2 = c.transition_squared
+    in_a, out_a = smooth_root(supply - a, t2), smooth_root(a - u.tank_pressure, t2)
+    in_b, out_b = smooth_root(supply - b, t2), smooth_root(b - u.tank_pressure, t2)
+    supply_a = gain * forward * _root_slope(supply - a, t2)
+    supply_b = -gain * backward * _root_slope(supply - b, t2)
+    tank_a = gain * backward * _root_slope(a - u.tank_pressure, t2)
+    tank_b = -gain * forward * _root_slope(b - u.tank_pressure, t2)
+    unit_a, unit_b = forward * in_a - backward * out_a, forward * out_b - backward * in_b
+    lap = 0.5 * gain * u.underlap / width
+    shift_forward, shift_backward = -0.5 * gain * (opening / width + 1.0), -0.5 * gain * (opening / width - 1.0)
+    share_a, share_b = duration / c.area_a, duration / c.area_b
+    travel[0] += share_a * (gain * unit_a - internal * (a - b))
+    travel[1] += share_b * (gain * unit_b - internal * (a - b) + external * b)
+    slope[0, GAIN] += share_a * c.edge_gain * unit_a
+    slope[1, GAIN] += share_b * c.edge_gain * unit_b
+    slope[0, SUPPLY] += share_a * supply_a
+    slope[1, SUPPLY] += share_b * supply_b
+    slope[0, EXCESS] += share_a * supply_a * excess_share
+    slope[1, EXCESS] += share_b * supply_b * excess_share
+    slope[0, UNDERLAP] += share_a * lap * (in_a - out_a)
+    slope[1, UNDERLAP] += share_b * lap * (out_b - in_b)
+    slope[0, NULL] += share_a * (shift_forward * in_a - shift_backward * out_a)
+    slope[1, NULL] += share_b * (shift_forward * out_b - shift_backward * in_b)
+    slope[0, INTERNAL] -= share_a * LEAK_UNIT * (a - b)
+    slope[1, INTERNAL] -= share_b * LEAK_UNIT * (a - b)
+    slope[1, EXTERNAL] += share_b * LEAK_UNIT * b
+    slope[0, BIAS_A] += share_a * (supply_a + tank_a + internal)  # the pressure is the reading less the bias
+    slope[1, BIAS_A] += share_b * internal
+    slope[0, BIAS_B] -= share_a * internal
+    slope[1, BIAS_B] += share_b * (supply_b + tank_b - internal - external)
+    slope[0, TANK] += share_a * tank_a
+    slope[1, TANK] += share_b * tank_b
+    return gain * (forward * in_a + backward * in_b)
+
+
+@inline
+def _add_compression(travel, slope, chamber, sign, first, last, length, area, u, c):
+    """Add the effect of compressing a chamber between two pressures, Pa; ``length`` is its volume over its area."""
+    begin, end = _absolute(first), _absolute(last)
+    oil = (end - begin) / c.bulk_modulus
+    air = ATMOSPHERIC_PRESSURE * (1.0 / begin - 1.0 / end)
+    squeezed = u.compressibility * oil + u.air_fraction * air
+    travel[chamber] += sign * length * squeezed
+    slope[chamber, OIL] += sign * length * oil
+    slope[chamber, AIR] += sign * length * air
+    slope[chamber, DEAD] += sign * squeezed / area
+
+
+def _build(sources: int) -> Any:
+    def fit(signals, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation):
+        assert sources >= 0  # keys numba's cache
+        c = _read_coefficients(sheet.coefficients)
+        samples = signals.shape[2]
+        spool, p_a, p_b = np.empty((samples, POINTS)), np.empty(samples), np.empty(samples)
+        smooth, valve = np.empty(samples), np.empty(3)
+        theta, normal, right = np.empty(COUNT), np.empty((COUNT, COUNT)), np.empty(COUNT)
+        best_normal, best_right, mean_square = np.empty((COUNT, COUNT)), np.empty(COUNT), np.empty(2)
+        normals, rights = np.empty((2, COUNT, COUNT)), np.empty((2, COUNT))  # of each residual
+        travel, slope = np.empty(2), np.empty((2, COUNT))  # since the window began
+        filtered, whitened = np.empty((2, COUNT + 1)), np.empty(COUNT + 1)
+        variance = np.empty(2)
+        pull, known_leak = np.empty((2, PARTS)), np.empty((2, PARTS))  # of each residual on the leak in each part
+        spread = sheet.spread
+        for window in range(signals.shape[0]):
+            x, sensed_a, sensed_b, reading, command = signals[window]
+            _without_lag(sensed_a, sheet, p_a)
+            _without_lag(sensed_b, sheet, p_b)
+            answer = sheet.transition[best_valve(reading, command, sheet.transition, sheet.spool_noise, valve)]
+            spool_between(reading, command, answer, sheet.spool_noise, valve, spool, spool_error[window], smooth)
+            theta[:] = sheet.mean
+            damping, least = FIRST_DAMPING, math.inf
+            for _ in range(ITERATIONS):
+                u = _read_unknowns(theta)
+                mean_square[:] = 0.0
+                normals[:] = 0.0
+                rights[:] = 0.0
+                pull[:] = 0.0
+                known_leak[:] = 0.0
+                travel[:] = 0.0
+                slope[:] = 0.0
+                filtered[:] = 0.0
+                variance[0] = sheet.position_noise**2
+                variance[1] = (sheet.mean[OIL] * sheet.pressure_noise_b / c.bulk_modulus * c.volume_b0 / c.area_b) ** 2
+                supply, gas, excess_share = u.supply_pressure + u.supply_excess, sheet.gas_volume, 1.0
+                for k in range(samples - 1):
+                    drawn = 0.0
+                    for point in range(POINTS):
+                        share = (point + 0.5) / POINTS
+                        a = p_a[k] + share * (p_a[k + 1] - p_a[k]) - u.bias_a
+                        b = p_b[k] + share * (p_b[k + 1] - p_b[k]) - u.bias_b
+                        step = sheet.period / POINTS
+                        drawn += (
+                            _add_flows(travel, slope, a, b, spool[k, point], supply, excess_share, step, u, c) / POINTS
+                        )
+                    volume_a, volume_b = chamber_volumes(0.5 * (x[k] + x[k + 1]), c)
+                    length_a, length_b = (volume_a + u.dead_volume) / c.area_a, (volume_b + u.dead_volume) / c.area_b
+                    first, last = p_a[k] - u.bias_a, p_a[k + 1] - u.bias_a
+                    _add_compression(travel, slope, 0, -1.0, first, last, length_a, c.area_a, u, c)
+                    first, last = p_b[k] - u.bias_b, p_b[k + 1] - u.bias_b
+                    _add_compression(travel, slope, 1, 1.0, first, last, length_b, c.area_b, u, c)
+
+                    rate, gas_rate = supply_rates(_Supplied(supply, gas), drawn, _set_to(c, u.supply_pressure))
+                    stiffness = c.supply_dynamics * (supply + ATMOSPHERIC_PRESSURE) / gas
+                    excess_share *= math.exp(-sheet.period * stiffness * c.relief_slope)
+                    supply += sheet.period * rate
+                    gas = max(gas + sheet.period * gas_rate, 0.1 * sheet.gas_volume)
+
+                    sensed = (
+                        math.hypot(length_a * sheet.pressure_noise_a, length_b * sheet.pressure_noise_b)
+                        / c.bulk_modulus
+                    )
+                    noise = sheet.flow_noise**2 + (sheet.flow_error * (reading[k + 1] - reading[k])) ** 2
+                    if min(p_a[k], p_a[k + 1]) < sheet.lowest_a or min(p_b[k], p_b[k + 1]) < sheet.lowest_b:
+                        noise += CAVITATING**2
+                    for residual in range(2):
+                        other = residual == 1
+                        base = sheet.mean[OIL] * sensed if other else sheet.position_noise
+                        value = travel[1] - travel[0] if other else x[k + 1] - x[0] - travel[0]
+                        variance[residual] += noise
+                        total = variance[residual] + base * base
+                        blend, unit = variance[residual] / total, 1.0 / math.sqrt(total)
+                        variance[residual] *= 1.0 - blend
+                        square = whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
+                        mean_square[residual] += square / (samples - 1)
+                        if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
+                            known = (unit * sensed) ** 2
+                            mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / (samples - 1)
+                            rights[1, OIL] += known * u.compressibility * spread[OIL]
+                            normals[1, OIL, OIL] -= 0.8 * known * spread[OIL] ** 2
+                        for i in range(COUNT):
+                            for j in range(i + 1):
+                                normals[residual, i, j] += whitened[i] * whitened[j]
+                            rights[residual, i] -= whitened[i] * whitened[COUNT]
+                        part = PARTS * k // (samples - 1)
+                        pull[residual, part] -= whitened[INTERNAL] * whitened[COUNT]
+                        known_leak[residual, part] += whitened[INTERNAL] ** 2
+
+                # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
+                cost = 0.0
+                normal[:] = 0.0
+                for i in range(COUNT):
+                    off = (sheet.mean[i] - theta[i]) / spread[i]
+                    normal[i, i], right[i] = 1.0, off
+                    cost += off * off
+                for residual in range(2):
+                    above = max(mean_square[residual], 1.0)
+                    for part in range(PARTS):
+                        pull[residual, part] /= above
+                        known_leak[residual, part] /= above
+                    cost += (samples - 1) * (min(mean_square[residual], 1.0) + math.log(above))
+                    for i in range(COUNT):
+                        right[i] += rights[residual, i] / above
+                        for j in range(i + 1):
+                            normal[i, j] += normals[residual, i, j] / above
+                if cost < least:
+                    gained, least = least - cost, cost
+                    damping *= 0.2
+                    best_normal[:] = normal
+                    best_right[:] = right
+                    estimate[window] = theta
+                    misfit[window] = mean_square
+                    for part in range(PARTS):
+                        known = 1.0 + known_leak[0, part] + known_leak[1, part]
+                        off = (pull[0, part] + pull[1, part]) / known
+                        part_leak[window, part] = u.internal_leak + off * spread[INTERNAL]
+                        part_deviation[window, part] = spread[INTERNAL] / math.sqrt(known)
+                    if gained < ENOUGH:
+                        break
+                else:
+                    damping *= 10.0
+                for held in range(2):
+                    normal[:] = best_normal
+                    right[:] = best_right
+                    for i in range(COUNT):
+                        normal[i, i] *= 1.0 + damping
+                    none = -estimate[window, INTERNAL] / spread[INTERNAL]
+                    if held == 1:  # at zero: a leak cannot be negative
+                        hold(normal, right, INTERNAL, max(none, -LARGEST_MOVE))
+                    factor(normal)
+                    substitute(normal, right)
+                    if right[INTERNAL] >= none:
+                        break
+                for i in range(COUNT):
+                    theta[i] = estimate[window, i] + min(max(right[i], -LARGEST_MOVE), LARGEST_MOVE) * spread[i]
+                theta[GAIN] = max(theta[GAIN], SMALLEST_GAIN)
+                theta[UNDERLAP] = max(theta[UNDERLAP], SMALLEST_UNDERLAP)
+                theta[OIL] = max(theta[OIL], SMALLEST_COMPRESSIBILITY)
+            factor(best_normal)
+            for i in range(COUNT):  # diagonal of the inverse
+                right[:] = 0.0
+                right[i] = 1.0
+                substitute(best_normal, right)
+                deviation[window, i] = min(math.sqrt(right[i]), 1.0) * spread[i]  # at most the prior's
+
+    return compiled(fit)
+
+
+fit = _build(SOURCES)
+
+
+class Balance(NamedTuple):
+    """The fit of N windows of T samples."""
+
+    estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
+    deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
+    misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
+    spool_error: NDArray[np.float64]  # (N, T), spool reading minus the response of the best-fitting candidate valve
+    part_leak: NDArray[np.float64]  # (N, PARTS), l/min at 100 bar, of each part alone, other estimates unchanged
+    part_deviation: NDArray[np.float64]  # (N, PARTS)
+
+
+def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
+    """Fit the flow balance of windows.
+
+    Args:
+        signals: (N, 5, T), position, pressures, spool position and previous command in SI units, without NaN.
+        sheet: data sheet of the axis.
+    """
+    count, _, samples = signals.shape
+    widths = (COUNT, COUNT, 2, samples, PARTS, PARTS)
+    balance = Balance(*(np.empty((count, width)) for width in widths))
+    fit(np.ascontiguousarray(signals), sheet, *balance)
+    return balance

@@ -1,0 +1,257 @@
+"""The features of a window of measured signals for the leakage head: the flow balance, and statistics of the motion."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, fit_balance
+from hydro_agents.detection.repair import fill_gaps, mark_lost
+from hydro_agents.detection.sheet import Sheet, Unknowns
+from hydro_agents.detection.window_statistics import (
+    leak_changes,
+    load,
+    logarithm,
+    mean_distance,
+    share_of_full,
+    spool_errors,
+    summary,
+)
+from hydro_env.compiling import SOURCES, compiled, tuple_reader, tuple_writer
+from hydro_env.plant.equations import Coefficients
+
+SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
+"""Measured signals that the head reads, in this order."""
+
+SENSORS = SIGNALS[:4]
+
+LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
+"""Labels of the head. An axis may have several at once; therefore each has its own probability."""
+
+FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
+"""Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""
+
+LAST_PARTS = 3
+"""Number of last parts of the window whose own leak is a feature, for the size of a growing leak."""
+
+FEATURES = (
+    *(f"fitted {name}" for name in Unknowns._fields),
+    *(f"deviation of {name}" for name in Unknowns._fields),
+    "misfit of travel",
+    "misfit of flows",
+    "small internal leak",
+    "small external leak",
+    "internal leak over deviation",
+    "external leak over deviation",
+    "mean spool error",
+    "spread of spool error",
+    "spool error over position",
+    "spool error against direction",
+    "spool error at rest",
+    "mean pressure a",
+    "mean pressure b",
+    "mean pressure difference",
+    "mean size of pressure difference",
+    "spread of pressure a",
+    "spread of pressure b",
+    "change of pressure a",
+    "change of pressure b",
+    "mean spool",
+    "mean size of spool",
+    "spread of spool",
+    "change of spool",
+    "change of command",
+    "share of full command",
+    "mean position",
+    "spread of position",
+    "change of position",
+    "spring",
+    "force offset",
+    "friction",
+    "misfit of force",
+    *(f"lost samples of {name}" for name in SENSORS),
+    *(f"change of leak in part {part + 1}" for part in range(PARTS)),
+    *(f"leak in part {part + 1}" for part in range(PARTS - LAST_PARTS, PARTS)),
+    "deviation of leak in last part",
+    "change of leak",
+    "duration",
+)
+"""Names of the features."""
+
+SPREAD = FEATURES.index("spread of position")
+STILL = np.log10(3e-4)
+"""The axis stands still if this feature is below this value."""
+
+CHANGE = FEATURES.index("change of leak")
+"""The feature that separates windows with a constant leak from windows with a changing one."""
+
+
+class Motion(NamedTuple):
+    """The features from "small internal leak" to "misfit of force", each a plain number."""
+
+    small_internal_leak: float
+    small_external_leak: float
+    internal_leak_over_deviation: float
+    external_leak_over_deviation: float
+    mean_spool_error: float
+    spread_of_spool_error: float
+    spool_error_over_position: float
+    spool_error_against_direction: float
+    spool_error_at_rest: float
+    mean_pressure_a: float
+    mean_pressure_b: float
+    mean_pressure_difference: float
+    mean_size_of_pressure_difference: float
+    spread_of_pressure_a: float
+    spread_of_pressure_b: float
+    change_of_pressure_a: float
+    change_of_pressure_b: float
+    mean_spool: float
+    mean_size_of_spool: float
+    spread_of_spool: float
+    change_of_spool: float
+    change_of_command: float
+    share_of_full_command: float
+    mean_position: float
+    spread_of_position: float
+    change_of_position: float
+    spring: float
+    force_offset: float
+    friction: float
+    misfit_of_force: float
+
+
+_AFTER_FIT = 2 * COUNT + 2
+_write_motion = tuple_writer(Motion, first=_AFTER_FIT)
+_read_coefficients = tuple_reader(Coefficients)
+
+
+def _build_repair(sources: int) -> Any:
+    def repair(signals, sheet, filled, lost):
+        assert sources >= 0  # keys numba's cache
+        flags = np.empty(signals.shape[2])
+        for window in range(signals.shape[0]):
+            for sensor in range(4):
+                far = FAR_FROM_END_SPOOL if sensor == 3 else FAR_FROM_END
+                values = signals[window, sensor]
+                mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
+                lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
+            values = signals[window, 4]
+            for k in range(values.shape[0]):
+                flags[k] = 0.0 if values[k] == values[k] else 1.0
+            fill_gaps(values, flags, filled[window, 4])
+
+    return compiled(repair)
+
+
+def _build_describe(sources: int) -> Any:
+    def describe(signals, lost, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation, features):
+        assert sources >= 0
+        c = _read_coefficients(sheet.coefficients)
+        stroke, supply, samples = 2.0 * c.end_stop_position, sheet.mean[SUPPLY], signals.shape[2]
+        normal, right, row, change = np.empty((4, 4)), np.empty(4), np.empty(4), np.empty(PARTS)
+        for window in range(signals.shape[0]):
+            position, p_a, p_b, spool, command = signals[window]
+            values, error = features[window], spool_error[window]
+            for i in range(COUNT):
+                values[i] = math.asinh(10.0 * (estimate[window, i] - sheet.mean[i]) / sheet.spread[i])
+                values[COUNT + i] = math.log10(deviation[window, i] / sheet.spread[i] + 1e-6)
+            for i in range(2):
+                values[2 * COUNT + i] = logarithm(misfit[window, i], 1e-2)
+            internal, external = estimate[window, INTERNAL], estimate[window, EXTERNAL]
+            x, a, b, s, u, e = (
+                summary(position),
+                summary(p_a),
+                summary(p_b),
+                summary(spool),
+                summary(command),
+                summary(error),
+            )
+            errors = spool_errors(spool, error, command)
+            force = load(position, p_a, p_b, c, supply, sheet.period, normal, right, row)
+            motion = Motion(
+                small_internal_leak=math.asinh(internal / 0.02),
+                small_external_leak=math.asinh(external / 0.02),
+                internal_leak_over_deviation=math.asinh(internal / deviation[window, INTERNAL]),
+                external_leak_over_deviation=math.asinh(external / deviation[window, EXTERNAL]),
+                mean_spool_error=math.asinh(e.mean / 2e-3),
+                spread_of_spool_error=logarithm(e.spread, 1e-4),
+                spool_error_over_position=math.asinh(20.0 * errors.over_position),
+                spool_error_against_direction=math.asinh(errors.against_direction / 1e-3),
+                spool_error_at_rest=logarithm(errors.at_rest, 1e-4),
+                mean_pressure_a=a.mean / supply,
+                mean_pressure_b=b.mean / supply,
+                mean_pressure_difference=(a.mean - b.mean) / supply,
+                mean_size_of_pressure_difference=mean_distance(p_a, p_b) / supply,
+                spread_of_pressure_a=logarithm(a.spread / supply, 1e-4),
+                spread_of_pressure_b=logarithm(b.spread / supply, 1e-4),
+                change_of_pressure_a=logarithm(a.change / supply, 1e-5),
+                change_of_pressure_b=logarithm(b.change / supply, 1e-5),
+                mean_spool=math.asinh(20.0 * s.mean),
+                mean_size_of_spool=logarithm(s.size, 1e-4),
+                spread_of_spool=logarithm(s.spread, 1e-4),
+                change_of_spool=logarithm(s.change, 1e-5),
+                change_of_command=logarithm(u.change, 1e-5),
+                share_of_full_command=share_of_full(command),
+                mean_position=x.mean / stroke,
+                spread_of_position=logarithm(x.spread / stroke, 1e-5),
+                change_of_position=logarithm(x.change / stroke, 1e-6),
+                spring=force.spring,
+                force_offset=force.offset,
+                friction=force.friction,
+                misfit_of_force=logarithm(force.misfit, 1e-4),
+            )
+            _write_motion(values, motion)
+            for sensor in range(4):
+                values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)
+            mean_square = leak_changes(part_leak[window], part_deviation[window], change)
+            first = AFTER_MOTION + 4
+            for part in range(PARTS):
+                values[first + part] = math.asinh(change[part])
+            for part in range(LAST_PARTS):
+                values[first + PARTS + part] = math.asinh(part_leak[window, PARTS - LAST_PARTS + part] / 0.1)
+            first += PARTS + LAST_PARTS
+            values[first] = logarithm(part_deviation[window, PARTS - 1], 1e-4)
+            values[first + 1] = logarithm(mean_square, 1e-2)
+            values[first + 2] = math.log10(samples * sheet.period)
+            for i in range(values.shape[0]):
+                values[i] = values[i] if math.isfinite(values[i]) else 0.0
+
+    return compiled(describe)
+
+
+AFTER_MOTION = _AFTER_FIT + len(Motion._fields)
+"""Number of the first feature after those of :class:`Motion`."""
+
+repair, describe = _build_repair(SOURCES), _build_describe(SOURCES)
+
+
+class Repaired(NamedTuple):
+    """Signals without gaps."""
+
+    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the previous reading
+    lost: NDArray[np.float64]  # (N, 4), share of lost samples of each sensor
+
+
+def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
+    """Fill lost samples: NaN, and short falls to the lower end of a sensor's range."""
+    values = np.ascontiguousarray(signals, dtype=np.float64)
+    result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
+    repair(values, sheet, *result)
+    return result
+
+
+def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:
+    """:data:`FEATURES` of windows, (N, F).
+
+    Args:
+        signals: SIGNALS (N, 5, T) in SI units; NaN where a sample is lost or a sensor absent.
+        sheet: data sheet of the axis.
+    """
+    whole = repaired(signals, sheet)
+    features = np.empty((len(whole.signals), len(FEATURES)))
+    describe(*whole, sheet, *fit_balance(whole.signals, sheet), features)
+    return features.astype(np.float32)

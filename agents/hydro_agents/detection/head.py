@@ -1,0 +1,349 @@
+"""The leakage head: from 2 to 8 s of measured signals to leak, size, other faults, and "outside the training".
+
+It works under any operation of the axis, because it reads only measured signals; ``MonitoredController``
+(:mod:`hydro_agents.detection.monitor`) attaches it to a controller. A small network evaluates the flow balance of the
+window (:mod:`hydro_agents.detection.balance`) and statistics of its motion (:mod:`hydro_agents.detection.features`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+
+from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
+from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
+from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.detection.stuck import stuck_sensors
+from hydro_agents.running.weights import load_weights, require, save_weights
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, validate
+
+KIND = "leakage head"
+
+SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
+"""Allowed numbers of observations in a window; fewer carry no information, and more must be a mistake."""
+
+LARGEST_WIDTH, LAYERS = 1024, 3
+
+UPDATES_PER_WINDOW = 16
+"""Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
+
+SMALLEST_FLOW = 0.01
+"""l/min at 100 bar; smaller leaks count as none, and an interval that begins here begins at 0."""
+
+LARGEST_FLOW = 100.0
+"""l/min at 100 bar; largest answer."""
+
+FARTHEST = 8.0
+"""Limit of a feature, in standard deviations from its mean in training."""
+
+
+class LeakageEstimate(NamedTuple):
+    """Estimate of the head, each (N,); NaN until a whole window of observations is known.
+
+    The five probabilities are independent answers, because a leak may occur together with another fault.
+    """
+
+    probability: NDArray[np.float64]  # of a leak past the piston, 0 to 1
+    flow_lpm: NDArray[np.float64]  # its size, l/min at 100 bar
+    low_lpm: NDArray[np.float64]  # 90 % interval of the size
+    high_lpm: NDArray[np.float64]
+    external_leak: NDArray[np.float64]  # probability of a leak past the rod seal
+    valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
+    sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
+    return_line: NDArray[np.float64]  # of raised tank pressure
+    outside: NDArray[np.float64]  # 1: unlike the training, or a sensor is stuck: the answer
+    # does not count; else 0
+
+    @property
+    def none(self) -> NDArray[np.float64]:
+        """Probability of no fault, if the five answers are independent."""
+        probabilities = [self.probability, self.external_leak, self.valve_fault, self.sensor_fault, self.return_line]
+        result: NDArray[np.float64] = np.prod([1.0 - p for p in probabilities], axis=0)
+        return result
+
+
+BESIDE_STUCK_SENSOR = {
+    "probability": 0.5,
+    "low_lpm": 0.0,
+    "high_lpm": LARGEST_FLOW,
+    "sensor_fault": 1.0,
+    "outside": 1.0,
+}
+"""The answer with a stuck sensor: the sensor is faulty, and the leak is unknown."""
+
+
+@dataclass(frozen=True)
+class HeadSettings:
+    """Settings of inference besides the weights."""
+
+    task: TaskConfig  # observations, and data sheet of the axis
+    window: int  # observations of the shortest window, which ``predict`` reads
+    longest: int  # observations
+    threshold: float  # probability at which a leak is flagged: 1 % false alarms on validation plants
+    training: dict[str, Any]
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The observations that the head reads."""
+        return ObservationLayout.of(self.task)
+
+
+class HeadState(NamedTuple):
+    """Memory of the head; no call changes its argument."""
+
+    history: tuple[NDArray[np.float32], ...]
+    """SIGNALS (N, 5) of the last observations, at most a window of them, newest last."""
+
+    seen: NDArray[np.int64]
+    """Observations since the start of each axis' episode, (N,)."""
+
+    answer: NDArray[np.float64]
+    """The last estimate (N, fields of LeakageEstimate)."""
+
+
+class _StoredHead(Group):
+    """The JSON beside the weights of a head."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+    task: TaskConfig
+    signals: tuple[str, ...]
+    features: tuple[str, ...]
+    window: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
+    longest: int = Field(ge=SHORTEST_WINDOW, le=LONGEST_WINDOW)
+    threshold: float = Field(ge=0.0, le=1.0)
+    width: int = Field(ge=2, le=LARGEST_WIDTH)
+    training: dict[str, Any]
+
+
+def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
+    """Zeros of the names, shapes and types of a head's tensors."""
+    sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
+    shapes: dict[str, tuple[int, ...]] = {
+        "mean": (len(FEATURES),),
+        "scale": (len(FEATURES),),
+        "whitener": (len(FEATURES), len(FEATURES)),
+        "limit": (1,),
+        "widths": (WIDTHS - 1,),
+        "changing": (1,),
+        "widening": (GROUPS, len(SIZES), 2),
+        "thresholds": (len(LABELS),),
+        "still_shift": (1,),
+    }
+    for layer in range(LAYERS):
+        shapes |= {f"weight_{layer}": (sizes[layer + 1], sizes[layer]), f"bias_{layer}": (sizes[layer + 1],)}
+    return {name: np.zeros(shape, dtype=np.float32) for name, shape in shapes.items()}
+
+
+def standardised(features: NDArray[np.float32], mean: NDArray[Any], scale: NDArray[Any]) -> NDArray[np.float32]:
+    """Inputs of the network, (N, F)."""
+    inputs: NDArray[np.float32] = np.clip((features - mean) * scale, -FARTHEST, FARTHEST)
+    return inputs
+
+
+def probabilities(
+    output: NDArray[np.float64], features: NDArray[np.float32], still_shift: float
+) -> NDArray[np.float64]:
+    """Probability of each label, (N, labels); ``still_shift`` is added to the logit of a leak at standstill."""
+    logits = output[:, : len(LABELS)].copy()
+    logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
+    result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
+    return result
+
+
+def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
+    middle, below, above = output[:, -3:].T
+    result: NDArray[np.float64] = np.column_stack(
+        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
+    )
+    return result
+
+
+class LeakageHead:
+    """The trained network and its settings.
+
+    ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows of
+    observations, ``estimate_windows`` those of recorded signals in SI units.
+    """
+
+    def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:
+        self.tensors = {name: np.asarray(values, dtype=np.float32) for name, values in tensors.items()}
+        self.settings = settings
+        layout = settings.layout
+        self.names = layout.names
+        self.columns = np.array([layout.index(name) for name in SIGNALS])
+        self.scale = np.array([layout.scale[column] for column in self.columns])
+        self.sheet = sheet_of(settings.task)
+        self.interval = max(settings.window // UPDATES_PER_WINDOW, 1)
+
+    def predict(
+        self,
+        observation: Floats,
+        state: HeadState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float64], HeadState]:
+        """The fields of :class:`LeakageEstimate`, (9,) or (N, 9), and the memory for the next call.
+
+        They are NaN until a whole window of observations is known, and are then updated :data:`UPDATES_PER_WINDOW`
+        times per window. The arguments are those of a controller (:class:`~hydro_agents.controllers.base.Controller`).
+        """
+        del deterministic
+        batch, single = as_batch(observation)
+        state = self.remember(batch, state, episode_start)
+        late = state.seen - self.settings.window
+        due = (late >= 0) & (late % self.interval == 0)
+        if due.any():
+            answer = state.answer.copy()
+            answer[due] = np.column_stack(self._read(state, due))
+            state = state._replace(answer=answer)
+        return (state.answer[0] if single else state.answer), state
+
+    def remember(
+        self, observation: Floats, state: HeadState | None, episode_start: NDArray[np.bool_] | None = None
+    ) -> HeadState:
+        """Add observations (N, n) to the memory without reading an estimate."""
+        if state is None:
+            nothing = np.full((len(observation), len(LeakageEstimate._fields)), np.nan)
+            state = HeadState((), np.zeros(len(observation), dtype=np.int64), nothing)
+        history, seen, answer = state
+        if episode_start is not None and np.any(episode_start):
+            seen = np.where(episode_start, 0, seen)
+            answer = np.where(np.asarray(episode_start)[:, None], np.nan, answer)
+        signals = np.asarray(observation[:, self.columns], dtype=np.float32)
+        return HeadState((*history, signals)[-self.settings.window :], seen + 1, answer)
+
+    def estimate_remembered(self, state: HeadState) -> LeakageEstimate:
+        """Estimate from the stored windows (N,); NaN for an incomplete window."""
+        full = state.seen >= self.settings.window
+        answer = np.full((len(state.seen), len(LeakageEstimate._fields)), np.nan)
+        if full.any():
+            answer[full] = np.column_stack(self._read(state, full))
+        return LeakageEstimate(*answer.T)
+
+    def _read(self, state: HeadState, axes: NDArray[np.bool_]) -> LeakageEstimate:
+        signals = np.concatenate(state.history).reshape(self.settings.window, len(axes), len(SIGNALS))
+        return self.estimate_signals(signals[:, axes].transpose(1, 2, 0))
+
+    def estimate(self, history: Floats) -> LeakageEstimate:
+        """Estimate from windows of observations.
+
+        Args:
+            history: observations (N, T, n) or (T, n), oldest first.
+
+        Raises:
+            ConfigurationError: the history has the wrong shape, or a length that the head cannot read.
+        """
+        array = np.asarray(history)
+        if array.ndim == 2:
+            array = array[None]
+        if array.ndim != 3 or array.shape[2] != len(self.names):
+            raise ConfigurationError(
+                f"leakage head: history has shape {np.shape(history)}: must be (N, T, {len(self.names)})"
+            )
+        return self.estimate_signals(array[:, :, self.columns].transpose(0, 2, 1))
+
+    def estimate_signals(self, signals: NDArray[Any]) -> LeakageEstimate:
+        """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
+        return self.estimate_windows(np.asarray(signals, dtype=np.float64) * self.scale[:, None])
+
+    def estimate_windows(self, signals: NDArray[Any], batch: int = 512) -> LeakageEstimate:
+        """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
+
+        If the windows are longer than those of the training, the head reads their end.
+
+        Raises:
+            ConfigurationError: the shape is wrong, or the windows are too short.
+        """
+        shape = np.shape(signals)
+        if len(shape) != 3 or shape[1] != len(SIGNALS) or shape[2] < self.settings.window:
+            raise ConfigurationError(
+                f"leakage head: signals have shape {shape}: must be (N, {len(SIGNALS)}, T) with T of at least "
+                f"{self.settings.window}"
+            )
+        signals = signals[:, :, -self.settings.longest :]
+        parts = [
+            self._judged(np.asarray(signals[first : first + batch], dtype=np.float64))
+            for first in range(0, len(signals), batch)
+        ]
+        return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
+
+    def _judged(self, signals: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = self.judge(features_of(signals, self.sheet))
+        stuck = stuck_sensors(signals, self.settings.task).any(axis=1)
+        for name, value in BESIDE_STUCK_SENSOR.items():
+            values[stuck, LeakageEstimate._fields.index(name)] = value
+        return values
+
+    def judge(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Fields of :class:`LeakageEstimate`, (N, 9), from the features of windows (N, F)."""
+        t = self.tensors
+        inputs = standardised(features, t["mean"], t["scale"])
+        output, strangeness = self.outputs(inputs), np.sqrt(np.sum((inputs @ t["whitener"]) ** 2, axis=1))
+        probability = probabilities(output, features, float(t["still_shift"][0]))
+        found = quantiles(output)
+        group = groups(found, features[:, CHANGE], t["widths"], float(t["changing"][0]))
+        ends = np.log10(SMALLEST_FLOW), np.log10(LARGEST_FLOW)
+        distance = (group[:, None] == np.arange(GROUPS)).astype(np.float32) @ t["widening"].reshape(GROUPS, -1)
+        sizes = 10.0 ** np.clip(intervals(found, distance.reshape(-1, len(SIZES), 2)), *ends)
+        sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
+        outside = strangeness > t["limit"][0]
+        return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
+
+    def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Outputs of the network, (N, labels + 3), from standardised features."""
+        values = inputs
+        for layer in range(LAYERS):
+            values = values @ self.tensors[f"weight_{layer}"].T + self.tensors[f"bias_{layer}"]
+            if layer < LAYERS - 1:
+                values = np.maximum(values, 0.0)
+        return values.astype(np.float64)
+
+    def save(self, path: str | Path) -> Path:
+        """Write weights and settings; see :func:`hydro_agents.running.weights.save_weights`."""
+        settings = {
+            "task": self.settings.task.model_dump(mode="json"),
+            "signals": list(SIGNALS),
+            "features": list(FEATURES),
+            "window": self.settings.window,
+            "longest": self.settings.longest,
+            "threshold": self.settings.threshold,
+            "width": len(self.tensors["bias_0"]),
+            "training": self.settings.training,
+        }
+        return save_weights(path, KIND, self.tensors, settings)
+
+    @classmethod
+    def load(cls, path: str | Path) -> LeakageHead:
+        """Read what ``save`` wrote.
+
+        Raises:
+            ConfigurationError: missing, damaged or foreign files, or weights of the first version.
+        """
+        tensors, settings = load_weights(path, KIND)
+        if "features" not in settings:
+            raise ConfigurationError(f"{path}: was made by an earlier version; train it again: hydro train head")
+        stored = validate(_StoredHead, settings, str(path))
+        if stored.signals != SIGNALS or stored.features != FEATURES:
+            raise ConfigurationError(f"{path}: was trained on other signals or features than this version reads")
+        if stored.longest < stored.window:
+            raise ConfigurationError(f"{path}: longest = {stored.longest}: must be at least window = {stored.window}")
+        bias = tensors.get("bias_0")
+        if bias is None or bias.shape != (stored.width,):  # checked before arrays of that width take memory
+            raise ConfigurationError(f"{path}: width = {stored.width}: its tensors belong to another network")
+        like = tensors_like(stored.width)
+        require(tensors, like, path)
+        described = HeadSettings(stored.task, stored.window, stored.longest, stored.threshold, stored.training)
+        try:
+            return cls({name: tensors[name] for name in like}, described)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from None

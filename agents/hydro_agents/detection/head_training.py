@@ -1,0 +1,336 @@
+"""Trains the leakage head on windows of simulated axes: in many kinds of operation, with leaks and other faults."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+from torch import Tensor, nn
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.dataset import Plan, Windows
+from hydro_agents.detection.features import FEATURES, LABELS
+from hydro_agents.detection.head import (
+    LARGEST_WIDTH,
+    LAYERS,
+    SHORTEST_WINDOW,
+    HeadSettings,
+    LeakageHead,
+    standardised,
+    tensors_like,
+)
+from hydro_agents.detection.head_calibration import COVERAGE, calibrated, size_target
+from hydro_agents.running.optimiser import optimiser_tensors, restore_optimiser
+from hydro_agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.weights import load_checkpoint, require, save_checkpoint
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.sensors import CHANNELS
+
+CHECKPOINT_FILE = "head_checkpoint.safetensors"
+KIND = "leakage head checkpoint"
+RISE = 0.05
+"""Part of the training during which the learning rate rises."""
+
+RIDGE = 0.05
+"""Added to the covariance of the standardised features before inversion."""
+
+Progress = Callable[[str, int, int, float], None]
+
+
+class HeadTrainingSettings(Group):
+    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds those of the studies."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
+    validation_episodes: int = Field(2_000, ge=20, le=500_000, description="for thresholds and intervals")
+    windows: int = Field(3, ge=1, le=100, description="windows from each run")
+    longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
+    healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
+    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
+    changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
+    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
+    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    epochs: int = Field(20, ge=1, le=100_000)
+    batch: int = Field(256, ge=1, le=1_000_000)
+    learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
+    weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
+    size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
+    width: int = Field(128, ge=2, le=LARGEST_WIDTH)
+    torch_threads: int = Field(2, ge=1, le=256)
+
+    def check(self, config: TaskConfig) -> None:
+        """Check that the training leaks and the window suit a task.
+
+        Raises:
+            ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
+                lacks a sensor.
+        """
+        absent = [name for name in CHANNELS if not getattr(config.sensors, name).fitted]
+        if absent:
+            raise ConfigurationError(
+                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
+                "leak without it"
+            )
+        if config.steps < SHORTEST_WINDOW:
+            raise ConfigurationError(
+                f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "
+                f"least {SHORTEST_WINDOW}"
+            )
+        healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
+        if self.lowest_healthy_flow >= healthy:
+            raise ConfigurationError(
+                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
+                f"leakage.class_bounds[0] = {healthy:g} l/min"
+            )
+        if self.changing_share + self.orifice_share > 1.0:
+            raise ConfigurationError(
+                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
+                "must be at most 1 together"
+            )
+        if self.highest_flow <= faulty:
+            raise ConfigurationError(
+                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
+                f"leakage.faulty_range[0] = {faulty:g} l/min"
+            )
+
+    def learning_rate_at(self, share: float) -> float:
+        """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""
+        factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
+        return self.learning_rate * max(factor, 1e-3)
+
+    def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
+        """What the windows are made of."""
+        return Plan(
+            config=config,
+            controllers=controllers,
+            healthy_share=self.healthy_share,
+            fault_share=self.fault_share,
+            changing_share=self.changing_share,
+            orifice_share=self.orifice_share,
+            lowest_flow=self.lowest_healthy_flow,
+            highest_flow=self.highest_flow,
+            shortest=config.steps,
+            longest=round(self.longest * config.steps),
+            per_run=self.windows,
+        )
+
+
+def make_network(width: int) -> nn.Sequential:
+    """The network: from features to the logits of the labels and to three numbers for the quantiles of the size."""
+    sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
+    layers: list[nn.Module] = []
+    for layer in range(LAYERS):
+        layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])
+
+
+def untrained_head(config: TaskConfig, width: int = 8, longest: float = 4.0) -> LeakageHead:
+    """A head with random weights: for tests, and as the start of a training."""
+    tensors = tensors_like(width) | network_tensors(make_network(width))
+    tensors["scale"][:] = tensors["widening"][:] = tensors["limit"][:] = 1.0
+    return LeakageHead(tensors, HeadSettings(config, config.steps, round(longest * config.steps), 0.5, {}))
+
+
+def network_tensors(network: nn.Sequential) -> dict[str, NDArray[Any]]:
+    """Weights and biases of a network, under the names of a head's tensors."""
+    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
+    tensors = {f"weight_{number}": layer.weight.detach().numpy().copy() for number, layer in enumerate(linear)}
+    return tensors | {f"bias_{number}": layer.bias.detach().numpy().copy() for number, layer in enumerate(linear)}
+
+
+def train_head(
+    config: TaskConfig,
+    controllers: Sequence[Controller],
+    settings: HeadTrainingSettings,
+    seed: int = 0,
+    progress: Progress | None = None,
+    folder: str | Path | None = None,
+    resume: bool = False,
+) -> LeakageHead:
+    """Train a head, and set its thresholds and intervals on validation plants.
+
+    Args:
+        config: the task; the head's shortest window is one episode.
+        controllers: controllers of the axes in a part of the runs; the other runs have other kinds of operation.
+        settings: settings of the training.
+        seed: seed of data and network.
+        progress: called with the phase, the amount done, the total amount, and the loss (NaN during simulation).
+        folder: for ``head_checkpoint.safetensors``, which holds the windows simulated so far and the network;
+            ``None`` writes nothing.
+        resume: continue from that checkpoint.
+
+    Raises:
+        ConfigurationError: the settings do not suit the task, or the checkpoint is missing, damaged or of other
+            settings.
+        KeyboardInterrupt: Ctrl-C; the checkpoint keeps everything except the unfinished chunk or epoch.
+    """
+    settings.check(config)
+    torch.set_num_threads(settings.torch_threads)
+    torch.manual_seed(seed)
+    began = time.monotonic()
+    checkpoint = Path(folder) / CHECKPOINT_FILE if folder is not None else None
+    job = _Job(config, controllers, settings, seed, checkpoint, progress)
+    if resume:
+        job.restore()
+    try:
+        # The second half of the training seeds: PPO uses the first.
+        offset = len(TRAINING_SEEDS) // 2 + (seed * settings.episodes) % (len(TRAINING_SEEDS) // 4)
+        job.simulate("data", settings.episodes, TRAINING_SEEDS.start + offset)
+        job.simulate("validation", settings.validation_episodes, VALIDATION_SEEDS.start)
+        job.save()
+        job.fit()
+    except KeyboardInterrupt:
+        job.save()
+        raise
+    record = {"seed": seed, "settings": settings.model_dump(mode="json"), "seconds": 0.0}
+    head = calibrated(
+        job.tensors(), config, round(settings.longest * config.steps), Windows.joined(job.parts["validation"]), record
+    )
+    record["seconds"] = round(time.monotonic() - began, 1)
+    return head
+
+
+def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) -> Tensor:
+    """Cross-entropy of the labels, and the pinball losses of the 5, 50 and 95 % quantiles of the size; means over N."""
+    functional = nn.functional
+    wrong_label = functional.binary_cross_entropy_with_logits(output[:, : len(LABELS)], labels, reduction="none")
+    middle, below, above = output[:, -3:].unbind(1)
+    found = torch.stack([middle - functional.softplus(below - 2.0), middle, middle + functional.softplus(above - 2.0)])
+    shares = torch.tensor([[0.5 * (1.0 - COVERAGE)], [0.5], [0.5 * (1.0 + COVERAGE)]])
+    error = size - found
+    pinball = torch.maximum(shares * error, (shares - 1.0) * error)
+    return wrong_label.sum(dim=1).mean() + size_weight * pinball.sum(dim=0).mean()
+
+
+def _described(controller: Controller) -> Any:
+    gains = getattr(controller, "gains", None)
+    return [type(controller).__name__, gains.model_dump(mode="json") if isinstance(gains, Group) else None]
+
+
+class _Job:
+    """A training: simulated windows, network and optimiser, with a checkpoint of all of them."""
+
+    def __init__(
+        self,
+        config: TaskConfig,
+        controllers: Sequence[Controller],
+        settings: HeadTrainingSettings,
+        seed: int,
+        checkpoint: Path | None,
+        progress: Progress | None,
+    ) -> None:
+        self.settings, self.seed, self.checkpoint, self.progress = settings, seed, checkpoint, progress
+        self.plan = settings.plan(config, controllers)
+        self.network = make_network(settings.width)
+        rate, decay = settings.learning_rate, settings.weight_decay
+        self._optimiser = torch.optim.AdamW(self.network.parameters(), lr=rate, weight_decay=decay)
+        self.epoch = 0
+        self.parts: dict[str, list[Windows]] = {"data": [], "validation": []}
+        self.description = {
+            "seed": seed,
+            "settings": settings.model_dump(mode="json"),
+            "task": config.model_dump(mode="json"),
+        }
+        self.drivers = [_described(controller) for controller in controllers]
+
+    def restore(self) -> None:
+        """Load the checkpoint."""
+        if self.checkpoint is None:
+            raise ConfigurationError("resume: a folder with a checkpoint is needed")
+        tensors, stored = load_checkpoint(self.checkpoint, KIND)
+        if any(stored.get(key) != value for key, value in self.description.items()):
+            raise ConfigurationError(f"{self.checkpoint}: was made with another seed, settings or task")
+        if stored.get("controllers") != self.drivers:
+            raise ConfigurationError(f"{self.checkpoint}: was trained on episodes of other controllers; cannot resume")
+        epoch: Any = stored.get("epoch")
+        counts: Any = stored.get("windows")
+        if type(epoch) is not int or not 0 <= epoch <= self.settings.epochs:
+            raise ConfigurationError(f"{self.checkpoint}: damaged: epoch = {str(epoch)[:30]}")
+        own = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
+        require(tensors, own, self.checkpoint)
+        self.network.load_state_dict({name.removeprefix("network."): torch.from_numpy(tensors[name]) for name in own})
+        restore_optimiser(self._optimiser, tensors, str(self.checkpoint))
+        self.epoch = epoch
+        try:
+            for phase in self.parts:
+                whole = [tensors[f"{phase}.{name}"] for name in Windows._fields] if counts[phase] else []
+                if any(len(array) != sum(counts[phase]) for array in whole):
+                    raise ValueError(phase)
+                ends = np.cumsum(counts[phase])[:-1]
+                self.parts[phase] = [
+                    Windows(*part) for part in zip(*(np.split(array, ends) for array in whole), strict=True)
+                ]
+        except (KeyError, TypeError, ValueError, IndexError):
+            raise ConfigurationError(f"{self.checkpoint}: damaged: its windows do not fit together") from None
+
+    def save(self) -> None:
+        """Write the checkpoint."""
+        if self.checkpoint is None:
+            return
+        tensors = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
+        tensors |= optimiser_tensors(self._optimiser)
+        for phase, parts in self.parts.items():
+            if parts:
+                tensors |= {f"{phase}.{name}": v for name, v in Windows.joined(parts)._asdict().items()}
+        counts = {phase: [len(part.flow_lpm) for part in parts] for phase, parts in self.parts.items()}
+        more = {"epoch": self.epoch, "windows": counts, "controllers": self.drivers}
+        save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
+
+    def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
+        """Simulate the missing windows of a phase."""
+        parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
+        if not parts:
+            self.save()
+        if self.progress is not None:
+            self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
+        for part in self.plan.windows(episodes, first_seed, skip=len(parts)):
+            parts.append(part)
+            if self.progress is not None:
+                self.progress(phase, sum(sizes[: len(parts)]), sum(sizes), math.nan)
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """The tensors of the head, with the statistics of the features of the training windows."""
+        features = Windows.joined(self.parts["data"]).features
+        tensors = tensors_like(self.settings.width) | network_tensors(self.network)
+        tensors["mean"] = features.mean(axis=0)
+        tensors["scale"] = (1.0 / (features.std(axis=0) + 1e-3)).astype(np.float32)
+        inputs = standardised(features, tensors["mean"], tensors["scale"])
+        covariance = np.cov(inputs.T) + RIDGE * np.eye(len(FEATURES))
+        tensors["whitener"] = np.linalg.cholesky(np.linalg.inv(covariance)).astype(np.float32)
+        tensors["widening"][:] = 1.0
+        return tensors
+
+    def fit(self) -> None:
+        """Run the remaining epochs."""
+        data, settings, start = Windows.joined(self.parts["data"]), self.settings, self.tensors()
+        inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
+        labels, size = torch.from_numpy(data.labels), torch.from_numpy(size_target(data.flow_lpm))
+        total = len(inputs)
+        per_epoch = math.ceil(total / settings.batch)
+        while self.epoch < settings.epochs:
+            order = np.random.default_rng([self.seed, self.epoch]).permutation(total)
+            losses = []
+            for number, first in enumerate(range(0, total, settings.batch)):
+                share = (self.epoch * per_epoch + number) / (settings.epochs * per_epoch)
+                self._optimiser.param_groups[0]["lr"] = settings.learning_rate_at(share)
+                rows = order[first : first + settings.batch]
+                loss = loss_of(self.network(inputs[rows]), labels[rows], size[rows], settings.size_weight)
+                self._optimiser.zero_grad(set_to_none=True)
+                loss.backward()
+                self._optimiser.step()
+                losses.append(float(loss.detach()))
+            self.epoch += 1
+            self.save()
+            if self.progress is not None:
+                self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))

@@ -1,1 +1,0 @@
-"""From a recording to a verdict: healthy, internal leak, something else, or cannot tell."""

@@ -1,0 +1,151 @@
+"""Tables that compare the best found with controllers: by family, by leak, and over the size of the search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from pydantic import Field
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.best_found import BoundSettings, best_found
+from hydro_agents.evaluation.metrics import rollout_metrics
+from hydro_agents.evaluation.protocol import DRAWN_FAMILIES, ProtocolSettings, tracking_cases
+from hydro_agents.report.canvas import WIDE, looks_of, render
+from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_env import TaskConfig
+
+Progress = Callable[[str, int, int], None]
+
+TRUTH, NOMINAL = "told the truth", "told the nominal plant"
+
+
+class ComparisonSettings(ProtocolSettings):
+    """Cases of a comparison, and the size of the search."""
+
+    leak_levels: tuple[float, ...] = Field((0.01, 0.3, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
+    plants: int = Field(3, ge=3, le=1000, description="per level and family")
+    validation: bool = Field(False, description="use validation seeds instead of test seeds")
+    search: BoundSettings = BoundSettings()
+
+
+def compare(
+    config: TaskConfig,
+    controllers: Mapping[str, Controller],
+    settings: ComparisonSettings,
+    progress: Progress | None = None,
+) -> pd.DataFrame:
+    """Errors of controllers and of the best found on the same cases, one row per case.
+
+    Columns: ``controller``, ``leakage_flow_lpm``, ``family``, ``plant``, ``error_mm`` (mean of |error|, of the position
+    that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
+    ``failed``.
+    """
+    cases, table = tracking_cases(settings, _first_seed(settings))
+    frames = []
+    for name, controller in controllers.items():
+        rollout = run_cases(config, controller, cases)
+        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
+    for name, told in ((NOMINAL, "nominal"), (TRUTH, "truth")):
+        report = None if progress is None else _reporter(progress, name, len(cases))
+        rollout = best_found(config, cases, told, settings.search, report)  # type: ignore[arg-type]
+        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
+    return pd.concat(frames, ignore_index=True)
+
+
+def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
+    """Mean errors in mm by ``family`` or ``leakage_flow_lpm``, one column per controller; last row: over all.
+
+    The column ``floor`` holds the true error of the best found that knows the true plant, but not the sensor's bias.
+    """
+    table = frame.pivot_table("error_mm", by, "controller", sort=False)
+    base = str(frame["controller"].iloc[0])
+    true = frame.pivot_table("true_error_mm", by, "controller", sort=False)
+    table[f"{base}, true position"], table["floor, true position"] = true[base], true[TRUTH]
+    table.loc["mean"] = table.mean()
+    return table
+
+
+def travel(frame: pd.DataFrame) -> pd.DataFrame:
+    """Mean valve travel in full strokes per second by ``family``, one column per controller; last row: over all."""
+    table = frame.pivot_table("valve_travel_per_s", "family", "controller", sort=False)
+    table.loc["mean"] = table.mean()
+    return table
+
+
+def convergence(
+    config: TaskConfig,
+    settings: ComparisonSettings,
+    variations: Mapping[str, Sequence[Any]],
+    progress: Progress | None = None,
+) -> pd.DataFrame:
+    """Mean error of the best found with the true plant, as one setting of the search varies.
+
+    Returns:
+        One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
+    """
+    cases, table = tracking_cases(settings, _first_seed(settings))
+    rows: list[dict[str, Any]] = []
+    known: dict[BoundSettings, pd.Series] = {}
+    for setting, values in variations.items():
+        for value in values:
+            search = settings.search.model_copy(update={setting: value})
+            if search not in known:
+                report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
+                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), cases, config))
+                known[search] = errors.groupby("family", sort=False)["error_mm"].mean()
+            rows.append({"setting": setting, "value": value, **known[search], "mean": known[search].mean()})
+    return pd.DataFrame(rows)
+
+
+def convergence_picture(table: pd.DataFrame) -> bytes:
+    """A PNG of :func:`convergence`: the error of steps, and of all other families, over each setting."""
+
+    def paint(figure: Figure) -> None:
+        settings = list(table["setting"].unique())
+        smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
+        looks = looks_of(["steps", "other families"])
+        panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
+        for place, setting in zip(panels, settings, strict=True):
+            rows = table[table["setting"] == setting]
+            lines = {"steps": rows.get("step"), "other families": rows[smooth].mean(axis=1) if smooth else None}
+            for name, values in lines.items():
+                if values is not None:
+                    ticks = np.arange(len(rows))
+                    place.plot(ticks, 1e3 * values, marker=looks[name].marker, label=name, **looks[name].stroke)
+                    place.set_xticks(ticks, rows["value"].astype(str))
+            place.set(title=setting.replace("_", " "), yscale="log")
+        panels[0].set_ylabel("mean error, µm")
+        panels[0].legend(loc="center right")
+
+    return render(paint, (WIDE, 3.0), "png")[0]
+
+
+def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
+    """A table of numbers as Markdown; its index is the first column."""
+    head = [str(table.index.name or ""), *map(str, table.columns)]
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * len(table.columns)]
+    for label, row in table.iterrows():
+        cells = [f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row]
+        lines.append("| " + " | ".join([str(label), *cells]) + " |")
+    return "\n".join(lines)
+
+
+def _first_seed(settings: ComparisonSettings) -> int:
+    return (VALIDATION_SEEDS if settings.validation else TEST_SEEDS).start
+
+
+def _errors(rollout: Rollout, cases: Cases, config: TaskConfig) -> dict[str, Any]:
+    assert cases.families is not None
+    found = rollout_metrics(rollout, cases.families, config.control_period)
+    renamed = {"error_mm": found["mean_error_sensor_mm"], "true_error_mm": found["mean_error_mm"]}
+    return renamed | {name: found[name] for name in ("valve_travel_per_s", "failed")}
+
+
+def _reporter(progress: Progress, phase: str, total: int) -> Callable[[int], None]:
+    progress(phase, 0, total)
+    return lambda done: progress(phase, done, total)

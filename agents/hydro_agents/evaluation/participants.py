@@ -1,0 +1,211 @@
+"""The controllers of a protocol, their conditions, and their inputs."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import joblib
+import pandas as pd
+
+from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent
+from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Protocol
+from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
+from hydro_agents.learning.trainers import TRAINERS
+from hydro_agents.running.cases import check_predict
+from hydro_agents.running.folders import config_folder
+from hydro_agents.running.seeds import SEED_MARK
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_yaml, validate
+from hydro_env.mistakes import did_you_mean
+
+CONDITION_MARK = "@"
+"""Separates a name from the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
+
+
+class Sees(Group):
+    """The inputs of a controller; a controller may declare them in its attribute ``sees``."""
+
+    leak: str = "no"
+    state: str = "measured signals"
+    preview: str = "no"
+    memory: str = "no"
+    signals: str = ""
+    note: str = ""
+
+
+NAMES = {"flow_linearising": "Flow linearisation"}
+"""Names of kinds that are not abbreviations."""
+
+
+def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
+    """Every controller with shipped gains or weights, by name; the first one, the PID, is the baseline."""
+    folder = config_folder() / "agents"
+    tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
+    kinds = (*tuned, *SHIPPED_WEIGHTS)
+    named = {_name(kind): kind for kind in kinds}
+    mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))
+    return {"PID": "pid", "PID mended": mended, **named}
+
+
+def _name(kind: str) -> str:
+    return NAMES.get(kind, kind.upper())
+
+
+def _called(controller: Controller) -> str:
+    """The name of a corrected controller."""
+    kinds = [kind for kind, (registered, _) in CONTROLLERS.items() if type(controller) is registered]
+    return _name(kinds[0]) if kinds else type(controller).__name__
+
+
+@dataclass(frozen=True)
+class Participants:
+    """Controllers by name, the baseline first; ``special`` holds those for one condition, by (name, condition)."""
+
+    controllers: Mapping[str, Controller]
+    special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
+
+    def of(self, name: str, condition: str, protocol: Protocol) -> Controller | str:
+        """The controller that runs under a condition, or the reason why none can.
+
+        Without a controller for this condition, the general one runs if the observations are those that it knows.
+        """
+        if (name, condition) in self.special:
+            return self.special[name, condition]
+        if protocol.conditions[condition].rig is not None:
+            return "no controller of this name is tuned for this rig"
+        here, known = ObservationLayout.of(protocol.task_in(condition)), ObservationLayout.of(protocol.task)
+        if here.control_period != known.control_period:
+            return f"no controller of this name is tuned for a control period of {1e3 * here.control_period:g} ms"
+        if here != known:
+            return "the observations differ from those that it knows"
+        return self.controllers[name]
+
+
+def participants(
+    controllers: Mapping[str, Controller | str | Path],
+    protocol: Protocol,
+    special: Mapping[str, Controller | str | Path] | None = None,
+) -> Participants:
+    """Make the controllers of a protocol.
+
+    Args:
+        controllers: by name, objects with ``predict`` or texts of :func:`~hydro_agents.evaluation.opponents.opponent`.
+            The first one is the baseline. ``NAME#0``, ``NAME#1``, … are training seeds of one controller.
+        protocol: the protocol, which may name controllers for single conditions.
+        special: more of these, by ``NAME@CONDITION``; they replace those of the protocol.
+
+    Raises:
+        ConfigurationError: there is no controller, a name is wrong, or a controller cannot be made for its task.
+    """
+    if not controllers:
+        raise ConfigurationError("protocol: needs at least one controller")
+    known: dict[tuple[str, int], str] = {}
+    for name in controllers:
+        same = known.setdefault(split_name(name), name)
+        if same != name:
+            raise ConfigurationError(f"controllers '{same}' and '{name}': name the same training seed of a controller")
+    ready = {name: opponent(what, protocol.task, name) for name, what in controllers.items()}
+    made: dict[tuple[str, str], Controller] = {}
+    for condition, entry in protocol.conditions.items():
+        for name, choice in entry.controllers.items():
+            if name in ready:
+                task = protocol.task_in(condition)
+                made[name, condition] = _chosen(choice, task, f"conditions.{condition}.controllers.{name}")
+    for text, what in (special or {}).items():
+        name, _, condition = text.partition(CONDITION_MARK)
+        if name not in ready or condition not in protocol.conditions:
+            raise ConfigurationError(
+                f"{text}: must be NAME@CONDITION of a controller ({', '.join(ready)}) and a condition of the protocol"
+                f"{did_you_mean(condition, protocol.conditions)}"
+            )
+        made[name, condition] = opponent(what, protocol.task_in(condition), text)
+    return Participants(ready, made)
+
+
+def _chosen(choice: ControllerChoice, task: TaskConfig, where: str) -> Controller:
+    try:
+        if choice.weights is not None:
+            if choice.kind not in TRAINERS:
+                raise ConfigurationError(f"kind '{choice.kind}': must be {', '.join(TRAINERS)} with weights")
+            return opponent(choice.weights, task, where, TRAINERS[choice.kind])
+        return opponent(make_controller(choice.kind, task, choice.settings), task, where)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}: {error}" if where not in str(error) else str(error)) from error
+
+
+def split_name(name: str) -> tuple[str, int]:
+    """Controller and training seed of a name: ``PPO#3`` is seed 3 of PPO; a name without a mark is seed 0.
+
+    Raises:
+        ConfigurationError: the part after the mark is not a number.
+    """
+    controller, mark, seed = name.partition(SEED_MARK)
+    if not controller or (mark and not seed.isdecimal()):
+        raise ConfigurationError(f"controller '{name}': must be NAME, or NAME#0, NAME#1, … for training seeds")
+    return controller, int(seed) if mark else 0
+
+
+def fingerprint(controller: Any) -> str:
+    """Digest of a controller's numbers and of the file of its class; empty if it cannot be pickled.
+
+    Finished work of a controller with another digest is not reused.
+    """
+    try:
+        digest = str(joblib.hash(controller))
+    except Exception:  # a user's object may raise anything
+        return ""
+    try:
+        made_in = controller if inspect.isfunction(controller) else type(controller)
+        source = Path(inspect.getfile(made_in)).read_bytes()
+    except (OSError, TypeError):
+        source = b""
+    return str(joblib.hash((digest, source)))
+
+
+def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:
+    """The inputs of a controller: as declared by itself, otherwise found by inspection.
+
+    Raises:
+        ConfigurationError: its ``sees`` has unknown keys or values that are not texts.
+    """
+    check_predict(controller)
+    base = getattr(getattr(controller, "features", None), "base", None)
+    layout = getattr(getattr(controller, "features", controller), "layout", None)
+    layout = layout if isinstance(layout, ObservationLayout) else ObservationLayout.of(task)
+    ahead = max(layout.preview_times, default=0.0)
+    memory = _memory(controller)
+    found = {
+        "preview": f"{1e3 * ahead:g} ms" if ahead > 0.0 else "no",
+        "memory": memory,
+        "signals": ", ".join(layout.names),
+        "note": f"corrects {_called(base)}" if base is not None else "",
+    }
+    declared: Any = getattr(controller, "sees", {})
+    if not isinstance(declared, Mapping):
+        raise ConfigurationError(f"{name}: sees must be a mapping of texts, of {', '.join(Sees.model_fields)}")
+    return validate(Sees, {**found, **declared}, f"{name}: sees")
+
+
+def _memory(controller: Controller) -> str:
+    kind = getattr(controller, "memory", None)
+    names = getattr(kind, "_fields", None)
+    if names:
+        return ", ".join(names)
+    features = getattr(controller, "features", None)
+    if isinstance(features, PolicyFeatures):
+        return f"signals of the last {1e3 * max(HISTORY_LAGS) * features.layout.control_period:g} ms"
+    return "unknown"
+
+
+def sees_table(chosen: Participants, task: TaskConfig) -> pd.DataFrame:
+    """The inputs of each controller, one row each; training seeds of a controller share a row."""
+    rows: dict[str, dict[str, str]] = {}
+    for name, controller in chosen.controllers.items():
+        rows.setdefault(split_name(name)[0], sees(name, controller, task).model_dump())
+    return pd.DataFrame([{"controller": name, **row} for name, row in rows.items()])

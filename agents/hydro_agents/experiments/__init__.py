@@ -1,1 +1,0 @@
-"""Experiments on the true plant with a controller in the loop: frequency response, stiffness, standstill, costs."""

@@ -1,0 +1,272 @@
+"""Writes a graph of array operations as C99 statements: plain loops over arrays of fixed size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.export.graph import Node
+
+C_TYPES = {np.dtype(np.float64): "double", np.dtype(np.float32): "float", np.dtype(np.bool_): "int"}
+C_TYPES[np.dtype(np.int64)] = "long"
+_INFIX = {
+    "add": "+",
+    "subtract": "-",
+    "multiply": "*",
+    "divide": "/",
+    "equal": "==",
+    "greater": ">",
+    "greater_equal": ">=",
+    "less": "<",
+    "less_equal": "<=",
+    "not_equal": "!=",
+    "and": "&&",
+    "or": "||",
+}
+_PREFIX = {"negative": "-", "not": "!"}
+_FUNCTIONS = {
+    "absolute": "fabs",
+    "sqrt": "sqrt",
+    "exp": "exp",
+    "log": "log",
+    "power": "pow",
+    "tanh": "tanh",
+    "arcsinh": "asinh",
+    "copysign": "copysign",
+}
+_HELPERS = {
+    # As in NumPy: the first value unless the other one is larger (smaller); NaN stays NaN.
+    "maximum": "static {type} {name}({type} a, {type} b) {{ return a >= b || a != a ? a : b; }}",
+    "minimum": "static {type} {name}({type} a, {type} b) {{ return a <= b || a != a ? a : b; }}",
+    "sign": "static {type} {name}({type} a) {{ return a > 0 ? 1 : a < 0 ? -1 : a; }}",
+}
+_RESERVED = {"short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float"}
+_INDICES = ("i", "j", "k")
+
+
+@dataclass
+class CWriter:
+    """Collects constant tables and helper functions of one C file, and writes statements that use them.
+
+    Args:
+        inputs: C text of each input of the graph, by name; for an array without index.
+        prefix: of the names of helper functions, for a file that contains others.
+    """
+
+    inputs: Mapping[str, str]
+    prefix: str = ""
+    tables: list[str] = field(default_factory=list)
+    helpers: list[str] = field(default_factory=list)
+    _names: dict[int, str] = field(default_factory=dict)
+    _used: set[str] = field(default_factory=set)
+
+    def reserve(self, *names: str) -> None:
+        """Reserve names that no variable may have."""
+        self._used.update(names)
+
+    def statements(self, nodes: Sequence[Node], indent: str = "    ") -> list[str]:
+        """C statements that compute nodes, operands first; each result gets a variable."""
+        lines: list[str] = []
+        origin = ""
+        for node in nodes:
+            written = self._statement(node)
+            if written and node.origin and node.origin != origin:
+                origin = node.origin
+                lines.append(f"/* {origin.replace('*/', '* /').replace('/*', '/ *')} */")
+            lines += written
+        return [f"{indent}{line}" for line in lines]
+
+    def kept(self, name: str, node: Node) -> tuple[str, list[str]]:
+        """A separate variable for a result, and the statements that define it."""
+        if id(node) in self._names and node.operation not in ("input", "constant"):
+            return self._names[id(node)], []
+        variable = self._new_name(name)
+        copied = f"{self.element(node, 'i' if node.size > 1 else 0)}"
+        return variable, self._assigned(C_TYPES[node.kind], variable, node.size, copied)
+
+    def element(self, node: Node, index: int | str) -> str:
+        """Text of one element; ``index`` is a number, or the text of an index in a loop."""
+        if node.operation == "input":
+            text = self.inputs[node.name]
+            return text if node.size == 1 else f"{text}[{index}]"
+        if node.operation == "constant":
+            assert node.table is not None
+            if node.size == 1 or isinstance(index, int):
+                return number(node.table[index if isinstance(index, int) else 0])
+            return f"{self._table(node)}[{index}]"
+        if node.operation == "collect":
+            taken = _regular(node)
+            if taken is not None:
+                source, start, step = taken
+                return self.element(source, _place(start, step, index))
+            if isinstance(index, int):
+                return self.element(*node.piece(index))
+        return self._names[id(node)] if node.size == 1 else f"{self._names[id(node)]}[{index}]"
+
+    # Statements of one node ---------------------------------------------------------------------------------------
+
+    def _statement(self, node: Node) -> list[str]:
+        if node.operation == "collect" and _regular(node) is not None:
+            return []
+        kind, name = C_TYPES[node.kind], self._new_name(node.name or node.operation)
+        self._names[id(node)] = name
+        if node.operation == "collect":
+            return self._collected(node, kind, name)
+        if node.operation == "matmul":
+            return self._multiplied(node, kind, name)
+        if node.operation == "sum":
+            return self._summed(node, kind, name)
+        index: int | str = 0 if node.size == 1 else "i"
+        operands = [self.element(one, 0 if one.size == 1 else index) for one in node.operands]
+        return self._assigned(kind, name, node.size, self._expression(node, operands))
+
+    def _assigned(self, kind: str, name: str, size: int, text: str) -> list[str]:
+        if size == 1:
+            return [f"const {kind} {name} = {text};"]
+        return [f"{kind} {name}[{size}];", f"{_loop('i', size)} {name}[i] = {text};"]
+
+    def _expression(self, node: Node, operands: list[str]) -> str:
+        operation, kind = node.operation, node.operands[-1].kind
+        suffix = "f" if kind == np.float32 else ""
+        if operation in _INFIX:
+            return f" {_INFIX[operation]} ".join(operands)
+        if operation in _PREFIX:
+            return f"{_PREFIX[operation]}{operands[0]}"
+        if operation in _FUNCTIONS:
+            return f"{_FUNCTIONS[operation]}{suffix}({', '.join(operands)})"
+        if operation in _HELPERS:
+            name = f"{self.prefix}{operation}{suffix}"
+            text = _HELPERS[operation].format(type=C_TYPES[kind], name=name)
+            if text not in self.helpers:
+                self.helpers.append(text)
+            return f"{name}({', '.join(operands)})"
+        if operation == "where":
+            return f"{operands[0]} ? {operands[1]} : {operands[2]}"
+        if operation == "cast":
+            return f"{operands[0]} != 0" if node.kind == np.bool_ else f"({C_TYPES[node.kind]}){operands[0]}"
+        raise AssertionError(operation)
+
+    def _collected(self, node: Node, kind: str, name: str) -> list[str]:
+        lines = [f"{kind} {name}[{node.size}];"]
+        runs = _runs(node)
+        if len(runs) > 12 and len(node.operands) == 1:
+            places = self._place_table(node)
+            return [*lines, f"{_loop('i', node.size)} {name}[i] = {self.element(node.operands[0], f'{places}[i]')};"]
+        for first, length, source, start, step in runs:
+            if length == 1:
+                lines.append(f"{name}[{first}] = {self.element(source, start)};")
+            else:
+                text = self.element(source, _place(start, step, "i") if source.size > 1 else 0)
+                lines.append(f"{_loop('i', length)} {name}[{_place(first, 1, 'i')}] = {text};")
+        return lines
+
+    def _multiplied(self, node: Node, kind: str, name: str) -> list[str]:
+        """Sums in the order of the inner index; the innermost loop runs over the columns for vectorisation."""
+        (left, right), (rows, inner, columns) = node.operands, node.sizes
+        if node.size == 1:
+            term = f"{self.element(left, 'i' if inner > 1 else 0)} * {self.element(right, 'i' if inner > 1 else 0)}"
+            return [f"{kind} {name} = 0;", f"{_loop('i', inner)} {name} += {term};"]
+        at = "i" if rows == 1 else f"k * {inner} + i"
+        to = "j" if rows == 1 else f"k * {columns} + j"
+        from_right = "i" if columns == 1 else f"i * {columns} + j"
+        lines = [f"{kind} {name}[{node.size}];", f"{_loop('i', node.size)} {name}[i] = 0;"]
+        if rows > 1:
+            lines.append(_loop("k", rows))
+        # A zero adds nothing if the weights are finite, and half of the outputs of a ReLU layer are zero.
+        finite = right.operation == "constant" and right.table is not None and np.isfinite(right.table).all()
+        skip = "if (factor != 0) " if finite and columns >= 16 else ""
+        return [
+            *lines,
+            f"{_loop('i', inner)} {{",
+            f"    const {kind} factor = {self.element(left, at if left.size > 1 else 0)};",
+            f"    {skip}{_loop('j', columns)} {name}[{to}] += factor * {self.element(right, from_right)};",
+            "}",
+        ]
+
+    def _summed(self, node: Node, kind: str, name: str) -> list[str]:
+        operand, (outer, length, inner) = node.operands[0], node.sizes
+        if node.size == 1:
+            return [f"{kind} {name} = 0;", f"{_loop('i', length)} {name} += {self.element(operand, 'i')};"]
+        to, at = f"k * {inner} + j", f"(k * {length} + i) * {inner} + j"
+        return [
+            f"{kind} {name}[{node.size}];",
+            f"{_loop('i', node.size)} {name}[i] = 0;",
+            f"{_loop('k', outer)} {_loop('i', length)} {_loop('j', inner)}",
+            f"    {name}[{to}] += {self.element(operand, at)};",
+        ]
+
+    # Names and tables ---------------------------------------------------------------------------------------------
+
+    def _new_name(self, name: str) -> str:
+        plain = name if name not in (*_RESERVED, *_INDICES, "factor") else f"{name}_value"
+        unique = next(one for one in (plain, *(f"{plain}_{n}" for n in range(2, 10_000))) if one not in self._used)
+        self._used.add(unique)
+        return unique
+
+    def _table(self, node: Node) -> str:
+        if id(node) not in self._names:
+            assert node.table is not None
+            self._names[id(node)] = self._new_table(node.name, C_TYPES[node.kind], node.table)
+        return self._names[id(node)]
+
+    def _place_table(self, node: Node) -> str:
+        assert node.table is not None
+        return self._new_table(f"places_of_{node.name}", "int", node.table)
+
+    def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
+        unique = self._new_name(f"{name}_table")
+        texts = [number(value) for value in values]
+        rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
+        body = ",\n    ".join(rows)
+        self.tables.append(f"static const {kind} {unique}[{len(texts)}] = {{\n    {body}\n}};")
+        return unique
+
+
+def number(value: Any) -> str:
+    """An exact number in C: the shortest text that reads back as the same number."""
+    if isinstance(value, np.bool_ | bool | np.integer):
+        return str(int(value))
+    suffix = "f" if isinstance(value, np.float32) else ""
+    if np.isnan(value):
+        return "NAN"
+    if np.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    text = f"{value!s}{suffix}"
+    return f"({text})" if text.startswith("-") else text
+
+
+def _loop(index: str, count: int) -> str:
+    return f"for (int {index} = 0; {index} < {count}; ++{index})"
+
+
+def _place(start: int, step: int, index: int | str) -> int | str:
+    if isinstance(index, int) or step == 0:
+        return start + step * index if isinstance(index, int) else start
+    plain = index.isidentifier() or index.endswith("]")
+    scaled = index if step == 1 else f"{step} * {index if plain else f'({index})'}"
+    return scaled if start == 0 else f"{start} + {scaled}"
+
+
+def _runs(node: Node) -> list[tuple[int, int, Node, int, int]]:
+    """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
+    runs: list[tuple[int, int, Node, int, int]] = []
+    for element in range(node.size):
+        source, place = node.piece(element)
+        if runs:
+            first, length, before, start, step = runs[-1]
+            wanted = place - start if length == 1 else step
+            if before is source and place == start + length * wanted:
+                runs[-1] = (first, length + 1, before, start, wanted)
+                continue
+        runs.append((element, 1, source, place, 0))
+    return runs
+
+
+def _regular(node: Node) -> tuple[Node, int, int] | None:
+    """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
+    runs = _runs(node) if node.size < 4096 else []
+    return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None

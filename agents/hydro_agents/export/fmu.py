@@ -1,0 +1,179 @@
+"""The plant as an FMU: FMI 2.0 co-simulation, with its C sources and the binary of this platform.
+
+Inputs: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and forces, and
+    the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and Co-Simulation*,
+    version 2.0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+import sys
+import tempfile
+import uuid
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, get_args, get_type_hints
+
+from hydro_agents.export.compiler import compile_c
+from hydro_agents.export.plant_code import plant_code, render
+from hydro_env import HydroError, TaskConfig, __version__, equilibrium
+from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.plant.equations import Derived
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, to_vector
+from hydro_env.plant.states import STATE_NAMES, STATE_UNITS
+from hydro_env.task.settings import settings_of
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+
+MODEL = "hydro_axis"
+SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
+SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
+REPLACED_BY_INPUTS = ("leakage.internal_resistance",)
+_ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of the FMU; its value reference is its index in the list."""
+
+    name: str
+    description: str
+    unit: str
+    causality: str
+    start: float | None = None
+    parameter: str | None = None  # C name of the plant's parameter that it sets
+    index: int = 0  # from 1
+
+    @property
+    def symbol(self) -> str:
+        """Name in C."""
+        return self.name.replace(".", "_").upper()
+
+    @property
+    def variability(self) -> str:
+        """FMI's attribute ``variability``."""
+        return "fixed" if self.causality == "parameter" else "continuous"
+
+    @property
+    def initial(self) -> str:
+        """FMI's attribute ``initial``."""
+        return {"output": "calculated", "parameter": "exact"}.get(self.causality, "")
+
+
+def fmu_variables(config: TaskConfig) -> list[Variable]:
+    """Inputs, parameters and outputs, in the order of their value references."""
+    plant = config.plant
+    _, voltage = equilibrium(plant, 0.0)
+    inputs = [
+        ("voltage", "command to the valve's drive", "V", voltage),
+        ("external_force", "added to the plant's own; positive against extension", "N", 0.0),
+        ("leakage", "past the piston seal, at 100 bar", "l/min", leak_at_test_pressure(tight_throttle(plant))),
+        ("fault.valve_null_shift", "spool position at which the edges are centred", "1", 0.0),
+        ("fault.valve_underlap", "added to the underlap, of full stroke", "1", 0.0),
+        ("fault.valve_flow", "relative change of the rated flow", "1", 0.0),
+        ("fault.tank_pressure", "added to the tank pressure", "Pa", 0.0),
+        ("fault.external_leak", "past the rod seal, at 100 bar", "l/min", 0.0),
+    ]
+    lag = float(settings_of(config)["pressure_lag"][0]) * config.control_period
+    parameters = [
+        Variable("initial_position", "position of the axis at rest at the start", "m", "parameter", 0.0),
+        Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag),
+    ]
+    for path, value in zip(PARAMETER_PATHS, to_vector(plant).tolist(), strict=True):
+        if path in REPLACED_BY_INPUTS:
+            continue
+        group, field = path.split(".")
+        info = type(getattr(plant, group)).model_fields[field]
+        extra = info.json_schema_extra
+        unit = str(extra["unit"]) if isinstance(extra, dict) else "1"
+        codes = MODEL_CODES.get(path)
+        what = ", ".join(f"{i} {name}" for i, name in enumerate(codes)) if codes else (info.description or "")
+        symbol = f"PLANT_{path.replace('.', '_').upper()}"
+        parameters.append(Variable(f"rig.{path}", what, unit, "parameter", value, symbol))
+    outputs = [
+        *((name, "state", unit) for name, unit in zip(STATE_NAMES, STATE_UNITS, strict=True)),
+        *((name, "follows from the state", unit) for name, unit in _units_of_derived().items()),
+        ("measured_position", "ideal sensor", "m"),
+        ("measured_pressure_a", "behind the transducer's lag", "Pa"),
+        ("measured_pressure_b", "behind the transducer's lag", "Pa"),
+        ("measured_spool_position", "ideal sensor", "1"),
+        ("holding_voltage", "holds the axis at its initial position", "V"),
+    ]
+    variables = [
+        *(Variable(name, what, unit, "input", start) for name, what, unit, start in inputs),
+        *parameters,
+        *(Variable(name, what, unit, "output") for name, what, unit in outputs),
+    ]
+    return [
+        Variable(v.name, _plain(v.description), _unit(v.unit), v.causality, v.start, v.parameter, index)
+        for index, v in enumerate(variables, 1)
+    ]
+
+
+def tight_throttle(plant: PlantParameters) -> PlantParameters:
+    """The rig without the throttle parallel to the cylinder; only the seal leaks."""
+    return plant.replace(leakage={"orifice_gain": 0.0})
+
+
+def _units_of_derived() -> dict[str, str]:
+    hints = get_type_hints(Derived, include_extras=True)
+    return {name: str(get_args(hint)[1]) for name, hint in hints.items() if hint is not Annotated}
+
+
+def _plain(text: str) -> str:
+    return text.replace("&", "and").replace("<", "below").replace('"', "'")
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit.translate(_ASCII)
+
+
+def make_fmu(config: TaskConfig) -> bytes:
+    """The FMU as the bytes of a zip file; the same task gives the same sources.
+
+    Raises:
+        HydroError: this machine has no C compiler, or the compiler failed.
+    """
+    variables = fmu_variables(config)
+    code = plant_code(config.plant)
+    values = {
+        "version": __version__,
+        "model": MODEL,
+        "variables": variables,
+        "units": sorted({variable.unit for variable in variables} - {""}),
+        "states": STATE_NAMES,
+        "derived": list(_units_of_derived()),
+        "flow_to_conductance": LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE,
+        "guid": "",
+    }
+    digest = hashlib.sha256((code.source + render("fmu.c.j2", values)).encode()).hexdigest()
+    values["guid"] = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, digest)) + "}"
+    sources = {"plant.h": code.header, "plant.c": code.source, "fmu.c": render("fmu.c.j2", values)}
+    files = {"modelDescription.xml": render("modelDescription.xml.j2", values).encode()}
+    files |= {f"sources/{name}": text.encode() for name, text in sources.items()}
+    system = SYSTEMS.get(sys.platform)
+    if system is None or platform.machine().lower() not in ("x86_64", "amd64"):
+        raise HydroError(f"FMI 2.0 has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
+    files[f"binaries/{system}/{MODEL}{SUFFIXES[sys.platform]}"] = compile_library(sources)
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def compile_library(sources: dict[str, str]) -> bytes:
+    """A shared library of C sources, by the C compiler of this machine.
+
+    Raises:
+        HydroError: there is no compiler, or it failed; the message is its first line.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in sources.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        units = [name for name in sources if name.endswith(".c")]
+        compile_c(Path(folder), ["-shared", "-fPIC", "-fvisibility=hidden", "-o", "library", *units])
+        return (Path(folder) / "library").read_bytes()

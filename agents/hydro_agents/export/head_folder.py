@@ -1,0 +1,255 @@
+"""The folder of an exported leakage head: C code, network, test vectors and contract, checked before it is written."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
+
+from hydro_agents.detection.features import FEATURES, SIGNALS, features_of
+from hydro_agents.detection.head import LeakageEstimate, LeakageHead
+from hydro_agents.export.compiler import c_compiler, compile_c
+from hydro_agents.export.contract import FILE, ContractSignal, sealed
+from hydro_agents.export.exported import onnx_session
+from hydro_agents.export.graph import Graph
+from hydro_agents.export.head_code import FIELDS, MEANINGS, HeadCode, head_code, head_graph
+from hydro_agents.export.onnx_writer import OnnxWriter
+from hydro_agents.export.plant_code import render
+from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
+from hydro_env.files import Group
+from hydro_env.task.signals import observation_layout
+
+NETWORK_FILE = "leakage_head_network.onnx"
+FILES = (
+    "leakage_head.c",
+    "leakage_head.h",
+    "test_leakage_head.c",
+    "vectors.csv",
+    NETWORK_FILE,
+    "README.md",
+    FILE,
+)
+"""Names of the files of an exported leakage head."""
+
+LARGEST_DIFFERENCE = 2e-5
+"""Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
+
+SEED = VALIDATION_SEEDS.start + 710_000
+LEAKS = (0.01, 0.5, 2.0)
+"""l/min at 100 bar, in the episodes of the test vectors."""
+
+ESTIMATES = 4
+"""Control periods per episode of the test vectors."""
+
+RULES = {
+    "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
+    "previous_command": "of sample k is the command of sample k-1 that the valve received (1: full voltage)",
+    "start": "leakage_head_start before the first sample and after every pause",
+    "first_estimate": "NaN until 'window' samples are known; then a new one every 'interval' samples",
+    "lost_sample": "a signal that is NaN takes its last reading; an absent sensor is always NaN",
+    "outside": "1: the window is unlike the training, or a sensor is stuck; the answer is not valid",
+    "flag": "a leak is flagged at a probability of 'threshold' or more: 1 % false alarms on validation plants",
+}
+
+
+class HeadContract(Group):
+    """Content of the ``contract.json`` of a leakage head."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    format: Literal["hydro_env exported leakage head"] = "hydro_env exported leakage head"
+    format_version: Literal[1] = 1
+    sample_time: float = Field(description="s")
+    window: int = Field(description="samples per estimate")
+    interval: int = Field(description="samples from one estimate to the next")
+    threshold: float = Field(description="probability at which a leak is flagged")
+    signals: tuple[ContractSignal, ...]
+    outputs: dict[str, str] = FIELDS
+    network: dict[str, Any] = Field(description="content of the ONNX file, and missing parts")
+    rules: dict[str, str] = RULES
+    training: dict[str, Any]
+    checked: dict[str, Any]
+    versions: dict[str, str]
+    command: str
+    files: dict[str, str] = Field(description="SHA-256 of each file")
+
+    def text(self) -> str:
+        """As JSON, with its digest."""
+        return sealed(self.model_dump(mode="json"))
+
+
+def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], list[str]]:
+    """The files of an exported leakage head by name, and the results of their checks, one line each.
+
+    Args:
+        head: the leakage head.
+        command: the command of the export, for the contract.
+
+    Raises:
+        TranslationError, TraceError: the head uses a construct without translation.
+        ConfigurationError: the package onnx or onnxruntime is not installed.
+        HydroError: the C code or the ONNX model gives other values.
+    """
+    samples, answers = test_vectors(head)
+    code, model = head_code(head), network_model(head_graph(head)).SerializeToString()
+    values = {
+        "version": __version__,
+        "samples": samples.shape[0] * samples.shape[1],
+        "per_episode": samples.shape[1],
+        "fields": list(FIELDS),
+        "allowed": LARGEST_DIFFERENCE,
+        "sample_time": head.settings.task.control_period,
+        "window": head.settings.window,
+        "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
+    }
+    texts = {
+        "leakage_head.c": code.source,
+        "leakage_head.h": code.header,
+        "test_leakage_head.c": render("test_leakage_head.c.j2", values),
+        "vectors.csv": _csv(samples, answers),
+        "README.md": render("leakage_head_readme.md.j2", values),
+    }
+    in_onnx, in_c = check_network(head, model, samples), check_c(code, texts)
+    files = {NETWORK_FILE: model, **{name: text.encode() for name, text in texts.items()}}
+    files[FILE] = _contract(head, {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}, command, files).text().encode()
+    largest = f"largest difference {in_onnx['largest_difference']:.2g}"
+    return files, [f"{NETWORK_FILE}: {in_onnx['windows']} windows in onnxruntime, {largest}", f"leakage_head.c: {in_c}"]
+
+
+def network_model(graph: Graph) -> Any:
+    """The ONNX model of a head's network: ``features`` in, ``answer`` out."""
+    given = graph.inputs["features"]
+    writer = OnnxWriter({"features": (given.size, given.kind)}, ["answer"])
+    answer = graph.outputs["answer"]
+    outputs = {"answer": (writer.tensor(answer), answer.size, answer.kind)}
+    facts = {"features": ", ".join(FEATURES), "answer": ", ".join(FIELDS)}
+    return writer.model(outputs, "Network of the leakage head of a hydraulic servo axis", facts)
+
+
+def test_vectors(head: LeakageHead) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signals (episodes, T, 5) of axes with the :data:`LEAKS`, and the head's answer at each sample (…, T, 9).
+
+    No controller is needed: the command varies randomly and smoothly around the one that holds the axis. In the last
+    episode some samples are lost, and a sensor sticks near the end.
+    """
+    config, count = head.settings.task, len(LEAKS)
+    length = head.settings.window + (ESTIMATES - 1) * head.interval
+    env = ServoHydraulicVectorEnv(count, _long_enough(config, length), info=False)
+    observation, _ = env.reset(
+        seed=[SEED + number for number in range(count)], options={"leakage_flow_lpm": list(LEAKS)}
+    )
+    generator, state, command = np.random.default_rng(SEED), None, np.zeros(count)
+    samples, answers = np.empty((length, count, len(SIGNALS))), np.empty((length, count, len(FIELDS)))
+    for k in range(length):
+        observed = observation.copy()
+        if k in (60, 61, 200):
+            observed[-1, head.columns[:4]] = np.nan
+        if k >= length - head.interval:
+            observed[-1, head.columns[1]] = samples[k - 1, -1, 1] / head.scale[1]
+        samples[k] = observed[:, head.columns].astype(np.float64) * head.scale
+        answers[k], state = head.predict(observed, state)
+        position = head.settings.layout.si(observation, "position")
+        command = 0.97 * command + 0.03 * generator.uniform(-1.0, 1.0, count)
+        observation, *_ = env.step((command - 10.0 * position)[:, None].astype(np.float32))
+    env.close()
+    return samples.transpose(1, 0, 2), answers.transpose(1, 0, 2)
+
+
+def _long_enough(config: TaskConfig, samples: int) -> TaskConfig:
+    duration = max(config.episode_duration, (samples + 1) * config.control_period)
+    return config.model_copy(update={"episode_duration": duration})
+
+
+def _csv(samples: NDArray[np.float64], answers: NDArray[np.float64]) -> str:
+    """As CSV; every number reads back exactly."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(["start", *SIGNALS, *FIELDS])
+    for episode, expected in zip(samples, answers, strict=True):
+        for k, (signals, answer) in enumerate(zip(episode, expected, strict=True)):
+            writer.writerow([int(k == 0), *(repr(float(value)) for value in (*signals, *answer))])
+    return file.getvalue()
+
+
+def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64]) -> dict[str, Any]:
+    """Differences between the ONNX model and the head's network on windows of the test vectors.
+
+    Raises:
+        HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
+    """
+    session = onnx_session(model)
+    windows = np.concatenate(
+        [
+            samples[:, first : first + head.settings.window].transpose(0, 2, 1)
+            for first in range(0, ESTIMATES * head.interval, head.interval)
+        ]
+    )
+    features = features_of(windows, head.sheet)
+    found = np.array([session.run(None, {"features": row})[0] for row in features])
+    expected = head.judge(features)
+    largest = float((np.abs(found - expected) / (1.0 + np.abs(expected))).max())
+    if not largest <= LARGEST_DIFFERENCE:
+        raise HydroError(f"leakage head: the ONNX model differs by {largest:.2g} from Python: cannot be exported")
+    return {"windows": len(windows), "largest_difference": largest}
+
+
+def check_c(code: HeadCode, texts: Mapping[str, str]) -> str:
+    """Result of the test program, compiled on this machine.
+
+    Raises:
+        HydroError: the code cannot be compiled, or gives other values.
+    """
+    if c_compiler() is None:
+        return "not compiled: this machine has no C compiler"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        code.write(folder)
+        for file in ("test_leakage_head.c", "vectors.csv"):
+            (folder / file).write_text(texts[file], encoding="utf-8")
+        compile_c(folder, ["-Wall", "-Wextra", "-Werror", "-o", "test", "test_leakage_head.c", "leakage_head.c"])
+        result = subprocess.run([str(folder / "test")], cwd=folder, capture_output=True, text=True, check=False)
+    said = " ".join((result.stdout + result.stderr).split())
+    if result.returncode != 0:
+        raise HydroError(f"the C code differs from the leakage head in Python: {said}")
+    return said
+
+
+def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files: Mapping[str, bytes]) -> HeadContract:
+    config = head.settings.task
+    names, _, scales, limits = observation_layout(config)
+    signals = []
+    for name in SIGNALS:
+        limit = float(limits[names.index(name)] * scales[names.index(name)])
+        sensor = getattr(config.sensors, name, None)
+        low, high = (sensor.low, sensor.high) if sensor is not None else (-limit, limit)
+        unit, meaning = MEANINGS[name]
+        signals.append(ContractSignal(name=name, unit=unit, range=(low, high), limit=limit, meaning=meaning))
+    return HeadContract(
+        sample_time=config.control_period,
+        window=head.settings.window,
+        interval=head.interval,
+        threshold=head.settings.threshold,
+        signals=tuple(signals),
+        network={
+            "file": NETWORK_FILE,
+            "input": list(FEATURES),
+            "output": list(LeakageEstimate._fields),
+            "missing": "repair of gaps, flow balance, features and the check for stuck sensors: the flow "
+            "balance is an iteration whose end depends on its result; no plain operator does that, see the C code",
+        },
+        training=head.settings.training,
+        checked=dict(checked),
+        versions={"hydro_env": __version__, "numpy": np.__version__},
+        command=command,
+        files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+    )

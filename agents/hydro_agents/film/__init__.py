@@ -1,1 +1,0 @@
-"""Films of axes under controllers."""

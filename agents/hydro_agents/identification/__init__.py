@@ -1,1 +1,0 @@
-"""Fits the unknowns of a rig file to a recording, and reports which of them the recording cannot determine."""

@@ -1,1 +1,0 @@
-"""The leakage protocol: every detector under every condition, as independent jobs, with statistics and tables."""

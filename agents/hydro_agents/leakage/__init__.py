@@ -1,1 +1,0 @@
-"""Leak detection from measured signals: the leakage head, its training, its metrics."""

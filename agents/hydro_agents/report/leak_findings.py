@@ -1,0 +1,149 @@
+"""The findings as sentences for maintenance people; all numbers come from the tables."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_agents.evaluation.leak_protocol import HEALTHY
+from hydro_agents.report.findings import Finding, interval_text
+from hydro_agents.report.leak_record import Record
+from hydro_agents.report.text import listed, number, setting, unbroken
+
+SURE = 95.0
+"""Percentage of windows with detection for the sentence "is found"."""
+
+TOO_OFTEN = 10.0
+"""Percentage of healthy windows with false alarms above which a condition is named."""
+
+MOST_NAMED = 5
+
+
+def findings(record: Record) -> list[Finding]:
+    """Findings on size, delay, reliability, confusions and windows without an answer."""
+    items = [_small(record), *_early(record), _sure(record), _confused(record), _silent(record)]
+    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
+
+
+def _levels(record: Record, detector: str, condition: str) -> list[float]:
+    table = record.table("detection")
+    mine = table[(table["detector"] == detector) & (table["condition"] == condition) & (table["level"] > HEALTHY)]
+    return sorted(float(level) for level in mine["level"])
+
+
+def smallest_found(record: Record, detector: str, condition: str) -> float:
+    """The smallest leak such that it and every larger one is found in 95 % of the windows; NaN if there is none."""
+    found = np.nan
+    for level in reversed(_levels(record, detector, condition)):
+        if record.share(detector, condition, level, "at_1_percent").value < SURE:
+            break
+        found = level
+    return float(found)
+
+
+def _small(record: Record) -> Finding:
+    sizes = {name: smallest_found(record, name, record.base) for name in record.detectors}
+    known = {name: size for name, size in sizes.items() if np.isfinite(size)}
+    duration = float(record.conditions["duration_s"][record.base])
+    if not known:
+        return Finding(
+            "No size of leak is found reliably.", f"No detector finds any of them in {SURE:.0f} % of the windows."
+        )
+    best = min(known, key=lambda name: known[name])
+    parts = [
+        f"{name}: {setting(size)} l/min" if np.isfinite(size) else f"{name}: none of the sizes"
+        for name, size in sizes.items()
+    ]
+    lead = f"A leak of {setting(known[best])} l/min is found within {setting(duration)} s of ordinary motion."
+    text = (
+        f"Smallest leak at 100 bar that is found in {SURE:.0f} % of the windows, when one healthy window in a hundred "
+        f"raises a false alarm: {'; '.join(parts)}."
+    )
+    return Finding(lead, text)
+
+
+def _early(record: Record) -> list[Finding]:
+    table = record.table("alarms")
+    if table.empty:
+        return []
+    items = []
+    for detector, frame in table.groupby("detector", sort=False):
+        rows = frame[(frame["leak_lpm"] > HEALTHY) & (frame["then"] == "all")].to_dict("records")
+        healthy = frame[frame["leak_lpm"] == HEALTHY].to_dict("records")
+        if not rows:
+            continue
+        largest = max(rows, key=lambda row: row["leak_lpm"])
+        parts = [
+            f"{setting(row['leak_lpm'])} l/min after {number(row['median_s'], 0)} s, "
+            f"{number(100.0 * row['missed'], 1)} % missed"
+            for row in sorted(rows, key=lambda row: -row["leak_lpm"])
+        ]
+        said = "".join(
+            f" False alarms: {number(row['per_100_h'], 1)} per 100 h ({number(row['per_100_h_low'], 1)} to "
+            f"{number(row['per_100_h_high'], 1)})."
+            for row in healthy
+        )
+        size, seconds = setting(largest["leak_lpm"]), number(largest["median_s"], 0)
+        lead = f"A new leak of {size} l/min raises the alarm after {seconds} s."
+        items.append(Finding(lead, f"{detector}, median from the onset at work: {'; '.join(parts)}.{said}"))
+    return items
+
+
+def _sure(record: Record) -> Finding:
+    parts, worst, rates = [], {}, {}
+    for name in record.detectors:
+        value = record.share(name, record.base, HEALTHY)
+        per_hour = float(record.cell("detection", name, record.base, HEALTHY).get("per_hour", np.nan))
+        parts.append(f"{name} {interval_text(value, '%', 1)}, which is {number(per_hour, 0)} per hour")
+        if np.isfinite(per_hour):
+            rates[name] = per_hour
+        others = {where: record.share(name, where, HEALTHY) for where in record.in_groups("motion", "controller")}
+        others = {where: share for where, share in others.items() if np.isfinite(share.value)}
+        if others:
+            where = max(others, key=lambda each: others[each].value)
+            worst[name] = f"{name} {interval_text(others[where], '%', 1)}, {record.label(where)}"
+    text = f"Healthy windows in which a leak is reported: {'; '.join(parts)}."
+    if worst:
+        text += f" Under the worst motion or controller: {'; '.join(worst.values())}."
+    if not rates or max(rates.values()) < 1.0:
+        return Finding("On healthy axes in ordinary motion false alarms are rare.", text)
+    often = max(rates, key=lambda name: rates[name])
+    lead = f"The {often} alone raises {number(rates[often], 0)} false alarms per hour: let an alarm sum up its windows."
+    return Finding(lead, text)
+
+
+def _confused(record: Record) -> Finding:
+    parts, clean = [], []
+    for name in record.detectors:
+        found = {where: record.share(name, where, HEALTHY).value for where in record.in_groups("fault", "plant", "rig")}
+        shares = {where: value for where, value in found.items() if np.isfinite(value)}
+        wrong = sorted((where for where in shares if shares[where] > TOO_OFTEN), key=lambda where: -shares[where])
+        if wrong:
+            named = [f"{record.label(where)} {number(shares[where], 0)} %" for where in wrong[:MOST_NAMED]]
+            more = f" and {len(wrong) - MOST_NAMED} more" if len(wrong) > MOST_NAMED else ""
+            parts.append(f"{name}: {', '.join(named)}{more}")
+        elif shares:
+            clean.append(name)
+    lead = "Some other faults look like a worn seal." if parts else "No other fault looks like a worn seal."
+    text = f"Mistaken for a leak in more than {TOO_OFTEN:.0f} % of the windows: {'; '.join(parts)}." if parts else ""
+    if clean:
+        text += f" {listed(clean)}: none in more than {TOO_OFTEN:.0f} % of the windows."
+    return Finding(lead, text.strip())
+
+
+def _silent(record: Record) -> Finding:
+    parts = []
+    table = record.table("detection")
+    for name in record.detectors:
+        mine = table[(table["detector"] == name) & (table["cannot_tell"] > 0.5)]
+        labels = list(dict.fromkeys(record.label(str(condition)) for condition in mine["condition"]))
+        if labels:
+            more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
+            parts.append(f"{name}: {', '.join(labels[:MOST_NAMED])}{more}")
+    if not parts:
+        return Finding(
+            "No detector stays silent.", "None answers “cannot tell” in more than half of the windows of a condition."
+        )
+    return Finding(
+        "Where the model or the training is not valid, the answer is “cannot tell”.",
+        f"In more than half of the windows: {'; '.join(parts)}.",
+    )

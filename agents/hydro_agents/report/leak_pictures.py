@@ -1,0 +1,278 @@
+"""The pictures of the page: detection, false alarms, confusions, sizes, reliability, coverage, masking."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from hydro_agents.evaluation.leak_protocol import HEALTHY
+from hydro_agents.report.canvas import (
+    GREY,
+    HEIGHT,
+    INK,
+    Plot,
+    description,
+    dodge,
+    log_leak_axis,
+    one_panel,
+    row_axis,
+    ticks,
+)
+from hydro_agents.report.leak_record import Record, percent_of
+from hydro_agents.report.text import setting
+from hydro_agents.running.statistics import Interval
+
+Find = Callable[[str, str], Interval]
+"""A share in percent with its interval, by detector and condition."""
+
+SPREAD = 0.24
+"""Distance of the detectors within one row."""
+
+
+def detection_plot(record: Record) -> list[Plot]:
+    """Share found at 1 % false alarms over the size of the leak."""
+    table = record.table("detection")
+    table = table[(table["condition"] == record.base) & (table["level"] > HEALTHY)].sort_values("level")
+    parts = {name: table[table["detector"] == name] for name in record.detectors}
+    parts = {name: part for name, part in parts.items() if len(part)}
+    if not parts:
+        return []
+    levels = sorted(float(level) for level in table["level"].unique())
+
+    def paint(axes: Axes) -> None:
+        for name, part in parts.items():
+            look = record.looks[name]
+            value, low, high = (100.0 * part[f"at_1_percent{end}"].to_numpy() for end in ("", "_low", "_high"))
+            lengths = np.maximum(np.array([value - low, high - value]), 0.0)
+            axes.errorbar(part["level"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke)
+        log_leak_axis(axes, levels)
+        axes.set(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
+
+    title = "Smallest leak that is found"
+    note = (
+        f"{record.label(record.base).capitalize()}, one window each; threshold at 1 % false alarms on validation axes. "
+        "Bars: 95 % interval."
+    )
+    rows = {
+        name: [
+            (setting(level), 100.0 * share) for level, share in zip(part["level"], part["at_1_percent"], strict=True)
+        ]
+        for name, part in parts.items()
+    }
+    return [one_panel("detection", title, note, description(title, rows, " %"), paint)]
+
+
+def _rows_plot(
+    record: Record,
+    key: str,
+    title: str,
+    note: str,
+    conditions: Sequence[str],
+    find: Find,
+    label: str,
+    lines: Mapping[float, str],
+    limit: float | None = 100.0,
+    names: Mapping[str, str] | None = None,
+) -> list[Plot]:
+    """Conditions from top to bottom, a point with its interval for each detector; ``names``: their texts."""
+    found = {name: {where: find(name, where) for where in conditions} for name in record.detectors}
+    shown = [where for where in conditions if any(not np.isnan(each[where].value) for each in found.values())]
+    if not shown:
+        return []
+    texts = {where: (names or {}).get(where, record.label(where)) for where in shown}
+
+    def paint(axes: Axes) -> None:
+        for value, style in lines.items():
+            axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
+        for index, name in enumerate(record.detectors):
+            look = record.looks[name]
+            values = np.array([found[name][where] for where in shown])
+            places = np.arange(len(shown)) + dodge(len(record.detectors), index, SPREAD)
+            lengths = np.nan_to_num(np.maximum([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]], 0.0))
+            if not np.isnan(values[:, 0]).all():
+                axes.errorbar(
+                    values[:, 0],
+                    places,
+                    xerr=lengths,
+                    linestyle="none",
+                    color=look.colour,
+                    marker=look.marker,
+                    label=name,
+                )
+        row_axis(axes, list(texts.values()))
+        axes.set_xlabel(label)
+        if limit is not None:
+            axes.set_xlim(-0.02 * limit, 1.03 * limit)
+
+    rows = {
+        name: [(texts[where], each[where].value) for where in shown if not np.isnan(each[where].value)]
+        for name, each in found.items()
+    }
+    height = max(HEIGHT, 1.2 + 0.3 * len(shown))
+    return [one_panel(key, title, note, description(title, rows, " %"), paint, height)]
+
+
+def motion_plots(record: Record) -> list[Plot]:
+    """Detection and false alarms under other motions and controllers."""
+    conditions = [record.base, *record.in_groups("motion", "controller")]
+    found = _rows_plot(
+        record,
+        "motion-found",
+        "0.3 l/min under other motions and controllers",
+        "Share of windows in which a leak of 0.3 l/min is reported, with the threshold that the detector uses.",
+        conditions,
+        lambda detector, condition: record.share(detector, condition, 0.3),
+        "windows in which it is reported, %",
+        {},
+    )
+    false = _rows_plot(
+        record,
+        "motion-false",
+        "False alarms under other motions and controllers",
+        "Share of windows of healthy axes in which a leak is reported; lines: 2 and 5 %.",
+        conditions,
+        lambda detector, condition: record.share(detector, condition, HEALTHY),
+        "healthy windows reported as leaking, %",
+        {2.0: "--", 5.0: ":"},
+        None,
+    )
+    return found + false
+
+
+def fault_plots(record: Record) -> list[Plot]:
+    """Faults and changed plants that are mistaken for a leak, and detection of a leak together with them."""
+    conditions = record.in_groups("fault", "plant", "rig")
+    taken = _rows_plot(
+        record,
+        "fault-taken",
+        "Faults and changes mistaken for a leak past the piston",
+        "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %.",
+        conditions,
+        lambda detector, condition: record.share(detector, condition, HEALTHY),
+        "healthy windows reported as leaking, %",
+        {10.0: "--"},
+    )
+    beside = _rows_plot(
+        record,
+        "fault-beside",
+        "A leak of 0.3 l/min together with the same faults",
+        "Share of windows in which the leak is reported in spite of the fault.",
+        conditions,
+        lambda detector, condition: record.share(detector, condition, 0.3),
+        "windows in which it is reported, %",
+        {},
+    )
+    return taken + beside
+
+
+def coverage_plots(record: Record) -> list[Plot]:
+    """Coverage of the 90 % intervals at 0.3 l/min: by law, motion and controller, and beside faults."""
+
+    def find(detector: str, condition: str) -> Interval:
+        return percent_of(record.cell("sizes", detector, condition, 0.3), "coverage")
+
+    sides = {
+        "laws, motions, controllers": record.in_groups("levels", "law", "motion", "controller"),
+        "other faults and plants": record.in_groups("fault", "plant", "rig"),
+    }
+    return [
+        plot
+        for number, (side, conditions) in enumerate(sides.items())
+        for plot in _rows_plot(
+            record,
+            f"coverage-{number}",
+            f"Do 90 % intervals contain the true size? {side.capitalize()}",
+            "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %.",
+            conditions,
+            find,
+            "intervals that contain the true size, %",
+            {87.0: ":", 93.0: ":"},
+        )
+    ]
+
+
+def size_plot(record: Record) -> list[Plot]:
+    """Size error over the leak, with the Cramér–Rao bound."""
+    table = record.table("sizes")
+    table = table[(table["condition"] == record.base) & (table["level"] > HEALTHY)].sort_values("level")
+    parts = {name: table[(table["detector"] == name) & table["rms_log10"].notna()] for name in record.detectors}
+    parts = {name: part for name, part in parts.items() if len(part)}
+    if not parts:
+        return []
+    bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
+    levels = sorted(float(level) for level in table["level"].unique())
+
+    def paint(axes: Axes) -> None:
+        for name, part in parts.items():
+            axes.plot(
+                part["level"],
+                part["rms_log10"],
+                marker=record.looks[name].marker,
+                label=name,
+                **record.looks[name].stroke,
+            )
+        if len(bound):
+            axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
+        log_leak_axis(axes, levels)
+        axes.set(yscale="log", ylabel="error of the size, RMS of log10")
+
+    title = "Accuracy of the estimated size"
+    note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
+    rows = {
+        name: [(setting(level), size) for level, size in zip(part["level"], part["rms_log10"], strict=True)]
+        for name, part in parts.items()
+    }
+    return [one_panel("size", title, note, description(title, rows, ""), paint)]
+
+
+def reliability_plot(record: Record) -> list[Plot]:
+    """Probability of the detector against the frequency of leaks."""
+    table = record.table("reliability")
+    if table.empty:
+        return []
+    table = table[table["condition"] == record.base]
+    parts = {str(name): part for name, part in table.groupby("detector", sort=False)}
+
+    def paint(axes: Axes) -> None:
+        axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
+        for name, part in parts.items():
+            look = record.looks[name]
+            value, low, high = (100.0 * part[f"frequency{end}"].to_numpy() for end in ("", "_low", "_high"))
+            lengths = np.maximum(np.array([value - low, high - value]), 0.0)
+            axes.errorbar(
+                100.0 * part["probability"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke
+            )
+        ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
+        axes.set(xlabel="probability of the detector, %", ylabel="windows that leak, %")
+        axes.set(xlim=(-3, 103), ylim=(-3, 103))
+
+    title = "Calibration of the probability"
+    errors = ", ".join(f"{name} {part['error'].iloc[0]:.3f}" for name, part in parts.items())
+    note = f"Half of the axes healthy, the others with leaks of all sizes. Mean distance from the line: {errors}."
+    rows = {
+        name: [(f"{100.0 * p:.0f} %", 100.0 * f) for p, f in zip(part["probability"], part["frequency"], strict=True)]
+        for name, part in parts.items()
+    }
+    return [one_panel("reliability", title, note, description(title, rows, " %"), paint)]
+
+
+def masking_plot(record: Record) -> list[Plot]:
+    """Detection of a small leak by controller; the controller with the smallest error comes first."""
+    table = record.masking()
+    if table.empty:
+        return []
+    errors = table.groupby("condition")["error_mm"].mean().sort_values()
+    acting = table.drop_duplicates("condition").set_index("condition")["acting"]
+    return _rows_plot(
+        record,
+        "masking",
+        "0.1 l/min found, by controller",
+        "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms.",
+        [str(condition) for condition in errors.index],
+        lambda detector, condition: record.share(detector, condition, 0.1, "at_1_percent"),
+        "windows in which it is found, %",
+        {},
+        names={str(condition): f"{acting[condition]} ({error:.2g} mm)" for condition, error in errors.items()},
+    )

@@ -1,0 +1,133 @@
+"""``hydro diagnose``: from a recording to verdict, table, picture and page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.recording_readers import head_misfit, read_estimator, read_head
+from hydro_agents.recordings.columns import ColumnMap
+from hydro_agents.recordings.findings import Finding
+from hydro_agents.recordings.quality import Checked, check_recording
+from hydro_agents.recordings.recording import Recording, read_recording
+from hydro_agents.report.canvas import WIDE, render
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.rigs.diagnosis_alarm import Watched, watch
+from hydro_agents.rigs.diagnosis_page import write_page
+from hydro_agents.rigs.diagnosis_picture import paint
+from hydro_agents.rigs.diagnosis_windows import Windows, cut
+from hydro_agents.rigs.verdict import Limits, Reading, Verdict, judge
+from hydro_agents.running.folders import output_folder
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.files import write_text, write_whole
+
+PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
+FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
+JOB = "diagnose"
+
+Progress = Callable[[str, int, int], None]
+
+
+class Diagnosis(NamedTuple):
+    """All results for a recording."""
+
+    recording: Recording
+    plant: PlantParameters  # of the rig that was assumed
+    checked: Checked
+    windows: Windows
+    estimator: Reading | None
+    head: Reading | None
+    limits: Limits
+    verdict: Verdict
+    alarm: Watched | None  # None: no settings of an alarm were given
+    note: str  # why the head was not used; empty if it was
+
+
+def diagnose(
+    path: Path,
+    config: TaskConfig,
+    head: LeakageHead,
+    columns: ColumnMap | None = None,
+    window: float = 2.0,
+    alarm: AlarmSettings | None = None,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Read a recording, check it, let both detectors read it, and judge.
+
+    Args:
+        path: the recording, CSV.
+        config: the task whose rig was recorded.
+        head: the leakage head.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
+        window: s, of the windows that the estimator reads; the head has its own.
+        alarm: settings of an alarm that watches the recording.
+        progress: called with phase, done, total.
+
+    Raises:
+        ConfigurationError: the recording cannot be read at all.
+    """
+    recording = read_recording(path, columns)
+    checked = check_recording(recording, config)
+    windows = cut(checked.samples, max(round(window / config.control_period), 2))
+    limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
+    estimator, reading, watched = None, None, None
+    note = head_misfit(head, config, windows)
+    if not checked.severe and len(windows.begin):
+        fits = 2 * int(windows.commanded.sum())
+
+        def done(finished: int) -> None:
+            if progress is not None and fits:
+                progress("estimator", finished, fits)
+
+        done(0)
+        estimator = read_estimator(windows, config, done)
+        if not note:
+            reading = read_head(windows, head)
+            watched = watch(checked.samples, head, alarm) if alarm is not None else None
+    verdict = judge(checked.findings, estimator, reading, limits)
+    return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
+
+
+def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
+    """Write page, table, findings and picture; returns the lines for the user, the verdict last."""
+    with output_folder(folder, JOB, FILES, overwrite=overwrite):
+        (picture,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "png")
+        write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
+        write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
+        write_whole(folder / PICTURE_FILE, picture)
+        write_page(folder / PAGE_FILE, diagnosis, command)
+    lines = [finding.line() for finding in diagnosis.checked.findings]
+    lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
+    return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
+
+
+def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
+    """The readings of both detectors, one row per window; leaks in l/min at 100 bar."""
+    columns: dict[str, object] = {
+        "begin_s": np.round(diagnosis.windows.begin, 6),
+        "end_s": np.round(diagnosis.windows.end, 6),
+    }
+    for name, reading in (("estimator", diagnosis.estimator), ("head", diagnosis.head)):
+        if reading is not None:
+            columns |= {
+                f"{name}_leak": np.round(reading.leak, 5),
+                f"{name}_low": np.round(reading.low, 5),
+                f"{name}_high": np.round(reading.high, 5),
+                f"{name}_counts": reading.holds,
+                f"{name}_fault": reading.fault,
+                f"{name}_remark": reading.why,
+            }
+    return pd.DataFrame(columns)
+
+
+def findings_table(findings: list[Finding]) -> str:
+    """The findings as CSV."""
+    table = pd.DataFrame(findings, columns=list(Finding._fields))
+    text: str = table.to_csv(index=False, lineterminator="\n", float_format="%.6g")
+    return text

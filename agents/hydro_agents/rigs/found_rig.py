@@ -1,0 +1,229 @@
+"""The identified rig: its plant, its narrowed ranges, and its YAML file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import yaml
+
+from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
+from hydro_agents.rigs.identification_fit import Fit
+from hydro_agents.rigs.identification_shown import reading_unit
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.task.randomisation import Distribution, own_value
+from hydro_env.units import flow_from_resistance, orifice_gain_from_flow, resistance_from_flow
+
+DIGITS = 6
+"""Significant digits of the numbers in the file."""
+
+
+def path_of(name: str) -> str:
+    """Path of the rig's parameter for an unknown."""
+    return EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+
+
+def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
+    """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
+    values: dict[str, float] = {}
+    for name, value in fit.own().items():
+        if name == LEAKAGE and config.leakage.law == "laminar":
+            values["leakage.internal_resistance"] = resistance_from_flow(value)
+        elif name == LEAKAGE:
+            values["leakage.orifice_gain"] = orifice_gain_from_flow(max(value, 0.0))
+        elif name == EXTERNAL_LEAKAGE:
+            values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
+        elif name in PATHS:
+            values[name] = value
+    values = {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
+    breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
+    if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
+        values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
+    return values
+
+
+def found_plant(fit: Fit, config: TaskConfig) -> PlantParameters:
+    """The plant with the most probable values."""
+    groups: dict[str, dict[str, float]] = {}
+    for path, value in found_values(fit, config).items():
+        group, field = path.split(".")
+        groups.setdefault(group, {})[field] = value
+    return config.plant.replace(**groups)
+
+
+def found_biases(fit: Fit) -> list[float]:
+    """Bias of each channel, SI; 0 where it was not fitted."""
+    own = fit.own()
+    return [own.get(name, 0.0) for name in BIASES]
+
+
+def _within_bounds(plant: PlantParameters, path: str, value: float) -> float:
+    group, field = path.split(".")
+    for bound in type(getattr(plant, group)).model_fields[field].metadata:
+        low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
+        if low is not None:
+            value = max(value, low)
+        if above is not None and value <= above:
+            value = above + 1e-6
+        if high is not None:
+            value = min(value, high)
+    return value
+
+
+def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
+    """Lowest and highest value that a range allows, SI, including the value without the range.
+
+    Args:
+        plant: the given rig; factors multiply its own value.
+        found: the identified rig; it gives the value of a parameter that multiplies the range (``times``).
+        path: of the parameter.
+        given: its range.
+    """
+    factor = 1.0 if given.times is None else own_value(found, given.times)
+    ends = [factor * end for end in given.bounds(own_value(plant, path))]
+    ends += [] if given.otherwise is None else [given.otherwise]
+    return min(ends), max(ends)
+
+
+def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
+    """The range of each parameter in the new rig file: its 95 % interval, within the given range.
+
+    An undetermined parameter keeps its range. So does the leak, which a task draws.
+    """
+    result: dict[str, dict[str, Any]] = {}
+    plant = found_plant(fit, config)
+    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+        path = path_of(name)
+        if path not in ranges:
+            continue
+        given = ranges[path]
+        if not determined:
+            result[path] = _undetermined(config.plant, path, given)
+        elif name == EXTERNAL_LEAKAGE:
+            result[path] = _external(low, high, given)
+        else:
+            ends = _overlap((low, high), hull(config.plant, plant, path, given))
+            ends = (_within_bounds(plant, path, ends[0]), _within_bounds(plant, path, ends[1]))
+            if given.times is None:
+                result[path] = {"uniform": _rounded(ends)}
+            else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
+                factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
+                ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
+                result[path] = {"uniform": _rounded(ratios), "times": given.times}
+    return result
+
+
+def _overlap(interval: tuple[float, float], before: tuple[float, float]) -> tuple[float, float]:
+    """The part of an interval within the old range; the whole interval if it lies outside."""
+    low, high = max(interval[0], before[0]), min(interval[1], before[1])
+    return (low, high) if low <= high else interval
+
+
+def beyond_range(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> list[str]:
+    """Names of the determined parameters whose whole interval lies outside the range of the rig file."""
+    plant, names = found_plant(fit, config), []
+    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+        if determined and name in ranges:
+            least, most = hull(config.plant, plant, name, ranges[name])
+            if high < least or low > most:
+                names.append(name)
+    return names
+
+
+def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dict[str, Any]:
+    """The old range; factors become values in SI, because the rig's own value changes."""
+    if not given.relative:
+        return given.model_dump(exclude_defaults=True)
+    form = "log_uniform" if given.logarithmic else "uniform"
+    rest = given.model_dump(exclude_defaults=True, exclude={"factor", "log_factor"})
+    return {form: _rounded(given.bounds(own_value(plant, path))), **rest}
+
+
+def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
+    """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
+    least, most = sorted(given.bounds(1.0))
+    resistances = (max(resistance_from_flow(high), least), min(resistance_from_flow(low), most))
+    if not resistances[0] <= resistances[1]:  # beyond the old range
+        resistances = (resistance_from_flow(high), resistance_from_flow(low))
+    if high <= 0.0 or not math.isfinite(resistances[1]) or resistances[0] > most:
+        return {"log_uniform": _rounded((least, most)), "otherwise": math.inf, "otherwise_probability": 1.0}
+    if low <= 0.0 and given.otherwise is not None:
+        return {
+            "log_uniform": _rounded(resistances),
+            "otherwise": given.otherwise,
+            "otherwise_probability": given.otherwise_probability,
+        }
+    return {"log_uniform": _rounded(resistances)}
+
+
+def _rounded(ends: tuple[float, float]) -> list[float]:
+    """Both ends with DIGITS significant digits, rounded outwards."""
+    nearly = 1e-6  # of a digit: a number without further digits stays unchanged
+    return [
+        _outwards(ends[0], lambda digits: math.floor(digits + nearly)),
+        _outwards(ends[1], lambda digits: math.ceil(digits - nearly)),
+    ]
+
+
+def _outwards(value: float, rounding: Callable[[float], int]) -> float:
+    if value == 0.0 or not math.isfinite(value):
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - DIGITS + 1)
+    return float(f"{rounding(value / unit) * unit:.{DIGITS}g}")
+
+
+def rig_yaml(
+    rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
+) -> str:
+    """The rig file with the identified values and the narrowed ranges.
+
+    Args:
+        rig: content of the given rig file.
+        fit: the result of the fit.
+        config: the task on the given rig.
+        ranges: ranges of the rig file.
+        notes: lines of the comment at the top.
+    """
+    values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
+    found = found_values(fit, config)
+    for path, value in found.items():
+        group, field = path.split(".")
+        values.setdefault(group, {})[field] = _with_unit(path, value, config.plant)
+    # The parameters stay in their groups; the narrowed ranges replace the old ones.
+    values["randomisation"] = {
+        path: {
+            key: value if "times" in entry or key.endswith("probability") else _with_unit(path, value, config.plant)
+            for key, value in entry.items()
+        }
+        for path, entry in narrowed(fit, config, ranges).items()
+    }
+    lines = [f"# {' '.join(note.split())}" for note in notes]
+    for key, content in values.items():
+        if not isinstance(content, Mapping):
+            lines.append(_line(key, content))
+            continue
+        lines.append(f"{key}:")
+        for field, value in content.items():
+            mark = "  # found" if f"{key}.{field}" in found else ""
+            if mark and field.endswith("_resistance"):
+                mark += f": {flow_from_resistance(found[f'{key}.{field}']):.3g} l/min at 100 bar"
+            lines.append(f"  {_line(field, value)}{mark}")
+    return "\n".join(lines) + "\n"
+
+
+def _with_unit(path: str, value: Any, plant: PlantParameters) -> Any:
+    """A number in SI, or a list of two, as text in the unit of data sheets; words and infinity as they are."""
+    if isinstance(value, list):
+        return [_with_unit(path, end, plant) for end in value]
+    if not isinstance(value, float) or math.isinf(value):
+        return value
+    size, unit = reading_unit(path, plant)
+    number = float(f"{value / size:.{DIGITS}g}")
+    return number if not unit or unit[0].isdigit() else f"{number:.{DIGITS}g} {unit}"
+
+
+def _line(key: str, value: Any) -> str:
+    """One entry of a YAML mapping in one line."""
+    text = yaml.safe_dump({key: value}, sort_keys=False, allow_unicode=True, default_flow_style=True, width=math.inf)
+    return str(text).strip()[1:-1]

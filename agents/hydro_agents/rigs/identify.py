@@ -1,0 +1,217 @@
+"""``hydro identify``: from a recording and a rig file to the identified rig, page and pictures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydro_agents.estimation.names import EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.recordings.columns import ColumnMap
+from hydro_agents.recordings.quality import Checked, check_recording
+from hydro_agents.recordings.recording import Recording, read_recording
+from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, rig_yaml
+from hydro_agents.rigs.held_back import HeldBack, simulate_held_back
+from hydro_agents.rigs.identification_fit import Combination, Fit, combinations, fit_windows
+from hydro_agents.rigs.identification_motions import Advice, advise
+from hydro_agents.rigs.identification_page import write_page
+from hydro_agents.rigs.identification_shown import share_in_words, shown
+from hydro_agents.rigs.recording_parts import POSITION, Parts, parts_of
+from hydro_agents.running.folders import output_folder
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
+from hydro_env.files import read_yaml, write_text
+from hydro_env.task.rig import Rig
+from hydro_env.task.sensors import CHANNELS
+
+PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
+FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
+JOB = "identify"
+
+LEAST_SHARE = 0.9
+"""Smallest share of the position's variance on the held-back part of a model that describes the axis."""
+
+Progress = Callable[[str, int, int], None]
+
+
+class Identification(NamedTuple):
+    """All results of an identification."""
+
+    recording: Recording
+    checked: Checked
+    rig: Rig
+    config: TaskConfig
+    parts: Parts
+    fit: Fit
+    plant: PlantParameters
+    held_back: HeldBack
+    combinations: list[Combination]
+    advice: dict[str, Advice | None]
+
+    @property
+    def share(self) -> float:
+        """Share of the position's variance that is explained on the held-back part; NaN if the axis stood still."""
+        return float(self.held_back.share[POSITION])
+
+    @property
+    def describes(self) -> bool:
+        """Whether the model describes the axis."""
+        explained = bool(self.fit.explained.mean() >= 0.5)
+        if math.isnan(self.share) or self.beyond:
+            return explained and not self.share < LEAST_SHARE
+        return self.share >= LEAST_SHARE
+
+    @property
+    def beyond(self) -> list[str]:
+        """Parameters with values outside their ranges, as text."""
+        names = beyond_range(self.fit, self.config, self.rig.randomisation)
+        return [shown(name, self.config.plant).words for name in names]
+
+    @property
+    def noted(self) -> list[str]:
+        """Notes about the fit for the user, as sentences."""
+        count, explained = len(self.fit.misfit), int(self.fit.explained.sum())
+        left_out = int(np.isinf(self.fit.misfit).sum())
+        notes = []
+        if not self.rig.randomisation:
+            notes.append(
+                "The rig file gives no ranges: only the leak and the sensors' offsets were fitted. Write a range for "
+                "each unknown value in its group randomisation."
+            )
+        if left_out:
+            notes.append(
+                f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows."
+            )
+        if not {"pressure_a_bias", "pressure_b_bias"} & set(self.fit.names) and self.config.sensors.enabled:
+            notes.append("No pressure was recorded: the intervals are too narrow (docs/identify.md). Record pressures.")
+        if self.beyond:
+            notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
+        if explained < 0.5 * count:
+            notes.append(
+                "The readings differ from the model by more than the sensors' noise. The intervals are therefore wider "
+                f"(factor {self.fit.widening:.2g}), but may still be too narrow."
+            )
+        return notes
+
+    def verdict(self) -> str:
+        """The result in one sentence."""
+        known, count = int(self.fit.determined.sum()), len(self.fit.names)
+        if not self.describes:
+            what = f"explains {share_in_words(self.share)} of the position's variance on the held-back part"
+            if math.isnan(self.share):
+                what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
+            elif self.share >= LEAST_SHARE:
+                what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)})"
+            return (
+                f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
+            )
+        told = "the axis stood still on the held-back part"
+        if not math.isnan(self.share):
+            told = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
+        return f"{known} of {count} unknowns determined; {told}"
+
+
+def identify(
+    path: Path,
+    config: TaskConfig,
+    rig: Rig,
+    columns: ColumnMap | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Read a recording, check it, fit the unknowns of the rig file, and test the fit on the held-back part.
+
+    Args:
+        path: the recording.
+        config: the task on this rig.
+        rig: the rig; its ranges define the unknown parameters.
+        columns: the signal of each column; default: the names that ``hydro record`` writes.
+        progress: called with phase, done, total.
+
+    Raises:
+        ConfigurationError: the recording cannot be read, contradicts the rig, or carries no information.
+    """
+    recording = read_recording(path, columns)
+    checked = check_recording(recording, config)
+    if checked.severe:
+        raise ConfigurationError(f"{path}: {checked.severe[0].line()}")
+    parts = parts_of(checked.samples, str(path))
+    fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress)
+    try:
+        plant = found_plant(fit, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(
+            f"{path}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
+        ) from None
+    held_back = simulate_held_back(parts.held_back, parts.begin, config, plant, found_biases(fit))
+    advice = advise(fit, config, plant)
+    return Identification(recording, checked, rig, config, parts, fit, plant, held_back, combinations(fit), advice)
+
+
+def identify_to_folder(folder: Path, found: Identification, overwrite: bool, command: str) -> list[str]:
+    """Write page, numbers and, if the model describes the axis, the rig; returns the lines for the user.
+
+    Raises:
+        ConfigurationError: the folder cannot be written, or the model does not describe the axis; in this case page and
+            numbers are written, but no rig.
+    """
+    with output_folder(folder, JOB, FILES, overwrite=overwrite):
+        write_text(folder / RESULT_FILE, json.dumps(as_json(found, command), indent=1, allow_nan=False) + "\n")
+        write_page(folder / PAGE_FILE, found, command)
+        if found.describes:
+            notes = [
+                f"Found by: {command}",
+                f"hydro_env {__version__}; {found.verdict()}.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
+            ]
+            text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
+            write_text(folder / RIG_FILE, text)
+    if not found.describes:
+        raise ConfigurationError(f"{found.recording.source}: {found.verdict()}; see {folder / PAGE_FILE}")
+    findings = [finding.line() for finding in [*found.checked.findings, *found.parts.findings]]
+    open_ones = [name for name, known in zip(found.fit.names, found.fit.determined, strict=True) if not known]
+    lines = [*findings, *found.noted]
+    if open_ones:
+        lines.append(f"Not determined: {', '.join(open_ones)}")
+    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
+
+
+def as_json(found: Identification, command: str) -> dict[str, Any]:
+    """The result for programs; SI units, leaks in l/min at 100 bar; ``null`` if there is no number."""
+    fit = found.fit
+
+    def plain(value: float) -> float | None:
+        return float(value) if math.isfinite(value) else None
+
+    unknowns = {}
+    for place, name in enumerate(fit.names):
+        advice = found.advice.get(name)
+        unknowns[name] = {
+            "value": plain(fit.values[place]),
+            "low": plain(fit.low[place]),
+            "high": plain(fit.high[place]),
+            "unit": "l/min at 100 bar" if name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
+            "remaining": float(fit.remaining[place]),
+            "determined": bool(fit.determined[place]),
+            "motion_that_helps": advice.motion if advice is not None else None,
+        }
+    return {
+        "command": command,
+        "hydro_env": __version__,
+        "recording": found.recording.source,
+        "rig": found.rig.source,
+        "describes": found.describes,
+        "verdict": found.verdict(),
+        "share_of_variance": {n: plain(s) for n, s in zip(CHANNELS, found.held_back.share, strict=True)},
+        "held_back_from_s": found.parts.begin,
+        "windows": len(fit.misfit),
+        "windows_explained": int(fit.explained.sum()),
+        "widening": fit.widening,
+        "unknowns": unknowns,
+        "singular_values": [{"value": one.singular_value, "parts": dict(one.parts)} for one in found.combinations],
+        "findings": [finding.line() for finding in [*found.checked.findings, *found.parts.findings]],
+        "notes": found.noted,
+    }

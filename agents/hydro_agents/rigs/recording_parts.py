@@ -1,0 +1,134 @@
+"""The parts of a recording: windows for the fit, and the held-back part, which tests it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.recordings.columns import COMMAND
+from hydro_agents.recordings.findings import Finding, Weight
+from hydro_agents.recordings.sampling import Sampled
+from hydro_agents.rigs.diagnosis_windows import Windows, cut
+from hydro_env import ConfigurationError
+from hydro_env.task.sensors import CHANNELS
+
+Floats = NDArray[np.float64]
+
+WINDOW, FEWEST_WINDOWS = 2.0, 5
+"""s, length of a window; a recording that is too short for five windows has shorter ones."""
+
+SHORTEST_WINDOW = 0.4
+"""s; shorter windows give too little information, because their start is unknown."""
+
+FITTED_SHARE = 0.7
+"""Share of the recording, from its start, for the fit."""
+
+MOST_WINDOWS = 12
+"""More windows would take longer and add little; from each section of the recording, the one with most motion is
+used."""
+
+LONGEST_HELD_BACK = 10.0
+"""s"""
+
+LONGEST_FILL = 3
+"""Largest number of successive missing commands that are interpolated; their readings stay missing."""
+
+FULL_COMMAND, MOST_SATURATED = 0.99, 0.9
+"""Largest share of the time at full command; a recording with more gives no information about the valve."""
+
+POSITION = CHANNELS.index("position")
+
+
+class Parts(NamedTuple):
+    """A recording cut in parts."""
+
+    fitted: Windows  # for the fit
+    begin: float  # s, of the held-back part
+    held_back: Floats  # (5, T), in the order of SIGNALS
+    findings: list[Finding]  # changes to the samples
+
+
+def parts_of(samples: Sampled, source: str) -> Parts:
+    """Choose the parts of a recording.
+
+    Args:
+        samples: the recording at the control period.
+        source: of the recording, for messages.
+
+    Raises:
+        ConfigurationError: the position is missing, the command is saturated, or too few samples are without a gap.
+    """
+    if not np.isfinite(samples.signals[POSITION]).any():
+        raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
+    full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
+    if full > MOST_SATURATED:
+        raise ConfigurationError(
+            f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
+            "which hides its flow, edges and dynamics: record the axis while it follows a reference"
+        )
+    duration = len(samples.time) * samples.period
+    length = round(min(WINDOW, duration / FEWEST_WINDOWS) / samples.period)
+    if length * samples.period < SHORTEST_WINDOW:
+        needed = FEWEST_WINDOWS * SHORTEST_WINDOW
+        raise ConfigurationError(f"{source}: holds {duration:.3g} s of samples; at least {needed:g} s are needed")
+    windows = cut(samples, length)
+    signals, filled = _with_commands(windows.signals)
+    windows = windows._replace(signals=signals)
+    usable = windows.commanded & (np.isfinite(signals[:, POSITION]).mean(axis=1) > 0.5)
+    windows = windows.part(usable)
+    count = len(windows.begin)
+    if count < FEWEST_WINDOWS - 1:
+        raise ConfigurationError(
+            f"{source}: only {count} windows of {length * samples.period:g} s have all commands and a position; "
+            f"at least {FEWEST_WINDOWS - 1} are needed"
+        )
+    fitted = min(round(FITTED_SHARE * count), count - 1)
+    begin, held_back = _held_back(windows.part(np.arange(count) >= fitted))
+    findings = []
+    if filled:
+        share = filled / signals[:, COMMAND].size
+        what = "lacks samples; up to three in a row are interpolated between their neighbours"
+        findings.append(Finding("command", what, Weight.NOTE, share=share))
+    return Parts(_liveliest(windows.part(np.arange(count) < fitted)), begin, held_back, findings)
+
+
+def _with_commands(signals: Floats) -> tuple[Floats, int]:
+    """Windows with short gaps of the command filled, and the number of filled samples."""
+    signals, filled = signals.copy(), 0
+    for command in signals[:, COMMAND]:
+        missing = np.isnan(command)
+        if missing[[0, -1]].any() or not missing.any():
+            continue
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]])))
+        if (edges[1::2] - edges[::2]).max() <= LONGEST_FILL:
+            places = np.arange(len(command))
+            command[missing] = np.interp(places[missing], places[~missing], command[~missing])
+            filled += int(missing.sum())
+    return signals, filled
+
+
+def _travel(windows: Windows) -> Floats:
+    """Range of the position in each window, m."""
+    position = windows.signals[:, POSITION]
+    travel: Floats = np.nanmax(position, axis=1) - np.nanmin(position, axis=1)
+    return travel
+
+
+def _liveliest(windows: Windows) -> Windows:
+    """At most MOST_WINDOWS windows: from each section of the recording, the one with the longest travel."""
+    if len(windows.begin) <= MOST_WINDOWS:
+        return windows
+    sections, travel = np.array_split(np.arange(len(windows.begin)), MOST_WINDOWS), _travel(windows)
+    return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
+
+
+def _held_back(windows: Windows) -> tuple[float, Floats]:
+    """The longest stretch of windows without a gap between them, at most LONGEST_HELD_BACK; its start in s."""
+    span = float(windows.end[0] - windows.begin[0])
+    most = max(round(LONGEST_HELD_BACK / span), 1)
+    breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
+    stretches = np.split(np.arange(len(windows.begin)), breaks)
+    chosen = max(stretches, key=len)[:most]
+    return float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1)

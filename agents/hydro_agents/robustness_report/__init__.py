@@ -1,1 +1,0 @@
-"""The page of the robustness protocol: comparison by condition, costs, and worst cases of each controller."""
