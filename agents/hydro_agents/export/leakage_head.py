@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.detection.balance import fit, fit_balance
-from hydro_agents.detection.features import FEATURES, SENSORS, SIGNALS, describe, features_of, repair
+from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of, repair
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.detection.stuck import bounds_of, find_stuck
 from hydro_agents.export.c_files import CCode, c_code, compared, csv_text, render
@@ -23,20 +23,19 @@ from hydro_agents.export.c_writer import CWriter
 from hydro_agents.export.exported import FILE, ContractSignal, onnx_session, sealed
 from hydro_agents.export.expressions import DOUBLE, array
 from hydro_agents.export.graph import Graph
+from hydro_agents.export.measured import SENSOR_MEANINGS
 from hydro_agents.export.onnx_writer import OnnxWriter
 from hydro_agents.export.tracing import trace
 from hydro_agents.export.translator import Translator
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
+from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 
 NAME = "leakage_head"
 MEANINGS = {
-    "position": ("m", "measured, from the middle of the stroke; positive: extended"),
-    "pressure_a": ("Pa", "gauge pressure of the chamber on the bore side"),
-    "pressure_b": ("Pa", "gauge pressure of the chamber on the rod side"),
-    "spool_position": ("1", "of full stroke; positive: extends"),
+    **{name: (CHANNEL_UNITS[name], SENSOR_MEANINGS[name]) for name in SENSORS},
     "previous_command": ("1", "received by the valve in the last control period, as a fraction of full voltage"),
 }
 FIELDS = {
