@@ -42,9 +42,9 @@ def ranking_table(record: Record) -> list[Table]:
     errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
     costs = (metric.ratio for metric in COSTS.values())
     header = ("Controller", *errors, *costs, "best in", "failed", "limit cycles")
-    groups = ((f"error ÷ error of {record.baseline}", 4), ("shares", 2))
-    groups = (*groups, ("cost ÷ baseline’s", len(COSTS)), ("count", 3))
-    return [Table("All conditions", header, rows, groups)]
+    groups = [(f"error ÷ error of {record.baseline}", 4), ("shares", 2)]
+    groups += [("cost ÷ baseline’s", len(COSTS)), ("count", 3)]
+    return [Table("All conditions", header, rows, tuple(groups))]
 
 
 def absolute_table(record: Record) -> list[Table]:
