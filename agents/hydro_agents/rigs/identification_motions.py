@@ -20,7 +20,7 @@ from hydro_agents.rigs.joint_fit import reduce
 from hydro_env import HydroError, PlantParameters, TaskConfig
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     precision[:, shared[:, None], shared] += fit.information / fit.widening**2
     linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
     measured = linear.readings * model.noise[:, None]
-    for row, channel in enumerate(CHANNELS):  # absent sensors give no information
+    for row, channel in enumerate(SENSORS):  # absent sensors give no information
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
             measured[:, row] = np.nan
     signals = np.concatenate([measured, commands[:, None]], axis=1)
