@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_agents.evaluation.metrics import COMPARED
 from hydro_agents.report.findings import Finding, interval_text, percent
 from hydro_agents.report.robustness_record import ALL, Record, interval
 from hydro_agents.report.text import listed, number, setting, unbroken
@@ -14,9 +15,6 @@ from hydro_agents.running.statistics import Interval
 
 MOST_NAMED = 6
 """Largest number of conditions that a sentence names."""
-
-SAME = 0.02
-"""Costs that differ by less than this share count as the same."""
 
 
 def findings(record: Record) -> list[Finding]:
@@ -77,8 +75,11 @@ def _best_in(record: Record) -> str:
 def _cost(record: Record, name: str) -> str:
     """Cost of a controller for valve and supply, as a sentence."""
     row = record.against(name)
-    words = {"travel_ratio": "valve travel", "reversals_ratio": "reversals", "energy_ratio": "energy from the supply"}
-    parts = [f"{text} {number(float(row[key]), 2)}" for key, text in words.items() if np.isfinite(row.get(key, np.nan))]
+    parts = [
+        f"{metric.word.lower()} {number(float(row[column]), 2)}"
+        for column, metric in COMPARED.items()
+        if metric.cost and np.isfinite(row.get(column, np.nan))
+    ]
     return f"Its cost relative to {record.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
 
 

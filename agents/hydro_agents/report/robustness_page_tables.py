@@ -9,18 +9,13 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.frequency import bandwidths
+from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.report.findings import interval_text
 from hydro_agents.report.robustness_record import ALL, Record, interval
 from hydro_agents.report.text import Table, number, setting
 
-COSTS: dict[str, str] = {
-    "steady_state_error_sensor_mm": "Offset at standstill, mm, frame of the sensor",
-    "valve_travel_per_s": "Valve travel, strokes per s",
-    "reversals_per_s": "Reversals of the command per s",
-    "supply_energy_j": "Energy from the supply, J per run",
-    "failed": "Failed runs, %",
-}
-"""Costs beside the error, by metric."""
+COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
+"""Columns of the ranking: what a small error may cost."""
 
 
 def ranking_table(record: Record) -> list[Table]:
@@ -40,31 +35,39 @@ def ranking_table(record: Record) -> list[Table]:
                 _two(own.get("worst_ratio", 1.0)),
                 _share(own, "share_better") if own else "–",
                 _share(own, "gap") if own else "0 %",
-                *(_two(own.get(key, 1.0)) for key in ("travel_ratio", "reversals_ratio", "energy_ratio")),
+                *(_two(own.get(column, 1.0)) for column in COSTS),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
-    header = ("Controller", *errors, "valve travel", "reversals", "energy", "best in", "failed", "limit cycles")
-    groups = ((f"error ÷ error of {record.baseline}", 4), ("shares", 2), ("cost ÷ baseline’s", 3), ("count", 3))
-    return [Table("All conditions", header, rows, groups)]
+    costs = (metric.ratio for metric in COSTS.values())
+    header = ("Controller", *errors, *costs, "best in", "failed", "limit cycles")
+    groups = [(f"error ÷ error of {record.baseline}", 4), ("shares", 2)]
+    groups += [("cost ÷ baseline’s", len(COSTS)), ("count", 3)]
+    return [Table("All conditions", header, rows, tuple(groups))]
 
 
 def absolute_table(record: Record) -> list[Table]:
     """Mean, interquartile mean and worst error in mm with costs, over all conditions."""
     summary = record.table("summary")
     summary = summary[summary["condition"] == ALL]
+    beside = [metric for metric in METRICS.values() if metric.cost or metric.ratio]
     rows = []
     for name in record.names:
         own = {str(row["metric"]): row for row in summary[summary["controller"] == name].to_dict("records")}
         error: Mapping[Any, Any] = own.get("mean_error_mm", {})
         cells = [interval_text(interval({**error}, key)) for key in ("mean", "iqm")]
         cells.append(number(float(error.get("worst", np.nan))))
-        for metric in COSTS:
-            factor = 100.0 if metric == "failed" else 1.0
-            cells.append(number(factor * float(own.get(metric, {}).get("mean", np.nan))))
+        for metric in beside:
+            cells.append(number(metric.factor * float(own.get(metric.name, {}).get("mean", np.nan))))
         rows.append((name, *cells))
-    header = ("Controller", "mean error, mm", "interquartile mean, mm", "worst run, mm", *COSTS.values())
+    header = (
+        "Controller",
+        "mean error, mm",
+        "interquartile mean, mm",
+        "worst run, mm",
+        *(metric.label for metric in beside),
+    )
     return [Table("Errors and costs, mean over all runs", header, rows)]
 
 
