@@ -68,7 +68,7 @@ Config = Annotated[
 
 
 def exact_task(task: str | None, rig: Path | None) -> str | None:
-    """The task of a command that shows one axis: with a rig alone the axis is as its file says, and nothing is drawn."""
+    """The task of a command that shows one axis: with a rig alone it is as its file says, and nothing is drawn."""
     return "as_given" if task is None and rig is not None else task
 
 
