@@ -21,7 +21,7 @@ import pandas as pd
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.operations import MOTIONS
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.diagnose import Diagnosis, diagnose
 from hydro_agents.rigs.verdict import Kind

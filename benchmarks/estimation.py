@@ -26,7 +26,7 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def record(
 ) -> Array:
     """Signals (N, 5, T), SI, of one episode per seed under a shipped controller."""
     names, _, scale, _ = observation_layout(config)
-    columns = [names.index(name) for name in (*CHANNELS, "previous_command")]
+    columns = [names.index(name) for name in (*SENSORS, "previous_command")]
     cases = Cases(
         np.array(seeds), leak, faults={name: np.full(len(seeds), size) for name, size in (faults or {}).items()}
     )

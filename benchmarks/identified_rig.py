@@ -19,7 +19,7 @@ import numpy as np
 from hydro_agents import evaluate
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo

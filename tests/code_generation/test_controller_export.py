@@ -14,7 +14,6 @@ import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
 from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.evaluation.opponents import opponent, trained_for
 from hydro_agents.export.compiler import c_compiler
 from hydro_agents.export.contract import read_contract
 from hydro_agents.export.controller_code import controller_code
@@ -25,6 +24,7 @@ from hydro_agents.export.measured import MeasuredController
 from hydro_agents.export.measured_signals import MeasuredSignals
 from hydro_agents.export.tracing import TraceError
 from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.opponents import opponent, trained_for
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder

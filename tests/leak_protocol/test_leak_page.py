@@ -65,12 +65,12 @@ def test_right_verdicts_are_blue_and_wrong_ones_orange(record):
     assert (right.text, right.meaning, right.share) == ("20", "better", 10)
 
 
-def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
+def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
     assert page.startswith("<!doctype html>")
     assert not re.search(r'(src|href)="(?!#|figures/)', page)
     assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
-    for text in ("Results beside floors and aims", "Does better control hide the leak?", "valve null −1 %"):
+    for text in ("Does better control hide the leak?", "valve null −1 %"):
         assert text in page
     assert "estimator did not read ADRC: reads no ADRC." in page
     assert page.count("<svg") >= 8
@@ -78,10 +78,9 @@ def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
 
 def test_sections_without_figures_are_left_out():
     made = tables().by_name()
-    made = {name: table for name, table in made.items() if name not in ("alarms", "floors", "masking", "reliability")}
+    made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
     page = render_page(Record(made, "plain")).html
     assert 'id="early"' not in page
-    assert 'id="floors"' not in page
     assert 'id="masking"' not in page
 
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_env import TaskConfig

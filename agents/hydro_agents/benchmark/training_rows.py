@@ -17,8 +17,8 @@ from hydro_agents.benchmark.table import Case, Row
 from hydro_agents.benchmark.timing import Extent, time_in
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.opponents import shipped
 from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model, train_ppo

@@ -59,7 +59,7 @@ def alarms(
     from hydro_agents.detection.alarm_job import SIZES, run_job, work_of
     from hydro_agents.detection.alarm_store import PATTERN, Bench
     from hydro_agents.evaluation.bound_comparison import markdown
-    from hydro_agents.evaluation.opponents import shipped
+    from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text
@@ -95,9 +95,9 @@ def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
     """The leakage head as detector, and its name."""
     import torch
 
+    from hydro_agents.controllers.base import check_layout
     from hydro_agents.detection.alarm_detectors import HeadDetector
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.evaluation.opponents import check_layout
     from hydro_agents.running.folders import pretrained_folder
     from hydro_env import ConfigurationError
 

@@ -108,10 +108,10 @@ def _export_playground(output: Path, overwrite: bool) -> None:
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.evaluation.opponents import trained_for
     from hydro_agents.export.controller_folder import FILES, exported_files
     from hydro_agents.export.exported import ExportedController
     from hydro_agents.export.onnx_writer import onnx_package
+    from hydro_agents.learning.opponents import trained_for
     from hydro_agents.running.folders import output_folder
     from hydro_env import ConfigurationError, PlantParameters
     from hydro_env.files import write_whole
@@ -139,7 +139,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
 def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
     from hydro_agents.learning.policy import PolicyController
     from hydro_agents.running.weights import weight_files
     from hydro_env import ConfigurationError

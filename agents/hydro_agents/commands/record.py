@@ -62,7 +62,7 @@ def record(
     With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
     task draws the parameters that are not known exactly.
     """
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import named_faults, record_axis
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
@@ -95,7 +95,7 @@ def record(
 def _record_dataset(
     name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
 ) -> None:
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.minari_dataset import check_dataset, record_dataset
     from hydro_agents.running.console import ProgressDisplay
 

@@ -33,7 +33,7 @@ from hydro_agents.running.weights import load_checkpoint, require, save_checkpoi
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
@@ -76,7 +76,7 @@ class HeadTrainingSettings(Group):
             ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
                 lacks a sensor.
         """
-        absent = [name for name in CHANNELS if not getattr(config.sensors, name).fitted]
+        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
         if absent:
             raise ConfigurationError(
                 f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "

@@ -17,7 +17,7 @@ from hydro_agents.detection.alarm_detectors import Activity, Detector
 from hydro_agents.detection.alarm_rates import peaks, poisson_interval
 from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
 from hydro_agents.evaluation.leak_protocol import FIRST_TEST_SEED, HEALTHY
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import JobResult, digest_of_code
 from hydro_agents.running.statistics import share_interval
 from hydro_env import ConfigurationError, TaskConfig

@@ -18,7 +18,7 @@ from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Progress = Callable[[str, int, int], None]
 
@@ -42,7 +42,7 @@ class SurveySettings(Group):
 
 def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
     """Choices of the sensors that the rig has, by name; the command is always known."""
-    fitted = [name for name in CHANNELS if getattr(config.sensors, name).fitted]
+    fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
     choices = {
         ALL_SENSORS: fitted,
         "without pressures": [name for name in fitted if not name.startswith("pressure")],

@@ -17,6 +17,7 @@ from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_cases,
@@ -27,8 +28,8 @@ from hydro_agents.evaluation.detection import (
     signal_columns,
 )
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.opponents import check_head, opponent
 from hydro_agents.evaluation.tables import ratio_table, summary_table
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -118,7 +119,7 @@ def evaluate(
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
         controllers: by name, objects with stable-baselines3's ``predict``, or texts for
-            :func:`~hydro_agents.evaluation.opponents.opponent`. The first one is the baseline of the ratios.
+            :func:`~hydro_agents.learning.opponents.opponent`. The first one is the baseline of the ratios.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of cases done, and their total.

@@ -19,7 +19,7 @@ from hydro_env import TaskConfig, __version__
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.states import State
 from hydro_env.task.random_numbers import between, noise_pair
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.task.signals import FIRST_BIAS, lagged, sensor_reading
 from hydro_env.units import FULL_VOLTAGE
@@ -32,7 +32,7 @@ VIEW = (
     *State._fields,
     *Derived._fields,
     "command",
-    *(f"measured_{name}" for name in CHANNELS),
+    *(f"measured_{name}" for name in SENSORS),
     "position_bias",
     *LeakageEstimate._fields,
 )
@@ -57,14 +57,14 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
     translator.function(lagged, [DOUBLE, DOUBLE, DOUBLE, transducer])
     numbers = settings_of(config)[0]
     before = [sum(len(one.gains) for one in controllers[:place]) for place in range(len(controllers) + 1)]
-    fitted = [getattr(config.sensors, name) for name in CHANNELS]
+    fitted = [getattr(config.sensors, name) for name in SENSORS]
     values = {
         "version": __version__,
         "axes": AXES,
         "structs": translator.structs,
         "functions": translator.functions,
         "channels": [
-            (name, [getattr(one, field) for field in _SENSOR]) for name, one in zip(CHANNELS, fitted, strict=True)
+            (name, [getattr(one, field) for field in _SENSOR]) for name, one in zip(SENSORS, fitted, strict=True)
         ],
         "biases": [one.bias for one in fitted],
         "first_bias": FIRST_BIAS,
@@ -96,8 +96,8 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
 
 def _signal(name: str, config: TaskConfig) -> str:
     """The C expression for a signal of a controller."""
-    if name in CHANNELS:
-        return f"view->measured[{CHANNELS.index(name)}]"
+    if name in SENSORS:
+        return f"view->measured[{SENSORS.index(name)}]"
     if name == "previous_voltage":
         return f"{FULL_VOLTAGE} * view->command"
     ahead = [

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from hydro_agents.controllers.base import ClassicalController, search_space
-from hydro_agents.evaluation.opponents import shipped
 from hydro_agents.export.controller_code import ControllerCode, code_of
 from hydro_agents.export.controller_graph import controller_graph
 from hydro_agents.export.tunable import Tunable
+from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
 
 

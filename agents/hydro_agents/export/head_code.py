@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hydro_agents.detection.balance import fit, fit_balance
-from hydro_agents.detection.features import FEATURES, SENSORS, SIGNALS, describe, repair
+from hydro_agents.detection.features import FEATURES, SIGNALS, describe, repair
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.detection.stuck import bounds_of, find_stuck
 from hydro_agents.export.c_types import DOUBLE, array
@@ -23,6 +23,7 @@ from hydro_agents.export.plant_code import render
 from hydro_agents.export.tracing import trace
 from hydro_agents.export.translator import Translator
 from hydro_env import __version__
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.signals import observation_layout
 
 MEANINGS = {

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import CHANNEL_UNITS, CHANNELS
 from hydro_env.task.signals import observation_layout
 from hydro_env.units import FULL_VOLTAGE
 
@@ -21,10 +21,10 @@ COMPUTED = ("velocity_estimate", "tracking_error", "error_integral")
 
 _PREVIEW = "reference_preview_"
 _MEANINGS = {
-    "position": ("m", "measured, from the middle of the stroke; positive: extended"),
-    "pressure_a": ("Pa", "gauge pressure of the chamber on the bore side"),
-    "pressure_b": ("Pa", "gauge pressure of the chamber on the rod side"),
-    "spool_position": ("1", "of full stroke; positive: extends"),
+    "position": "measured, from the middle of the stroke; positive: extended",
+    "pressure_a": "gauge pressure of the chamber on the bore side",
+    "pressure_b": "gauge pressure of the chamber on the rod side",
+    "spool_position": "of full stroke; positive: extends",
 }
 
 
@@ -78,10 +78,10 @@ class MeasuredSignals:
         if name == "previous_command":
             text = "voltage that the valve received in the last control period"
             return Signal("previous_voltage", "V", -FULL_VOLTAGE, FULL_VOLTAGE, FULL_VOLTAGE, text)
-        if name not in _MEANINGS:
+        if name not in CHANNELS:
             raise ConfigurationError(f"export: '{name}' of the observation is not a measured signal")
         sensor = getattr(self.config.sensors, name)
-        return Signal(name, _MEANINGS[name][0], sensor.low, sensor.high, limit, _MEANINGS[name][1])
+        return Signal(name, CHANNEL_UNITS[name], sensor.low, sensor.high, limit, _MEANINGS.get(name, "measured"))
 
     def of_observation(self, observation: NDArray[Any]) -> Array:
         """Signals (N, signals) for observations (N, n), with the readings as rounded by the environment.

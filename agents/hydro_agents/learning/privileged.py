@@ -12,7 +12,7 @@ from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import TYPICAL_SIZE
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 
 PLANTS = 256
 """Number of plants that are drawn for the mean and the spread of each parameter."""
@@ -42,7 +42,7 @@ class Privileged:
         self._force = float(np.mean(area)) * pressure
         self._drawn = np.flatnonzero(np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0))
         self._mean, self._spread = drawn[:, self._drawn].mean(axis=0), drawn[:, self._drawn].std(axis=0)
-        sensors = [getattr(config.sensors, name) for name in CHANNELS]
+        sensors = [getattr(config.sensors, name) for name in SENSORS]
         self._bias = np.array([sensor.bias if sensor.bias > 0.0 else 1.0 for sensor in sensors])
         self._steps, self._period = config.steps, config.control_period
         self.size = self(env.axes).shape[1]
@@ -61,7 +61,7 @@ class Privileged:
             state,
             error[:, None],
             force[:, None],
-            record["bias"] / self._bias,
+            record["bias"][:, SENSOR_COLUMNS] / self._bias,
             record["latency"][:, None] / self._period,
             family,
             1.0 - record["step"][:, None] / self._steps,

@@ -43,13 +43,14 @@ def heat_map(content: Content, caption: str, column: str) -> list[Block]:
     groups: dict[str, list[Row]] = {"": [_row(content, ALL, "all conditions", column)]}
     if column == "equal_weight" and content.has("families"):
         groups["Kind of reference (mean errors, all leaks)"] = _family_rows(content)
-    folded = {}
+    folded: dict[str, list[Row]] = {}
     for group in [*GROUPS, *(name for name in conditions["group"].unique() if name not in GROUPS)]:
         rows = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
         if rows:
             (folded if group in FOLDED else groups)[GROUPS.get(group, str(group))] = rows
     header = ("Condition", f"{content.baseline}, mm", *content.controllers[1:])
-    breaks, shown = {}, []
+    breaks: dict[int, str] = {}
+    shown: list[Row] = []
     for title, rows in groups.items():
         if title:
             breaks[len(shown)] = title

@@ -14,7 +14,6 @@ from hydro_agents.report.leak_page_tables import (
     conditions_tables,
     confusions,
     detection_tables,
-    floors_table,
     masking_tables,
     size_tables,
 )
@@ -60,7 +59,6 @@ def render_page(record: Record) -> Page:
         detectors=record.detectors,
         findings=findings(record),
         problems=problems(record),
-        floors=floors_table(record),
         small=[*detection_plot(record), *size_plot(record)],
         alarms=alarm_tables(record),
         motions=motion_plots(record),

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +11,7 @@ from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.report.content import interval_text
 from hydro_agents.report.leak_record import Record, level_text, percent_of
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.running.text import Table, number, setting, unbroken
+from hydro_agents.running.text import Table, number, setting
 
 RIGHT_VERDICT = {
     "valve": "valve fault",
@@ -75,35 +73,6 @@ def right_verdicts(record: Record, condition: str, level: float) -> tuple[str, .
         return ("none",)
     named = [verdict for start, verdict in RIGHT_VERDICT.items() if f'"{start}' in changes]
     return tuple(named) or ("sensor fault",)
-
-
-def floors_table(record: Record) -> list[Table]:
-    """The project's required figures beside the measured ones."""
-    table = record.table("floors")
-    if table.empty:
-        return []
-    tables = []
-    for detector, frame in table.groupby("detector", sort=False):
-        rows = [_floor_row(row) for row in frame.to_dict("records")]
-        header = ("Figure", "Measured", "Reaches", "Floor", "Aim", "Before", "Note")
-        tables.append(Table(str(detector), header, rows))
-    return tables
-
-
-def _floor_row(row: Mapping[Hashable, Any]) -> tuple[str, ...]:
-    decimals = 1 if row["unit"] == "%" else None
-    value, low, high = (number(row[name], decimals) for name in ("measured", "low", "high"))
-    return (
-        unbroken(f"{row['figure']}, {row['unit']}"),
-        value if np.isnan(row["low"]) else f"{value} ({low} to {high})",
-        str(row["reaches"]),
-        *(_mark(row[name]) for name in ("floor", "aim", "before")),
-        unbroken(row["note"]) if isinstance(row["note"], str) else "",
-    )
-
-
-def _mark(value: float) -> str:
-    return "–" if np.isnan(value) else setting(float(f"{value:.3g}"))
 
 
 def detection_tables(record: Record) -> list[Table]:

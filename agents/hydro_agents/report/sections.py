@@ -203,8 +203,11 @@ def arranged(blocks: Sequence[Block]) -> list[Block]:
     found: list[Block] = []
     for block in blocks:
         if isinstance(block, Plot) and not block.wide:
-            before = found.pop().plots if found and isinstance(found[-1], Grid) else ()
-            found.append(Grid((*before, block)))
+            last = found[-1] if found else None
+            if isinstance(last, Grid):
+                found[-1] = Grid((*last.plots, block))
+            else:
+                found.append(Grid((block,)))
         elif isinstance(block, Fold):
             found.append(replace(block, blocks=arranged(block.blocks)))
         elif isinstance(block, Choice):

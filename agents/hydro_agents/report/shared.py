@@ -63,7 +63,8 @@ def introduction(content: Content) -> list[Block]:
 
 def problems(content: Content) -> list[Block]:
     """What failed or did not apply: one line for each failure, and for each participant that did not run everywhere."""
-    errors, status = content.other("errors", {}), content.table("status")
+    errors: dict[str, str] = content.other("errors", {})
+    status = content.table("status")
     lines = [f"Left out: {message}" for message in errors.values()]
     if len(status):
         who = next(name for name in ("controller", "detector") if name in status)
@@ -175,7 +176,7 @@ def price_sentence(table: pd.DataFrame, leak: float) -> str:
 def run(content: Content) -> list[Block]:
     """Facts, durations, conditions and settings of the run."""
     blocks: list[Block] = [Table("Facts of this run", ("Fact", "Value"), list(content.facts.items()), style="words")]
-    timings = content.other("timings", {})
+    timings: dict[str, float] = content.other("timings", {})
     if timings:
         rows = [(phase, duration(seconds)) for phase, seconds in timings.items()]
         blocks.append(Table("Time taken", ("Phase", "Time"), rows))

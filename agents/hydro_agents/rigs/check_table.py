@@ -18,7 +18,7 @@ from hydro_env import PlantParameters
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure
 from hydro_env.task.rig import Rig, read_rig
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 CSV_FILE = "check.csv"
 TABLE_FILE = "check.md"
@@ -63,7 +63,7 @@ def _summary(rig: Rig) -> str:
         f"{1e3 * cylinder.bore_diameter:.4g}/{rods} x {1e3 * cylinder.stroke:.4g} mm, "
         f"{parameters.load.mass + cylinder.piston_mass:.4g} kg, {parameters.supply.pressure / BAR:.4g} bar, "
         f"own leak {leak:.3g} l/min at 100 bar"
-        + "".join(f", no sensor for {name}" for name in CHANNELS if rig.sensors.get(f"sensors.{name}.fitted") is False)
+        + "".join(f", no sensor for {name}" for name in SENSORS if rig.sensors.get(f"sensors.{name}.fitted") is False)
     )
 
 

@@ -15,7 +15,7 @@ from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.rigs.identification_fit import starts_of
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def simulate_held_back(
         biases: of each channel, SI.
     """
     bias = np.asarray(biases)[:, None]
-    measured = signals[: len(CHANNELS)]
+    measured = signals[: len(SENSORS)]
     unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
     physical = to_vector(plant)[None]
     count = max(round(START_FROM / config.control_period), 10)

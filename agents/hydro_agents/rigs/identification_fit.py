@@ -17,7 +17,7 @@ from hydro_agents.estimation.unknowns import START, priors_of
 from hydro_agents.rigs.joint_fit import Joint, fit_together
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -120,7 +120,7 @@ def fit_windows(
         if progress is not None:
             progress(phase, done, total)
 
-    measured = np.asarray(np.isfinite(signals[:, : len(CHANNELS)]).any(axis=(0, 2)))
+    measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
     told("windows", 0, len(signals))
     alone = estimate(signals, config, list(priors), settings=ROUGHLY)

@@ -14,7 +14,7 @@ from hydro_agents.rigs.identification_pictures import paint_held_back, paint_int
 from hydro_agents.rigs.identification_shown import share_in_words, shown
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, listed, number
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 if TYPE_CHECKING:
     from hydro_agents.rigs.identify import Identification
@@ -145,6 +145,6 @@ def combinations_table(found: Identification) -> Table:
 def shares_table(found: Identification) -> Table:
     """Share of the variance explained, by signal."""
     rows = []
-    for name, share in zip(CHANNELS, found.held_back.share.tolist(), strict=True):
+    for name, share in zip(SENSORS, found.held_back.share.tolist(), strict=True):
         rows.append((name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share)))
     return Table("", ("Signal", "Share of variance explained"), rows)

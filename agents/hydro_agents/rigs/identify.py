@@ -26,7 +26,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
@@ -205,7 +205,7 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": {n: plain(s) for n, s in zip(CHANNELS, found.held_back.share, strict=True)},
+        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, found.held_back.share, strict=True)},
         "held_back_from_s": found.parts.begin,
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),

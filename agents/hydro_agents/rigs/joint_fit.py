@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.estimation.goodness import misfit_of
-from hydro_agents.estimation.model import LONG_STEP, Model
+from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.names import STARTS
-from hydro_agents.estimation.solver import DAMPINGS, channel_weights, masked
+from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
 
 Array = NDArray[np.float64]
 
@@ -25,8 +25,6 @@ ITERATIONS = 40
 
 TOLERANCE = 0.1
 """The fit ends after an iteration with little damping that lowers the cost by less."""
-
-LEAST_DAMPING, MOST_DAMPING = 1e-6, 1e6
 
 
 class Joint(NamedTuple):
@@ -45,15 +43,6 @@ class Joint(NamedTuple):
         return total
 
 
-class Reduced(NamedTuple):
-    """The normal equations of all windows, and those of the shared unknowns alone."""
-
-    curvature: Array  # (B, P, P), of the readings, and of the priors of the start states
-    gradient: Array  # (B, P)
-    information: Array  # (B, p, p)
-    score: Array  # (B, p)
-
-
 def fit_together(
     model: Model, measured: Array, first: Array, progress: Callable[[int, int], None] | None = None
 ) -> Joint:
@@ -65,94 +54,25 @@ def fit_together(
         first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
         progress: called with the number of iterations and its limit.
     """
-    shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS])
-    own = np.array([place for place, name in enumerate(model.names) if name in STARTS])
+    shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS], np.int64)
+    window, belief = np.arange(model.count), prior_belief(model, model.count)
+    scaled, _, directions = fit(
+        model,
+        measured,
+        window,
+        first,
+        belief,
+        model.samples,
+        ITERATIONS,
+        TOLERANCE,
+        give_up=5e5,
+        shared=shared,
+        progress=progress,
+    )
     known = np.isfinite(measured)
-    data = np.where(known, measured, 0.0)
-    scaled, directions, level = first.copy(), None, 1e-2
-    for iteration in range(ITERATIONS):
-        if progress is not None:
-            progress(iteration, ITERATIONS)
-        linear = model.linearise(scaled, None, directions)
-        residual, jacobian = masked(linear, measured, known)
-        weight = channel_weights(residual, known)
-        reduced = reduce(scaled, residual, jacobian, weight, own, shared)
-        directions = model.directions(_joint_precision(reduced, own, shared), LONG_STEP)
-        cost = (weight * residual**2).sum() + _prior_cost(scaled, own, shared)
-        steps = np.stack([_step(reduced, scaled, level * damping, own, shared) for damping in DAMPINGS], axis=1)
-        trials = scaled[:, None] + steps  # (B, dampings, P)
-        window = np.repeat(np.arange(model.count), len(DAMPINGS))
-        read, _ = model.readings(trials.reshape(-1, trials.shape[2]), window)
-        missed = np.where(
-            known[:, None], data[:, None] - read.reshape(model.count, len(DAMPINGS), *data.shape[1:]), 0.0
-        )
-        square = missed.reshape(model.count, len(DAMPINGS), -1) ** 2
-        costs = (weight[:, None] * square).sum(axis=(0, 2))
-        costs += np.array([_prior_cost(trials[:, place], own, shared) for place in range(len(DAMPINGS))])
-        costs = np.where(np.isfinite(costs), costs, np.inf)
-        best = int(costs.argmin())
-        gain = cost - costs[best]
-        if gain > 0.0:
-            scaled = trials[:, best]
-        level = float(np.clip(level * (DAMPINGS[best] if gain > 0.0 else 1e3), LEAST_DAMPING, MOST_DAMPING))
-        if level >= MOST_DAMPING or (0.0 < gain < TOLERANCE and level <= 1e-2):
-            break
     linear = model.linearise(scaled, None, directions)
-    residual, jacobian = masked(linear, measured, known)
-    reduced = reduce(scaled, residual, jacobian, channel_weights(residual, known), own, shared)
-    covariance = np.linalg.inv(_joint_precision(reduced, own, shared))
-    misfit = misfit_of(residual, jacobian, covariance, known)
-    return Joint(scaled, shared, reduced.information, reduced.score, misfit)
-
-
-def _prior_cost(scaled: Array, own: NDArray[np.int64], shared: NDArray[np.int64]) -> float:
-    return float((scaled[0, shared] ** 2).sum() + (scaled[:, own] ** 2).sum())
-
-
-def reduce(
-    scaled: Array,
-    residual: Array,
-    jacobian: Array,
-    weight: Array,
-    own: NDArray[np.int64],
-    shared: NDArray[np.int64],
-) -> Reduced:
-    """Normal equations of each window, and of the shared unknowns after its start states are eliminated."""
-    curvature = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1)
-    gradient = (jacobian @ (weight * residual)[:, :, None])[:, :, 0]
-    curvature[:, own, own] += 1.0
-    gradient[:, own] -= scaled[:, own]
-    across = curvature[:, shared[:, None], own]
-    solved = np.linalg.solve(
-        curvature[:, own[:, None], own],
-        np.concatenate([across.transpose(0, 2, 1), gradient[:, own, None]], axis=2),
-    )
-    information = curvature[:, shared[:, None], shared] - across @ solved[:, :, :-1]
-    score = gradient[:, shared] - (across @ solved[:, :, -1:])[:, :, 0]
-    return Reduced(curvature, gradient, information, score)
-
-
-def _joint_precision(reduced: Reduced, own: NDArray[np.int64], shared: NDArray[np.int64]) -> Array:
-    """Precision of all unknowns of each window, (B, P, P), given the other windows' information."""
-    precision = reduced.curvature.copy()
-    others = reduced.information.sum(axis=0) - reduced.information
-    precision[:, shared[:, None], shared] += others + np.eye(len(shared))
-    return precision
-
-
-def _step(reduced: Reduced, scaled: Array, damping: float, own: NDArray[np.int64], shared: NDArray[np.int64]) -> Array:
-    """The damped step of all unknowns, (B, P)."""
-    diagonal = np.einsum("bii->bi", reduced.curvature)
-    starts = reduced.curvature[:, own[:, None], own] + damping * diagonal[:, own, None] * np.eye(len(own))
-    across = reduced.curvature[:, shared[:, None], own]
-    solved = np.linalg.solve(
-        starts, np.concatenate([across.transpose(0, 2, 1), reduced.gradient[:, own, None]], axis=2)
-    )
-    left = (reduced.curvature[:, shared[:, None], shared] - across @ solved[:, :, :-1]).sum(axis=0)
-    right = (reduced.gradient[:, shared] - (across @ solved[:, :, -1:])[:, :, 0]).sum(axis=0) - scaled[0, shared]
-    left += np.eye(len(shared)) + damping * np.diag(1.0 + diagonal[:, shared].sum(axis=0))
-    step = np.zeros_like(scaled)
-    common = np.linalg.solve(left, right)
-    step[:, shared] = common
-    step[:, own] = solved[:, :, -1] - solved[:, :, :-1] @ common
-    return step
+    residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
+    weight, prior = channel_weights(residual, known), without(belief.precision, shared)
+    equations = equations_of(residual, jacobian, weight, scaled, prior, shared)
+    misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
+    return Joint(scaled, shared, equations.information, equations.score, misfit)

@@ -12,7 +12,7 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs.diagnosis_windows import Windows, cut
 from hydro_env import ConfigurationError
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ LONGEST_FILL = 3
 FULL_COMMAND, MOST_SATURATED = 0.99, 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
-POSITION = CHANNELS.index("position")
+POSITION = SENSORS.index("position")
 
 
 class Parts(NamedTuple):

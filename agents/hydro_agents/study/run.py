@@ -17,8 +17,8 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.gains_file import GAINS_FILE
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.opponents import opponent
 from hydro_agents.evaluation.protocol import Evaluation
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
