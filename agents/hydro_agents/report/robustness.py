@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.report.canvas import HEIGHT, INK, Plot, description, one_panel, row_axis, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text
 from hydro_agents.report.heat import heat_map, legend
@@ -36,14 +37,8 @@ ROBUSTNESS = (
 )
 """Sections of the page, in order."""
 
-COSTS: dict[str, str] = {
-    "steady_state_error_sensor_mm": "Offset at standstill, mm, frame of the sensor",
-    "valve_travel_per_s": "Valve travel, strokes per s",
-    "reversals_per_s": "Reversals of the command per s",
-    "supply_energy_j": "Energy from the supply, J per run",
-    "failed": "Failed runs, %",
-}
-"""Costs beside the error, by metric."""
+COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
+"""Columns of the ranking: what a small error may cost."""
 
 
 @section("Findings", heading=False)
@@ -131,11 +126,10 @@ def method(content: Content) -> list[Block]:
 
 def ranking_table(content: Content) -> list[Table]:
     """Every controller relative to the baseline: errors, certainty, costs."""
-    ranking = content.table("ranking")
-    if ranking.empty or len(content.controllers) < 2:
+    if not content.has("ranking") or len(content.controllers) < 2:
         return []
     rows = []
-    for row in ranking.to_dict("records"):
+    for row in content.table("ranking").to_dict("records"):
         name = str(row["controller"])
         own = content.against(name)
         ratios = [interval_text(interval(own, key), decimals=2) for key in ("equal_weight", "ratio", "iqm_ratio")]
@@ -146,31 +140,32 @@ def ranking_table(content: Content) -> list[Table]:
                 _two(own.get("worst_ratio", 1.0)),
                 _share(own, "share_better") if own else "–",
                 _share(own, "gap") if own else "0 %",
-                *(_two(own.get(key, 1.0)) for key in ("travel_ratio", "reversals_ratio", "energy_ratio")),
+                *(_two(own.get(column, 1.0)) for column in COSTS),
                 *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
             )
         )
     errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
-    header = ("Controller", *errors, "valve travel", "reversals", "energy", "best in", "failed", "limit cycles")
-    groups = ((f"error ÷ error of {content.baseline}", 4), ("shares", 2), ("cost ÷ baseline’s", 3), ("count", 3))
-    return [Table("All conditions", header, rows, groups, "dense")]
+    prices = (metric.ratio for metric in COSTS.values())
+    header = ("Controller", *errors, *prices, "best in", "failed", "limit cycles")
+    groups = [(f"error ÷ error of {content.baseline}", 4), ("shares", 2)]
+    groups += [("cost ÷ baseline’s", len(COSTS)), ("count", 3)]
+    return [Table("All conditions", header, rows, tuple(groups), "dense")]
 
 
 def absolute_table(content: Content) -> Table:
     """Mean, interquartile mean and worst error in mm with costs, over all conditions."""
-    summary = content.table("summary")
-    summary = summary[summary["condition"] == ALL]
+    beside = [metric for metric in METRICS.values() if metric.cost or metric.ratio]
     rows = []
     for name in content.controllers:
-        own = {str(row["metric"]): row for row in summary[summary["controller"] == name].to_dict("records")}
-        error: Mapping[Any, Any] = own.get("mean_error_mm", {})
+        error = content.row("summary", controller=name, condition=ALL, metric="mean_error_mm")
         cells = [interval_text(interval(error, key)) for key in ("mean", "iqm")]
         cells.append(number(float(error.get("worst", np.nan))))
-        for metric in COSTS:
-            factor = 100.0 if metric == "failed" else 1.0
-            cells.append(number(factor * float(own.get(metric, {}).get("mean", np.nan))))
+        for metric in beside:
+            own = content.row("summary", controller=name, condition=ALL, metric=metric.name)
+            cells.append(number(metric.factor * float(own.get("mean", np.nan))))
         rows.append((name, *cells))
-    header = ("Controller", "mean error, mm", "interquartile mean, mm", "worst run, mm", *COSTS.values())
+    errors = ("mean error, mm", "interquartile mean, mm", "worst run, mm")
+    header = ("Controller", *errors, *(metric.label for metric in beside))
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
 

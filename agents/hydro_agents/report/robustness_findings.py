@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_agents.evaluation.metrics import COMPARED
 from hydro_agents.report.content import ALL, Content, interval, interval_text, percent
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval
@@ -74,8 +75,11 @@ def _best_in(content: Content) -> str:
 def _cost(content: Content, name: str) -> str:
     """Cost of a controller for valve and supply, as a sentence."""
     row = content.against(name)
-    words = {"travel_ratio": "valve travel", "reversals_ratio": "reversals", "energy_ratio": "energy from the supply"}
-    parts = [f"{text} {number(float(row[key]), 2)}" for key, text in words.items() if np.isfinite(row.get(key, np.nan))]
+    parts = [
+        f"{metric.word.lower()} {number(float(row[column]), 2)}"
+        for column, metric in COMPARED.items()
+        if metric.cost and np.isfinite(row.get(column, np.nan))
+    ]
     return f"Its cost relative to {content.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
 
 
