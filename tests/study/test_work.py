@@ -2,8 +2,8 @@
 
 import pytest
 
-from hydro_agents.study.settings import default_study
-from hydro_agents.study.work import work_of
+from hydro_agents.study.other_rig import default_study
+from hydro_agents.study.run import work_of
 
 
 @pytest.fixture(scope="module")

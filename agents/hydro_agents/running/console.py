@@ -20,13 +20,13 @@ from hydro_agents.running.pace import Pace, in_words
 
 SECONDS_BETWEEN_LINES = 10.0
 SECONDS_OF_SILENCE = 20.0
-"""Off a terminal a line that says that the work goes on follows after this time and the one before."""
+"""Without a terminal, a line shows that the work continues when nothing was printed for so long, s."""
 
 MEASURED_SECONDS = 5.0
-"""The expected duration is told when work has been measured for so long."""
+"""The expected duration is shown after the rate has been measured for so long, s."""
 
 SHORTEST_TOLD = 30.0
-"""A shorter duration in s is not told in a line of its own."""
+"""A shorter expected duration, s, gets no line of its own."""
 
 IN_ALL = "in all"
 
@@ -74,7 +74,7 @@ class ProgressDisplay:
         self._clock = clock
         self._began = clock()
         self._pace = Pace()
-        self._told: set[str] = set()  # names whose expected duration was told
+        self._told: set[str] = set()  # names whose expected duration was shown
         self._notes: dict[str, str] = {}
         self._states: dict[str, tuple[int, int]] = {}
         self._starts: dict[str, float] = {}
@@ -104,7 +104,7 @@ class ProgressDisplay:
             self._bars.stop()
 
     def expect(self, work: Mapping[str, float]) -> None:
-        """Say beforehand what is to be done: then the time that is left in all can be estimated.
+        """Announce all phases and their work, from which the total remaining time is estimated.
 
         Args:
             work: relative work of each phase by its name, in any unit; phases that a resumed job skips are left out.
@@ -149,7 +149,7 @@ class ProgressDisplay:
             self.remind()
 
     def _tell_duration(self, phase: str, now: float) -> None:
-        """Tell once how long the work will take, as soon as its rate has been measured for some seconds."""
+        """Show the expected duration once, when the rate has been measured for some seconds."""
         name, left = phase, self._pace.left(phase, now)
         began = self._starts[phase]
         if phase in self._pace.work:

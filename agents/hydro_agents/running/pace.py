@@ -25,7 +25,7 @@ class _Phase:
         if done != self.done:
             self.done, self.changed = done, now
             if self.first is None and done > self.start:
-                # Before it lie imports and compilation, which say nothing of the rate; of a long piece they are little.
+                # The time before includes imports and compilation, which matter only if the first piece is short.
                 self.first = (self.began, self.start) if now - self.began > LONG_PIECE else (now, done)
 
     @property
