@@ -134,7 +134,7 @@ FITTED = {"supply_pressure": {"fitted": True}}
 def watched_axis(folder: Path, sensors: dict) -> None:
     """Recordings of the shipped policy, and of a PID on an axis with further sensors, which a diagnosis then reads."""
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import record_axis
     from hydro_agents.rigs.diagnose import diagnose, leak_table
 
