@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.export.measured import MeasuredController, MeasuredMemory
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv
 from hydro_env.units import FULL_VOLTAGE
 
-SEED = VALIDATION_SEEDS.start + 700_000
 FAMILIES = ("step", "multi_sine", "start_stop")
 """References of the closed-loop episodes, if the task has them."""
 
@@ -53,9 +52,10 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     length = min(LONGEST, config.steps)
     env = ServoHydraulicVectorEnv(1, config, info=False)
     episodes: list[tuple[NDArray[np.float64], list[float]]] = []
-    for number, family in enumerate(families or [None]):
+    families = families or [None]
+    for seed, family in zip(CONTROLLER_VECTORS.take(len(families)), families, strict=True):
         options = {"reference": [family]} if family is not None else None
-        observation, _ = env.reset(seed=[SEED + number], options=options)
+        observation, _ = env.reset(seed=[seed], options=options)
         samples, voltages, memory = [], [], None
         for _ in range(length):
             samples.append(signals.of_axes(env.axes)[0])

@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import SCALES
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 
 AXES = 240
 """Training plants on which the inputs are observed."""
-
-SEED = TRAINING_SEEDS.stop - AXES
 
 MIDDLE = 0.6
 """Share of the samples that stay within one unit."""
@@ -49,7 +47,7 @@ def observed(
             (N, inputs), commands (N, 1) and its memory.
     """
     env = ServoHydraulicVectorEnv(AXES, config, autoreset_mode="SameStep", info=False)
-    observation, _ = env.reset(seed=list(range(SEED, SEED + AXES)))
+    observation, _ = env.reset(seed=list(SCALES.take(AXES)))
     memory, rows = None, []
     for step in range(config.steps):
         inputs, commands, memory = inputs_and_commands(observation, memory, step)

@@ -22,7 +22,7 @@ from hydro_agents.learning.progress import Progress, training_logger
 from hydro_agents.learning.settings import TrainingSettings
 from hydro_agents.learning.training import PolicyTrainer, make_env, make_features, training_record
 from hydro_agents.learning.validation import validation_errors
-from hydro_agents.running.seeds import first_training_seed
+from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
@@ -89,7 +89,7 @@ class OffPolicyTrainer(PolicyTrainer):
         stored = load_checkpoint(path, KIND) if resume else None
         if stored is not None and stored[1].get("made_with") != made_with:
             raise ConfigurationError(f"{path}: was made with other settings; cannot resume")
-        env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
+        env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
         model = algorithm(
             "MlpPolicy",
             env,
