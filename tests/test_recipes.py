@@ -26,8 +26,9 @@ from hydro_env.task.configuration import task_config
 ROOT = Path(__file__).resolve().parents[1]
 PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
 TASK_RECIPES = {"A new measured signal": 3, "A reward term": 2, "A reference family": 1}
+EVALUATION_RECIPES = {"A metric": 1}
 AGENT_RECIPES = {"A controller": 1, "Another algorithm": 1}
-MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **AGENT_RECIPES}
+MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AGENT_RECIPES}
 
 
 def steps_of(recipe: str) -> list[tuple[str, list[tuple[str, str]]]]:
@@ -112,9 +113,9 @@ def test_the_recipes_of_the_plant(sources):
 def test_the_recipes_of_task_and_agents(sources, tmp_path):
     np.save(tmp_path / "before.npy", lively_episode())
     watched_axis(tmp_path / "before", {})
-    for recipe in [*TASK_RECIPES, *AGENT_RECIPES]:
+    for recipe in [*TASK_RECIPES, *EVALUATION_RECIPES, *AGENT_RECIPES]:
         apply(recipe, sources)
-    run(sources, "try_task", "try_chain", "try_agents")
+    run(sources, "try_task", "try_chain", "try_agents", "try_evaluation")
 
 
 def lively_episode(**task) -> np.ndarray:
@@ -250,6 +251,26 @@ def try_agents() -> None:
     assert not made.errors
     error = made.cases.groupby("controller")["mean_error_mm"].mean()
     assert error["damped"] < error["TD3"]  # which has hardly learned
+
+
+def try_evaluation() -> None:
+    from hydro_agents.evaluation.participants import participants
+    from hydro_agents.evaluation.robustness_protocol import Protocol
+    from hydro_agents.evaluation.robustness_running import run_protocol
+    from hydro_agents.evaluation.robustness_tables import make_tables
+    from hydro_agents.report.content import Content
+    from hydro_agents.report.robustness import absolute_table, ranking_table
+
+    # The metric: in the table of cases, in the comparisons, and on the page.
+    protocol = Protocol(task={"episode_duration": 0.3}, plants=3, families=["step"], conditions={"plain": {}})
+    chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
+    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1)).by_name()
+    assert tables["cases"]["saturated_share"].between(0.01, 0.99).any()
+    for name in ("comparison", "families", "ranking"):
+        assert "saturation_ratio" in tables[name]
+    assert "saturated_share" in set(tables["summary"]["metric"])
+    assert "saturation" in ranking_table(Content(tables))[0].header
+    assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import usable_readings
 from hydro_agents.estimation.model import LONG_STEP, Model
+from hydro_agents.estimation.solver import equations_of, prior_belief, without
 from hydro_agents.estimation.unknowns import priors_of
-from hydro_agents.rigs.identification_fit import DETERMINED, Fit, starts_of
-from hydro_agents.rigs.joint_fit import reduce
+from hydro_agents.rigs.fit import DETERMINED, Fit, starts_of
 from hydro_env import HydroError, PlantParameters, TaskConfig
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium
@@ -125,6 +125,6 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     signals = np.concatenate([measured, commands[:, None]], axis=1)
     known = np.isfinite(usable_readings(signals, config, model))
     jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
-    own = np.arange(len(fit.names), len(priors))
     ones = np.ones((len(commands), jacobian.shape[2]))
-    return reduce(scaled, 0.0 * ones, jacobian, ones, own, shared).information
+    prior = without(prior_belief(model, model.count).precision, shared)
+    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information
