@@ -6,7 +6,7 @@ Each phase writes its result into the output folder; an interrupted study can th
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,12 +17,12 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.gains_file import GAINS_FILE
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.protocol import Evaluation, tracking_cases
+from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import TRIAL_RUN
 from hydro_agents.study.phases import STATE_FILE, Phases
 from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
@@ -43,21 +43,12 @@ from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
+HEAD_PHASE = "train leakage head"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
 TRAINED_BY = ("seed", "task", "controllers", "leakage_head")
 """Settings on which trained weights depend; the others may change when a study resumes."""
-
-# Relative costs: only their ratios matter, because the rate is measured while the work runs.
-PERIOD = 1.5  # a control period of one axis
-CALL = 200.0  # a control period of axes that are simulated together: Python around the kernel
-TRAINING = {"ppo": 40.0}  # a control period in which a controller is trained, by kind
-OTHER_TRAINING = 400.0  # off-policy algorithms update more often
-BATCH = 1_500.0  # of the training of the leakage head
-REPORT = 12e6
-
-HEAD_PHASE = "train leakage head"
 
 
 def run_study(
@@ -83,7 +74,6 @@ def run_study(
         _write_settings(study, folder, seed)
         _try_out(study)
         phases = Phases(folder)
-        display.expect(work_of(study, phases.done))
         controllers: dict[str, Controller] = {}
         curves = []
         for name, entry in study.controllers.items():
@@ -157,7 +147,7 @@ def _try_out(study: StudySettings) -> None:
     Raises:
         ConfigurationError: a controller fails; the message names it.
     """
-    cases = Cases(np.array([VALIDATION_SEEDS.stop - 2, VALIDATION_SEEDS.stop - 1]))
+    cases = Cases(np.array(TRIAL_RUN.take(2)))
     for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:
         try:
             run_cases(study.task, study.make(name), cases, states=False)
@@ -213,33 +203,3 @@ def _head(
     resume = any(folder.glob(HEAD_CHECKPOINTS))
     acting = list(controllers.values())
     return phases.run(HEAD_PHASE, lambda: train_leakage_head(study, folder, seed, resume, acting, display))
-
-
-def work_of(study: StudySettings, done: Collection[str] = ()) -> dict[str, float]:
-    """Relative work of each phase of a study, from its settings; the console estimates the remaining time with it.
-
-    Args:
-        study: the study.
-        done: finished phases of a study that is resumed (:class:`hydro_agents.study.phases.Phases`).
-    """
-    steps, work = study.task.steps, {}
-    for name, entry in study.controllers.items():
-        if entry.tune is not None and f"tune {name}" not in done:
-            tune = entry.tune
-            work[f"tune {name}"] = 2.0 * PERIOD * tune.evaluations * tune.cases * steps
-        if entry.trainer is not None and f"train {name}" not in done:
-            total = getattr(study.training_settings(name), "total_steps", 0)
-            work[f"train {name}"] = TRAINING.get(entry.kind, OTHER_TRAINING) * total
-    head = study.leakage_head
-    if head is not None and HEAD_PHASE not in done:
-        plan = head.plan(study.task, [study.make(name) for name in study.controllers if name not in study.trained])
-        run = 1.25 * plan.longest
-        for phase, episodes in (("data", head.episodes), ("validation", head.validation_episodes)):
-            work[f"leakage head, {phase}"] = run * (CALL * len(plan.chunks(episodes)) + PERIOD * episodes)
-        work["leakage head, training"] = BATCH * head.epochs * (head.windows * head.episodes / head.batch + 1.0)
-    cases, _ = tracking_cases(study.evaluation)
-    for name in study.controllers:
-        work[f"tracking, {name}"] = steps * (CALL + PERIOD * len(cases))
-        if head is not None:
-            work[f"detection, {name}"] = steps * (CALL + 2.0 * PERIOD * study.evaluation.detection_episodes)
-    return {**work, "report": REPORT}
