@@ -257,8 +257,8 @@ def try_evaluation() -> None:
     from hydro_agents.evaluation.participants import participants
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_agents.evaluation.runner import run as run_protocol
-    from hydro_agents.report.robustness_page_tables import absolute_table, ranking_table
-    from hydro_agents.report.robustness_record import Record
+    from hydro_agents.report.content import Content
+    from hydro_agents.report.robustness import absolute_table, ranking_table
 
     # The metric: in the table of cases, in the comparisons, and on the page.
     task = {"episode_duration": 0.3}
@@ -270,8 +270,8 @@ def try_evaluation() -> None:
     for name in ("comparison", "families", "ranking"):
         assert "saturation_ratio" in tables[name]
     assert "saturated_share" in set(tables["summary"]["metric"])
-    assert "saturation" in ranking_table(Record(tables))[0].header
-    assert "Command at its limit, % of the time" in absolute_table(Record(tables))[0].header
+    assert "saturation" in ranking_table(Content(tables))[0].header
+    assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
 
 
 if __name__ == "__main__":

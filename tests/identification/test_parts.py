@@ -7,10 +7,9 @@ import pytest
 
 from hydro_agents.estimation.priors import Prior
 from hydro_agents.recordings.sampling import Sampled
+from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import found_values, narrowed
-from hydro_agents.rigs.held_back import _share
-from hydro_agents.rigs.identification_fit import Fit, combinations, unknowns_of
-from hydro_agents.rigs.recording_parts import COMMAND, POSITION, parts_of
+from hydro_agents.rigs.parts import COMMAND, POSITION, _share, parts_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.units import resistance_from_flow

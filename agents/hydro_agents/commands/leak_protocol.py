@@ -21,11 +21,11 @@ from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
 from hydro_agents.report.leak_page import PAGE_FILE, write_leak_report
 from hydro_agents.report.leak_record import Record, level_text
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.text import number
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.text import number
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 

@@ -23,7 +23,8 @@ from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, prot
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.robustness_page import PAGE_FILE, write_robustness_report
+from hydro_agents.report.robustness import PAGE_FILE
+from hydro_agents.report.robustness_page import write_robustness_report
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs

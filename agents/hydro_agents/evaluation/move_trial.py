@@ -20,8 +20,8 @@ from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
 from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_tables import decades
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis
-from hydro_agents.report.text import number, setting
 from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.text import number, setting
 from hydro_env import TaskConfig
 
 Array = NDArray[np.float64]

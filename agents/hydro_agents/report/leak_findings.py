@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.report.findings import Finding, interval_text
+from hydro_agents.report.content import interval_text
 from hydro_agents.report.leak_record import Record
-from hydro_agents.report.text import listed, number, setting, unbroken
+from hydro_agents.report.sections import Finding
+from hydro_agents.running.text import listed, number, setting, unbroken
 
 SURE = 95.0
 """Percentage of windows with detection for the sentence "is found"."""

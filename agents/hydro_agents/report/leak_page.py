@@ -28,8 +28,8 @@ from hydro_agents.report.leak_pictures import (
 )
 from hydro_agents.report.leak_record import Record
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table
 from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table
 
 HERE = Path(__file__).parent
 PAGE_FILE = "leakage.html"

@@ -8,10 +8,10 @@ import numpy as np
 
 from hydro_agents.detection.detectors import VERDICTS
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
-from hydro_agents.report.findings import interval_text
+from hydro_agents.report.content import interval_text
 from hydro_agents.report.leak_record import Record, level_text, percent_of
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.text import Table, number, setting
+from hydro_agents.running.text import Table, number, setting
 
 RIGHT_VERDICT = {
     "valve": "valve fault",

@@ -21,8 +21,8 @@ from hydro_agents.report.canvas import (
     ticks,
 )
 from hydro_agents.report.leak_record import Record, percent_of
-from hydro_agents.report.text import setting
 from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import setting
 
 Find = Callable[[str, str], Interval]
 """A share in percent with its interval, by detector and condition."""

@@ -10,8 +10,8 @@ import pandas as pd
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.canvas import Look, looks_of
-from hydro_agents.report.text import setting
 from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import setting
 
 
 @dataclass(frozen=True)

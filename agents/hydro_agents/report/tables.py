@@ -8,9 +8,10 @@ import pandas as pd
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.report.canvas import controllers_of
-from hydro_agents.report.findings import interval_text, percent, plants_of, row_interval, verdict
-from hydro_agents.report.text import Table, decimals_for, family_name, number, setting
+from hydro_agents.report.content import interval_text, percent
+from hydro_agents.report.findings import plants_of, row_interval, verdict
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk
+from hydro_agents.running.text import Table, decimals_for, family_name, number, setting
 
 OVERVIEW = tuple(m for m in METRICS.values() if m.cost or m.name in ("mean_error_mm", "peak_error_mm"))
 """Metrics side by side: an error is no result without its cost."""

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.report.canvas import WIDE, make_plot
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table, listed, number
 from hydro_agents.rigs.found_rig import hull, path_of
 from hydro_agents.rigs.identification_pictures import paint_held_back, paint_intervals
 from hydro_agents.rigs.identification_shown import share_in_words, shown
 from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table, listed, number
 from hydro_env.task.sensors import SENSORS
 
 if TYPE_CHECKING:

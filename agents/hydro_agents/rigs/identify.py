@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,13 +14,12 @@ from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.rigs.advice import Advice, advise
+from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
 from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, rig_yaml
-from hydro_agents.rigs.held_back import HeldBack, simulate_held_back
-from hydro_agents.rigs.identification_fit import Combination, Fit, combinations, fit_windows
-from hydro_agents.rigs.identification_motions import Advice, advise
 from hydro_agents.rigs.identification_page import write_page
 from hydro_agents.rigs.identification_shown import share_in_words, shown
-from hydro_agents.rigs.recording_parts import POSITION, Parts, parts_of
+from hydro_agents.rigs.parts import POSITION, HeldBack, Parts, parts_of, simulate_held_back
 from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.files import read_yaml, write_text
@@ -34,8 +32,6 @@ JOB = "identify"
 
 LEAST_SHARE = 0.9
 """Smallest share of the position's variance on the held-back part of a model that describes the axis."""
-
-Progress = Callable[[str, int, int], None]
 
 
 class Identification(NamedTuple):

@@ -16,8 +16,8 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from hydro_agents.learning.progress import validation_errors
 from hydro_agents.learning.trainers import Trainer, trainer
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import ERROR, learning_plots
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay

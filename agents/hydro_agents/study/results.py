@@ -16,9 +16,10 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.protocol import Evaluation, evaluate
 from hydro_agents.learning.opponents import shipped_weights
-from hydro_agents.learning.validation import validation_errors
+from hydro_agents.learning.progress import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.report import Example, StudyRecord, write_report, write_tables
+from hydro_agents.report.report import StudyRecord, write_report, write_tables
+from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.machine import date_now, machine_description, package_versions
