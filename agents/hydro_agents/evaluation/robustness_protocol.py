@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY
 from hydro_agents.running.settings_files import read_settings
 from hydro_agents.running.surroundings import Factor
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -24,10 +24,6 @@ from hydro_env.mistakes import kept
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.rig import merged
 
-FIRST_SEED = TEST_SEEDS.start + 200_000
-"""The first of 100 000 seeds that only the protocol uses; the ordinary evaluation has others."""
-
-SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")
 """Parts about the task alone."""
@@ -217,7 +213,7 @@ class RobustnessProtocol(Protocol[RobustnessCondition]):
 def _grid(levels: Sequence[float], families: Sequence[str], plants: int) -> pd.DataFrame:
     """One row per leak level, family and plant, with its seed."""
     rows = [
-        (level, family, plant, FIRST_SEED + SEEDS_PER_FAMILY * REFERENCE_FAMILIES.index(family) + plant)
+        (level, family, plant, ROBUSTNESS.of_family(REFERENCE_FAMILIES.index(family), plant))
         for level in levels
         for family in families
         for plant in range(plants)
