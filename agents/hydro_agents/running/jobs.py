@@ -126,7 +126,7 @@ def fingerprint(participant: Any) -> str:
 
 
 def run_jobs(
-    listed: Mapping[str, Job], folder: Path | None, jobs: int | None, progress: Report | None
+    listed: Mapping[str, Any], folder: Path | None, jobs: int | None, progress: Report | None
 ) -> tuple[dict[str, JobResult], int]:
     """Run jobs, or read the results that are already in a folder; after an interruption, finished results stay there.
 
