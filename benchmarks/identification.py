@@ -20,7 +20,7 @@ from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RES
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.identify import Identification, identify
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_yaml
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}")
-    seeds = (VALIDATION_SEEDS if arguments.validation else TEST_SEEDS)[arguments.first :][: arguments.rigs]
+    seeds = (THRESHOLDS if arguments.validation else EVALUATION).take(arguments.rigs, arguments.first)
     shares, times, refused, rows = [], [], 0, []
     with tempfile.TemporaryDirectory() as name:
         rig = rig_with_ranges(arguments.rig, Path(name))

@@ -88,10 +88,3 @@ def test_the_wheel_holds_two_packages_with_names_of_their_own():
     wheel = settings["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert [Path(package).name for package in wheel["packages"]] == ["hydro_env", "hydro_agents"]
     assert settings["project"]["scripts"]["hydro"].startswith("hydro_agents.")
-
-
-def test_seeds_of_training_validation_and_test_are_disjoint():
-    from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-
-    sets = [set(range(s.start, s.stop)) for s in (TRAINING_SEEDS, VALIDATION_SEEDS, TEST_SEEDS)]
-    assert sum(map(len, sets)) == len(set.union(*sets))

@@ -21,7 +21,7 @@ from hydro_agents.export.controller import ControllerGraph, controller_code, con
 from hydro_agents.export.exported import FILE, MODEL_FILE, TASK_FILE, Contract, ContractSignal, StatePart, onnx_session
 from hydro_agents.export.measured import MeasuredController, MeasuredMemory
 from hydro_agents.learning.progress import validation_cases, validation_errors
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
 from hydro_env.units import FULL_VOLTAGE
@@ -43,7 +43,6 @@ FILES = (
 """Names of the files of an exported controller."""
 
 
-SEED = VALIDATION_SEEDS.start + 700_000
 FAMILIES = ("step", "multi_sine", "start_stop")
 """References of the closed-loop episodes, if the task has them."""
 
@@ -77,9 +76,10 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     length = min(LONGEST, config.steps)
     env = ServoHydraulicVectorEnv(1, config, info=False)
     episodes: list[tuple[NDArray[np.float64], list[float]]] = []
-    for number, family in enumerate(families or [None]):
+    families = families or [None]
+    for seed, family in zip(CONTROLLER_VECTORS.take(len(families)), families, strict=True):
         options = {"reference": [family]} if family is not None else None
-        observation, _ = env.reset(seed=[SEED + number], options=options)
+        observation, _ = env.reset(seed=[seed], options=options)
         samples, voltages, memory = [], [], None
         for _ in range(length):
             samples.append(signals.of_axes(env.axes)[0])

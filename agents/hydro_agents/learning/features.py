@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
-NORMALISING_SEEDS = TRAINING_SEEDS[-240:]
+NORMALISING_SEEDS = SCALES.take(240)
 """Plants on which the inputs are observed for their typical sizes."""
 
 MIDDLE = 0.6

@@ -17,7 +17,7 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import Progress, training_logger, validation_errors
 from hydro_agents.learning.settings import TrainingSettings
 from hydro_agents.learning.training import PolicyTrainer, make_env, make_features, training_record
-from hydro_agents.running.seeds import first_training_seed
+from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.weights import Tensors, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
@@ -82,7 +82,7 @@ class OffPolicyTrainer(PolicyTrainer):
             "features": features.describe(),
         }
         stored = load_made_with(path, KIND, made_with) if resume else None
-        env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
+        env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
         model = algorithm(
             "MlpPolicy",
             env,

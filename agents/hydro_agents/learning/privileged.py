@@ -10,7 +10,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor
 
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
@@ -39,7 +39,7 @@ class Privileged:
 
     def __init__(self, config: TaskConfig) -> None:
         env = ServoHydraulicVectorEnv(PLANTS, config, info=False)
-        env.reset(seed=list(TRAINING_SEEDS[:PLANTS]))
+        env.reset(seed=list(LEARNING.take(PLANTS)))
         drawn = env.axes.physical
         area, pressure = (env.axes.coefficient[:, Coefficients._fields.index("area_a")], config.plant.supply.pressure)
         self._force = float(np.mean(area)) * pressure

@@ -14,7 +14,7 @@ from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputF
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import LEARNING_CURVE, SCALES
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_whole
 
@@ -25,7 +25,7 @@ def validation_cases(config: TaskConfig) -> Cases:
     leaks = (math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1])
     families = [name for name, weight in config.references.weights.items() if weight > 0.0]
     grid = [(leak, family) for leak in leaks for family in families]
-    seeds = VALIDATION_SEEDS.start + 600_000 + np.arange(len(grid))
+    seeds = np.array(LEARNING_CURVE.take(len(grid)))
     return Cases(seeds, np.array([leak for leak, _ in grid]), np.array([family for _, family in grid]))
 
 
@@ -39,7 +39,7 @@ def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float
 def family_errors(config: TaskConfig, controller: Controller, plants: int = 16) -> dict[str, float]:
     """Mean absolute tracking error (m) of a controller in each family of references, on training plants."""
     families = [name for name, weight in config.references.weights.items() if weight > 0.0]
-    seeds = np.tile(TRAINING_SEEDS.stop - plants + np.arange(plants), len(families))
+    seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
     errors = np.abs(run.position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
     return dict(zip(families, errors.tolist(), strict=True))

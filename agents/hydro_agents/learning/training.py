@@ -19,7 +19,7 @@ from hydro_agents.learning.privileged import AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, family_errors, training_logger, validation_errors
 from hydro_agents.learning.settings import PPOSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_agents.running.seeds import first_training_seed
+from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 
@@ -178,7 +178,7 @@ def train_ppo(
         (place / CHECKPOINT_FILE).unlink(missing_ok=True)
     done = checkpoint.steps if checkpoint is not None else 0
 
-    env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
+    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(place, done))
 
