@@ -56,7 +56,7 @@ def alarms(
     per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
     shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
     """
-    from hydro_agents.detection.alarm_job import SIZES, run_job, work_of
+    from hydro_agents.detection.alarm_job import SIZES, run_job
     from hydro_agents.detection.alarm_store import PATTERN, Bench
     from hydro_agents.evaluation.bound_comparison import markdown
     from hydro_agents.learning.opponents import shipped
@@ -78,7 +78,6 @@ def alarms(
         ProgressDisplay() as display,
     ):
         bench = Bench(config, controllers, watching, name, folder, together=128 if detector == "head" else 16)
-        display.expect(work_of(job))
         settings, tables = run_job(bench, job, display.update)
         settings.save(folder / "alarm.yaml")
         parts = [f"`{command_line()}`"]

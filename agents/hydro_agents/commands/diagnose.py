@@ -7,18 +7,13 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Rig, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Rig, command_line, say
 
 
 def diagnose(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Measured signals, one row per sample.")],
-    columns: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
-    ] = None,
-    task: Annotated[
-        str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-    ] = None,
+    columns: Columns = None,
+    task: OwnTask = None,
     rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     alarm: Annotated[

@@ -18,14 +18,15 @@ from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
 from hydro_agents.evaluation.leak_running import run_leak_protocol
 from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
 from hydro_agents.evaluation.robustness_protocol import file_sha256
-from hydro_agents.report.leak_page import PAGE_FILE, write_leak_report
-from hydro_agents.report.leak_record import Record, level_text
+from hydro_agents.report.content import Content
+from hydro_agents.report.leak_page import write_leak_report
+from hydro_agents.report.leakage import PAGE_FILE, level_text
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.text import number
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.text import number
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
@@ -94,14 +95,14 @@ def evaluate_leak_protocol(
 
 def _print_shares(tables: LeakTables, protocol: LeakProtocol, display: ProgressDisplay) -> None:
     """Print the share of windows that each detector reports under the base condition, by size of the leak."""
-    record = Record(tables.by_name(), protocol.base)
-    title = f"Windows reported as a leak, %: {record.label(protocol.base)}"
+    content = Content(tables.by_name(), others={"base": protocol.base})
+    title = f"Windows reported as a leak, %: {content.label(protocol.base)}"
     table = Table(title=title, title_justify="left", box=SIMPLE, pad_edge=False, collapse_padding=True)
     table.add_column("detector")
     levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
     for level in levels:
         table.add_column(level_text(level), justify="right", no_wrap=True)
-    for detector in record.detectors:
-        shares = (record.share(detector, protocol.base, level).value for level in levels)
+    for detector in content.detectors:
+        shares = (content.share(detector, protocol.base, level).value for level in levels)
         table.add_row(detector, *(number(share, 1) for share in shares))
     display.console.lines(table)

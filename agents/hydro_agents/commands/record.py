@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import Rig, command_line, exact_task, say
+from hydro_agents.commands.options import OwnTask, Rig, command_line, exact_task, say
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -21,9 +21,7 @@ def record(
         typer.Option(metavar="NAME-v0", help="Minari data set to write instead of a CSV file, for offline learning."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
-    task: Annotated[
-        str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-    ] = None,
+    task: OwnTask = None,
     rig: Rig = None,
     controller: Annotated[
         str,

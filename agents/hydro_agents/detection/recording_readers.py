@@ -19,9 +19,9 @@ from hydro_agents.estimation.estimate import Estimate, estimate
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from hydro_agents.estimation.priors import Prior
 from hydro_agents.estimation.unknowns import default_unknowns
-from hydro_agents.report.text import number
 from hydro_agents.rigs.diagnosis_windows import Windows
 from hydro_agents.rigs.verdict import HALF_WIDTH, NO_COMMANDS, Reading
+from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import own_value
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance

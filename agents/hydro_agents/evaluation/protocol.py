@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
@@ -31,13 +30,12 @@ from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.tables import ratio_table, summary_table
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EVALUATION, SEEDS_PER_FAMILY, SeedRange
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 
-SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 
 
@@ -83,12 +81,12 @@ class Evaluation:
         return [str(name) for name in self.cases["controller"].unique()]
 
 
-def tracking_cases(settings: ProtocolSettings, first_seed: int = TEST_SEEDS.start) -> tuple[Cases, pd.DataFrame]:
+def tracking_cases(settings: ProtocolSettings, seeds: SeedRange = EVALUATION) -> tuple[Cases, pd.DataFrame]:
     """All cases of the tracking part, and a table with level, family and plant of each.
 
     Args:
         settings: levels, families and number of plants.
-        first_seed: seed of the first plant; the others follow it.
+        seeds: those of the plants.
     """
     rows = [
         (level, family, plant)
@@ -99,8 +97,8 @@ def tracking_cases(settings: ProtocolSettings, first_seed: int = TEST_SEEDS.star
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
     # A family has the same plants at every level; families have different plants.
     family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
-    seeds = first_seed + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
-    cases = Cases(seeds.astype(np.int64), table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
+    numbers = seeds.of_family(family_number.to_numpy(), table["plant"].to_numpy())
+    cases = Cases(numbers, table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
     return cases, table
 
 

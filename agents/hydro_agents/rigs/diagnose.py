@@ -9,16 +9,18 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_detectors import HeadDetector
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.looks import looks_at
 from hydro_agents.detection.recording_readers import head_misfit, read_estimator, read_head
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
+from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.report.canvas import WIDE, render
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.rigs.diagnosis_alarm import Watched, watch
 from hydro_agents.rigs.diagnosis_page import write_page
 from hydro_agents.rigs.diagnosis_picture import paint
 from hydro_agents.rigs.diagnosis_windows import Windows, cut
@@ -32,6 +34,39 @@ FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
 Progress = Callable[[str, int, int], None]
+
+MOST_GAPS = 20
+"""Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
+
+
+class Watched(NamedTuple):
+    """Result of the alarm."""
+
+    at: float | None  # s, of the alarm; None: there was none
+    rate: float | None  # false alarms per 100 h for which it was set
+    note: str  # why it did not watch; empty if it watched
+
+    def line(self) -> str:
+        """The alarm in one sentence."""
+        if self.note:
+            return f"The alarm did not watch: {self.note}."
+        rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
+        when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
+        return f"The alarm on top of the leakage head{rate} {when}."
+
+
+def watch(samples: Sampled, head: LeakageHead, settings: AlarmSettings) -> Watched:
+    """Run an alarm over a recording, as if the axis had been switched on at its start."""
+    rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
+    if count < head.settings.window:
+        return Watched(None, rate, "the recording is shorter than a window of the head")
+    if count > MOST_GAPS * len(samples.place):
+        return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
+    signals = np.full((1, len(samples.signals), count), np.nan)
+    signals[0, :, samples.place] = samples.signals.T
+    looks = looks_at(signals, samples.period, HeadDetector(head), settings.interval)
+    raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
+    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
 
 
 class Diagnosis(NamedTuple):

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.report.canvas import WIDE, Plot, make_plot
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table, number, setting
 from hydro_agents.rigs.diagnosis_picture import paint
 from hydro_agents.rigs.verdict import Kind, Reading, combined, named_fault
 from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table, number, setting
 from hydro_env import PlantParameters
 from hydro_env.units import UNITS
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.report.text import decimals_for, number
+from hydro_agents.running.text import decimals_for, number
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import TRIAL_RUN
 from hydro_agents.study.phases import STATE_FILE, Phases
 from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
@@ -39,11 +39,11 @@ from hydro_agents.study.training import (
     train_leakage_head,
     tune_controller,
 )
-from hydro_agents.study.work import HEAD_PHASE, work_of
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
+HEAD_PHASE = "train leakage head"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
@@ -74,7 +74,6 @@ def run_study(
         _write_settings(study, folder, seed)
         _try_out(study)
         phases = Phases(folder)
-        display.expect(work_of(study, phases.done))
         controllers: dict[str, Controller] = {}
         curves = []
         for name, entry in study.controllers.items():
@@ -148,7 +147,7 @@ def _try_out(study: StudySettings) -> None:
     Raises:
         ConfigurationError: a controller fails; the message names it.
     """
-    cases = Cases(np.array([VALIDATION_SEEDS.stop - 2, VALIDATION_SEEDS.stop - 1]))
+    cases = Cases(np.array(TRIAL_RUN.take(2)))
     for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:
         try:
             run_cases(study.task, study.make(name), cases, states=False)
