@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.identify import Identification, identify

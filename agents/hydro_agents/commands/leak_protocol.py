@@ -13,11 +13,11 @@ from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.alarm_detectors import HeadDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.readers import HeadReader, make_detector
+from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
 from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
 from hydro_agents.evaluation.leak_running import run_leak_protocol
 from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
-from hydro_agents.evaluation.robustness_protocol import file_sha256
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_page import write_leak_report
 from hydro_agents.report.leakage import PAGE_FILE, level_text

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.protocol import Evaluation
-from hydro_agents.report.canvas import controllers_of
-from hydro_agents.report.content import interval_text, percent
-from hydro_agents.report.findings import plants_of, row_interval, verdict
+from hydro_agents.report.content import Content, interval_text, percent
+from hydro_agents.report.study_findings import plants_of, row_interval, verdict
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk
 from hydro_agents.running.text import Table, decimals_for, family_name, number, setting
 
@@ -17,27 +15,29 @@ OVERVIEW = tuple(m for m in METRICS.values() if m.cost or m.name in ("mean_error
 """Metrics side by side: an error is no result without its cost."""
 
 
-def overview(evaluation: Evaluation) -> Table:
+def overview(content: Content) -> Table:
     """One row per controller over all runs: error, ratio to the first one, worst cases, and costs."""
-    names = controllers_of(evaluation)
-    cells = {name: _overview_cells(evaluation.cases, name) for name in names}
+    names = content.controllers
+    cells = {name: _overview_cells(content.table("cases"), name) for name in names}
     return Table(
         "Errors and costs, mean over all runs",
         ("Controller", _overview_header()[0], f"÷ {names[0]}'s", "worst 5 %, mm", *_overview_header()[1:]),
-        [(name, mean, *_overall(evaluation, name), *rest) for name, (mean, *rest) in cells.items()],
+        [(name, mean, *_overall(content, name), *rest) for name, (mean, *rest) in cells.items()],
+        style="dense",
     )
 
 
-def level_tables(evaluation: Evaluation) -> dict[float, Table]:
+def level_tables(content: Content) -> dict[float, Table]:
     """The same for each leak level, without the ratio."""
-    names = controllers_of(evaluation)
+    names = content.controllers
     return {
         float(level): Table(
             f"Leak of {setting(float(level))} l/min",
             ("Controller", *_overview_header()),
             [(name, *_overview_cells(cases, name)) for name in names],
+            style="dense",
         )
-        for level, cases in evaluation.cases.groupby("leakage_flow_lpm")
+        for level, cases in content.table("cases").groupby("leakage_flow_lpm")
     }
 
 
@@ -45,12 +45,12 @@ def _overview_header() -> tuple[str, ...]:
     return tuple(metric.label[0].lower() + metric.label[1:] for metric in OVERVIEW)
 
 
-def _overall(evaluation: Evaluation, name: str) -> tuple[str, str]:
+def _overall(content: Content, name: str) -> tuple[str, str]:
     """Ratio of the mean error with its interval, and the mean of the worst 5 % of the runs."""
-    rows = evaluation.ratios
+    rows = content.table("ratios")
     rows = rows[(rows["controller"] == name) & (rows["group"] == "all")] if len(rows) else rows
     ratio = interval_text(row_interval(rows.iloc[0], "ratio"), decimals=3) if len(rows) else "–"
-    errors = evaluation.cases.loc[evaluation.cases["controller"] == name, "mean_error_mm"]
+    errors = content.table("cases").loc[content.table("cases")["controller"] == name, "mean_error_mm"]
     return ratio, number(conditional_value_at_risk(errors.to_numpy()))
 
 
@@ -59,13 +59,13 @@ def _overview_cells(cases: pd.DataFrame, name: str) -> tuple[str, ...]:
     return tuple(number(metric.factor * float(own[metric.name].mean())) for metric in OVERVIEW)
 
 
-def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
+def metric_table(content: Content, by: str, metric: str) -> Table:
     """Mean with interval, worst 5 % and worst run of every controller."""
     column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
-    table = evaluation.levels if by == "level" else evaluation.families
+    table = content.table("levels") if by == "level" else content.table("families")
     table = table[table["metric"] == metric]
     shown = METRICS[metric]
-    names = controllers_of(evaluation)
+    names = content.controllers
     means = shown.factor * table["mean"].abs()
     decimals = decimals_for(float(means[means > 0.0].median()))
     rows = []
@@ -82,20 +82,20 @@ def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
     return Table(caption, header, rows, tuple((name, 3) for name in names))
 
 
-def metric_tables(evaluation: Evaluation, by: str) -> list[Table]:
+def metric_tables(content: Content, by: str) -> list[Table]:
     """All other metrics that have a value, and the failures if there are any."""
-    frame = evaluation.levels if by == "level" else evaluation.families
+    frame = content.table("levels") if by == "level" else content.table("families")
     shown = frame["mean"].notna() & ((frame["metric"] != "failed") | (frame["mean"] > 0.0))
     valued = {str(name) for name in frame[shown]["metric"]} - {"mean_error_mm"}
-    return [metric_table(evaluation, by, metric) for metric in METRICS if metric in valued]
+    return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
 
 
-def ratio_tables(evaluation: Evaluation) -> list[Table]:
+def ratio_tables(content: Content) -> list[Table]:
     """Ratios of errors to the first controller, with verdicts; none with one controller."""
-    if evaluation.ratios.empty:
+    if not content.has("ratios"):
         return []
-    plants, tables = plants_of(evaluation), []
-    for name, frame in evaluation.ratios.groupby("controller", sort=False):
+    plants, tables = plants_of(content), []
+    for name, frame in content.table("ratios").groupby("controller", sort=False):
         rows = []
         for row in frame.to_dict("records"):
             interval, value = row_interval(row, "ratio"), str(row["value"])
@@ -109,19 +109,19 @@ def ratio_tables(evaluation: Evaluation) -> list[Table]:
     return tables
 
 
-def detection_tables(evaluation: Evaluation) -> list[Table]:
+def detection_tables(content: Content) -> list[Table]:
     """Shares of flagged episodes and the summary; none without a leakage head."""
-    if evaluation.detection.empty:
+    if not content.has("detection"):
         return []
     return [
-        _detection_rates(evaluation, "class", "Share of episodes flagged, by class of leak", "Class"),
-        _detection_rates(evaluation, "range", "Share of leaks flagged, by size", "Leak, l/min"),
-        _detection_summary(evaluation),
+        _detection_rates(content, "class", "Share of episodes flagged, by class of leak", "Class"),
+        _detection_rates(content, "range", "Share of leaks flagged, by size", "Leak, l/min"),
+        _detection_summary(content),
     ]
 
 
-def _detection_rates(evaluation: Evaluation, group: str, caption: str, first: str) -> Table:
-    rates, names = evaluation.detection_rates, controllers_of(evaluation)
+def _detection_rates(content: Content, group: str, caption: str, first: str) -> Table:
+    rates, names = content.table("detection_rates"), content.controllers
     part = rates[rates["group"] == group]
     rows = []
     for value in part["value"].unique():
@@ -151,9 +151,9 @@ SUMMARY: dict[str, tuple[str, float, int, str]] = {
 """Name, factor, decimals and unit of the rows of the summary."""
 
 
-def _detection_summary(evaluation: Evaluation) -> Table:
-    summary = evaluation.detection_summary
-    bounds = evaluation.bounds
+def _detection_summary(content: Content) -> Table:
+    summary = content.table("detection_summary")
+    bounds = content.bounds
     names = {"above": bounds.leaking_above, "moderate": bounds.moderate_from}
     rows = [
         (label.format(**names), *(number(factor * float(value), decimals) + unit for value in summary[key]))
@@ -169,4 +169,29 @@ def definitions() -> Table:
     for metric in METRICS.values():
         meaning = metric.meaning if metric.unit == "1" else f"{metric.meaning}; {metric.unit}"
         rows.append((metric.word, meaning, metric.name))
-    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows)
+    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows, style="words")
+
+
+def terms(content: Content) -> Table:
+    """What the words of the page mean."""
+    rows = [
+        (
+            "Ratio",
+            "mean error of one controller divided by that of another, on the same runs; below 1 is better",
+        ),
+        ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
+    ]
+    if content.has("detection_summary"):
+        healthy = setting(content.bounds.healthy_up_to)
+        rows += [
+            ("False alarm", f"an episode with a healthy seal (up to {healthy} l/min) that is flagged"),
+            ("Detection rate", "share of leaking episodes that are flagged; also called recall"),
+            ("Precision", "share of flagged episodes that leak; depends on how common leaks are"),
+            (
+                "ROC, area under it",
+                "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the probability that a "
+                "leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
+            ),
+            ("Average precision", "precision averaged over recall; chance gives the share of leaking episodes"),
+        ]
+    return Table("Terms", ("Term", "Meaning"), rows, style="words")

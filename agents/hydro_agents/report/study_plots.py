@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +17,6 @@ from hydro_agents.report.canvas import (
     Plot,
     bars,
     bars_by,
-    controllers_of,
     description,
     dodge,
     level_axis,
@@ -26,57 +25,57 @@ from hydro_agents.report.canvas import (
     row_axis,
     ticks,
 )
+from hydro_agents.report.content import Content
 from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, number, setting
-
-if TYPE_CHECKING:
-    from hydro_agents.evaluation.protocol import Evaluation
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def tracking_plots(evaluation: Evaluation) -> list[Plot]:
+def tracking_plots(content: Content) -> list[Plot]:
     """Errors over leak and by reference, paired comparisons, valve travel, worst cases."""
     tail = "Mean error of a run, averaged over the worst 5 % of the runs (conditional value at risk)."
     error = ("mean_error_mm", "error, mm")
     travel = ("valve_travel_per_s", "travel, strokes per second", "mean", "Valve travel by leak size")
+    energy = ("supply_energy_j", "energy, J", "mean", "Energy from the supply by leak size")
     reversals = ("reversals_per_s", "reversals, per second", "mean", "Reversals of the command by leak size")
-    compared = not evaluation.ratios.empty
+    compared = content.has("ratios")
     return [
-        level_plot(evaluation, *error, "mean", "Mean error by leak size", "Mean over all runs."),
-        level_plot(evaluation, *travel, "Cost of the positioning: travel of the valve's spool."),
-        *([_difference_plot(evaluation)] if compared else []),
-        level_plot(evaluation, *reversals, "Changes of direction that the valve follows; they wear it."),
-        _by_family(evaluation),
-        *([_ratio_plot(evaluation)] if compared else []),
-        level_plot(evaluation, *error, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
-        level_plot(evaluation, *error, "worst", "Worst run by leak size", "Mean error of the single worst run."),
+        level_plot(content, *error, "mean", "Mean error by leak size", "Mean over all runs."),
+        level_plot(content, *travel, "Cost of the positioning: travel of the valve's spool."),
+        *([_difference_plot(content)] if compared else []),
+        level_plot(content, *reversals, "Changes of direction that the valve follows; they wear it."),
+        level_plot(content, *energy, "Mean over all runs; the motions are the same for every leak."),
+        _by_family(content),
+        *([_ratio_plot(content)] if compared else []),
+        level_plot(content, *error, "cvar_5_percent", "Worst 5 % of the runs by leak size", tail),
+        level_plot(content, *error, "worst", "Worst run by leak size", "Mean error of the single worst run."),
     ]
 
 
-def _hint(evaluation: Evaluation) -> str:
+def _hint(content: Content) -> str:
     """A hint on intervals: with several controllers, overlapping intervals of single means mislead."""
-    if evaluation.ratios.empty:
+    if not content.has("ratios"):
         return " Bars: 95 % interval."
     return " The tables hold the intervals; the paired comparison shows which differences are certain."
 
 
-def level_plot(evaluation: Evaluation, metric: str, label: str, column: str, title: str, note: str) -> Plot:
+def level_plot(content: Content, metric: str, label: str, column: str, title: str, note: str) -> Plot:
     """A column of the table ``levels`` for one metric over the leak.
 
     Args:
-        evaluation: the evaluation.
+        content: of the page.
         metric: name of the metric.
         label: of the vertical axis, with the unit.
         column: ``mean``, ``cvar_5_percent`` or ``worst``.
         title: of the figure.
         note: how to read it.
     """
-    frame = evaluation.levels[evaluation.levels["metric"] == metric]
-    looks = looks_of(controllers_of(evaluation))
+    frame = content.table("levels")[content.table("levels")["metric"] == metric]
+    looks = content.looks
     levels = sorted({float(level) for level in frame["leakage_flow_lpm"]})
     parts = {name: frame[frame["controller"] == name].sort_values("leakage_flow_lpm") for name in looks}
-    alone = column == "mean" and evaluation.ratios.empty
+    alone = column == "mean" and not content.has("ratios")
 
     def paint(axes: Axes) -> None:
         places = level_axis(axes, levels)
@@ -99,16 +98,16 @@ def level_plot(evaluation: Evaluation, metric: str, label: str, column: str, tit
         for name, part in parts.items()
     }
     unit = f" {label.split(', ')[1]}"
-    note += _hint(evaluation) if column == "mean" and metric == "mean_error_mm" else ""
+    note += _hint(content) if column == "mean" and metric == "mean_error_mm" else ""
     return one_panel(f"level-{metric}-{column}", title, note, description(title, rows, unit), paint)
 
 
-def _difference_plot(evaluation: Evaluation) -> Plot:
+def _difference_plot(content: Content) -> Plot:
     """Error minus the baseline's error on the same plants, with intervals of the difference."""
-    base, *names = controllers_of(evaluation)
+    base, *names = content.controllers
     looks = looks_of([base, *names])
-    levels = sorted({float(level) for level in evaluation.cases["leakage_flow_lpm"]})
-    table = evaluation.cases.pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
+    levels = sorted({float(level) for level in content.table("cases")["leakage_flow_lpm"]})
+    table = content.table("cases").pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
     parts = {
         name: pd.DataFrame(
             [mean_interval((table[name] - table[base]).loc[level].to_numpy()).columns("value") for level in levels]
@@ -133,12 +132,12 @@ def _difference_plot(evaluation: Evaluation) -> Plot:
     return one_panel("difference", title, note, description(title, rows, " mm"), paint)
 
 
-def _by_family(evaluation: Evaluation) -> Plot:
-    frame = evaluation.families[evaluation.families["metric"] == "mean_error_mm"]
-    looks = looks_of(controllers_of(evaluation))
+def _by_family(content: Content) -> Plot:
+    frame = content.table("families")[content.table("families")["metric"] == "mean_error_mm"]
+    looks = content.looks
     families = [str(family) for family in frame["family"].unique()]
     labels = [family_name(family) for family in families]
-    alone = evaluation.ratios.empty
+    alone = not content.has("ratios")
     if not alone:
         frame = frame.assign(low=np.nan, high=np.nan)  # no bars
     parts = {name: frame[frame["controller"] == name] for name in looks}
@@ -149,7 +148,7 @@ def _by_family(evaluation: Evaluation) -> Plot:
         axes.set_xlabel("mean error, mm")
         _error_scale(axes, _ends(frame, "mean", alone), "x")
 
-    title, note = "Mean error by kind of reference", "Mean over all leak sizes." + _hint(evaluation)
+    title, note = "Mean error by kind of reference", "Mean over all leak sizes." + _hint(content)
     rows = {name: list(zip(labels, part["mean"], strict=True)) for name, part in parts.items()}
     return one_panel("family", title, note, description(title, rows, " mm"), paint, _height(len(families), len(parts)))
 
@@ -175,10 +174,10 @@ def _error_scale(axes: Axes, values: Array, which: str = "y") -> None:
         axes.set(**{f"{which}lim": (0.0, 1.07 * float(np.nanmax(values)) or None)})
 
 
-def _ratio_plot(evaluation: Evaluation) -> Plot:
+def _ratio_plot(content: Content) -> Plot:
     """Error over the baseline's error on the same plants, by kind of reference."""
-    frame = evaluation.ratios[evaluation.ratios["group"].isin(["all", "family"])]
-    looks = looks_of(controllers_of(evaluation))
+    frame = content.table("ratios")[content.table("ratios")["group"].isin(["all", "family"])]
+    looks = content.looks
     base, names = str(frame["against"].iloc[0]), [str(name) for name in frame["controller"].unique()]
     values = list(dict.fromkeys(str(value) for value in frame["value"]))
     labels = [family_name(value) if value else "all runs" for value in values]

@@ -1,16 +1,53 @@
-"""A study on a rig without some sensors: controllers that need them are left out, with the reason."""
+"""A study on another task or rig: gains that are tuned first, and controllers that need a sensor the rig lacks."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import sys
+from pathlib import Path
+from typing import Any
 
 from hydro_agents.controllers.base import ClassicalController
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.study.settings import ControllerEntry, StudySettings, TuningSettings
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.folders import config_file
+from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 
-if TYPE_CHECKING:
-    from hydro_agents.study.settings import ControllerEntry, StudySettings
+
+def default_study(
+    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
+) -> StudySettings:
+    """The study of a file or of ``make study``, optionally with another task or rig.
+
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
+    absent sensors are left out, with one line each on standard error.
+
+    Args:
+        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
+        task: name or file of the task, instead of the study's.
+        rig: name or file of another rig for the task.
+
+    Raises:
+        ConfigurationError: a file is wrong, or settings contradict each other.
+    """
+    study = StudySettings.from_yaml(config_file("studies", path or "default"))
+    if task is None and rig is None:
+        return study
+    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
+    if rig is not None:
+        changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
+        changes["controllers"] = {
+            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
+            if entry.kind in CONTROLLERS
+            else entry
+            for name, entry in study.controllers.items()
+        }
+    study, notes = without_absent_sensors(study.model_copy(update=changes))
+    for note in notes:
+        print(f"hydro: {note}", file=sys.stderr)
+    study.check("study" if path is None else str(path))
+    return study
 
 
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.canvas import controllers_of
-from hydro_agents.report.content import interval_text, percent
+from hydro_agents.report.content import Content, interval_text, percent
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
 from hydro_agents.running.text import family_name, listed, number, unbroken
-
-if TYPE_CHECKING:
-    from hydro_agents.evaluation.protocol import Evaluation
 
 FEWEST_PLANTS = 3
 """Smallest number of plants for intervals and verdicts."""
@@ -36,9 +32,9 @@ def row_interval(row: Any, column: str) -> Interval:
 # Judging ------------------------------------------------------------------------------------------------------------
 
 
-def plants_of(evaluation: Evaluation) -> int:
+def plants_of(content: Content) -> int:
     """Plants per leak size and family."""
-    return int(evaluation.cases["plant"].nunique())
+    return int(content.table("cases")["plant"].nunique())
 
 
 def verdict(interval: Interval, plants: int) -> str:
@@ -61,27 +57,27 @@ def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> I
     return ratio_interval(most, least)
 
 
-def findings(evaluation: Evaluation) -> list[Finding]:
+def findings_of(content: Content) -> list[Finding]:
     """The findings, in the order of a user's questions."""
-    items = [_leak(evaluation)]
-    items += [_comparison(evaluation, name) for name in controllers_of(evaluation)[1:]]
-    if not evaluation.detection_summary.empty:
-        items += [_detection(evaluation), _size(evaluation)]
+    items = [_leak(content)]
+    items += [_comparison(content, name) for name in content.controllers[1:]]
+    if content.has("detection_summary"):
+        items += [_detection(content), _size(content)]
     return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
 
 
-def caution(evaluation: Evaluation) -> str:
+def caution(content: Content) -> str:
     """A warning if there are few plants, else an empty text."""
-    plants = plants_of(evaluation)
+    plants = plants_of(content)
     if plants >= FEW_PLANTS:
         return ""
     what = "without intervals" if plants < FEWEST_PLANTS else "with rough intervals"
     return f"A small run, {what}: {plants} plants per leak size and kind of reference are too few for a decision."
 
 
-def failures(evaluation: Evaluation) -> str:
+def failed_runs(content: Content) -> str:
     """Number of failed runs under each controller, as a sentence."""
-    total = evaluation.cases.groupby("controller", sort=False)["failed"].agg(["sum", "count"])
+    total = content.table("cases").groupby("controller", sort=False)["failed"].agg(["sum", "count"])
     if float(total["sum"].sum()) == 0.0:
         return "No run failed (end stop or pressure limit)."
     parts = [f"{int(row['sum'])} of {int(row['count'])} under {name}" for name, row in total.iterrows()]
@@ -98,29 +94,29 @@ def _change(ratio: float) -> str:
     return f"{number(100.0 * abs(ratio - 1.0), 0)} % {'more' if ratio > 1.0 else 'less'} error"
 
 
-def _level_mean(evaluation: Evaluation, controller: str, level: float) -> Interval:
-    table = evaluation.levels
+def _level_mean(content: Content, controller: str, level: float) -> Interval:
+    table = content.table("levels")
     own = (table["controller"] == controller) & (table["metric"] == "mean_error_mm")
     return row_interval(table[own & (table["leakage_flow_lpm"] == level)].iloc[0], "mean")
 
 
-def _seal(evaluation: Evaluation, level: float) -> str:
-    healthy = level <= evaluation.bounds.healthy_up_to
+def _seal(content: Content, level: float) -> str:
+    healthy = level <= content.bounds.healthy_up_to
     return f"a healthy seal ({level:g} l/min)" if healthy else f"a leak of {level:g} l/min"
 
 
-def _leak(evaluation: Evaluation) -> Finding:
-    cases, names = evaluation.cases, controllers_of(evaluation)
-    base, plants = names[0], plants_of(evaluation)
+def _leak(content: Content) -> Finding:
+    cases, names = content.table("cases"), content.controllers
+    base, plants = names[0], plants_of(content)
     first, last = float(cases["leakage_flow_lpm"].min()), float(cases["leakage_flow_lpm"].max())
-    least, most = _level_mean(evaluation, base, first), _level_mean(evaluation, base, last)
+    least, most = _level_mean(content, base, first), _level_mean(content, base, last)
     if first == last:
         return Finding(
             f"One leak size was tried: {first:g} l/min.", f"Mean error of {base}: {interval_text(least, 'mm')}."
         )
     whole = growth(cases, base)
     kind = verdict(whole, plants)
-    best, worst = _seal(evaluation, first), _seal(evaluation, last)
+    best, worst = _seal(content, first), _seal(content, last)
     lead = f"A leak of {last:g} l/min makes no clear difference to the mean error of {base}."
     if kind != NEITHER:
         than = "that it makes" if whole.value >= 2.0 else "than"
@@ -147,16 +143,16 @@ def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
 # Which controller copes better --------------------------------------------------------------------------------------
 
 
-def _comparison(evaluation: Evaluation, name: str) -> Finding:
-    frame = evaluation.ratios[evaluation.ratios["controller"] == name]
-    base, plants = str(frame["against"].iloc[0]), plants_of(evaluation)
+def _comparison(content: Content, name: str) -> Finding:
+    frame = content.table("ratios")[content.table("ratios")["controller"] == name]
+    base, plants = str(frame["against"].iloc[0]), plants_of(content)
     row = frame[frame["group"] == "all"].iloc[0]
     whole = row_interval(row, "ratio")
     lead = {
         "wins": f"{name} positions better than {base}: {_change(whole.value)}.",
         "loses": f"{name} loses to {base}: {_change(whole.value)}.",
     }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
-    errors = evaluation.cases.groupby("controller")["mean_error_mm"]
+    errors = content.table("cases").groupby("controller")["mean_error_mm"]
     mine, theirs = (conditional_value_at_risk(errors.get_group(who).to_numpy()) for who in (name, base))
     equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
     text = (
@@ -188,8 +184,8 @@ def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
 # Noticing the leak --------------------------------------------------------------------------------------------------
 
 
-def _flagged(evaluation: Evaluation, controller: str, value: str) -> Interval:
-    rates = evaluation.detection_rates
+def _flagged(content: Content, controller: str, value: str) -> Interval:
+    rates = content.table("detection_rates")
     chosen = rates[(rates["controller"] == controller) & (rates["value"] == value)]
     return row_interval(chosen.iloc[0], "flagged_share")
 
@@ -199,12 +195,12 @@ def _false_alarms(row: Any) -> Interval:
     return share_interval(round(float(row["false_alarm_rate"]) * healthy), healthy)
 
 
-def _detection(evaluation: Evaluation) -> Finding:
-    rates = evaluation.detection_rates
+def _detection(content: Content) -> Finding:
+    rates = content.table("detection_rates")
     smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
-    moderate = f"{evaluation.bounds.moderate_from:g} l/min"
-    summary = {str(row["controller"]): row for row in evaluation.detection_summary.to_dict("records")}
-    rate = {name: _flagged(evaluation, name, evaluation.bounds.moderate_label) for name in summary}
+    moderate = f"{content.bounds.moderate_from:g} l/min"
+    summary = {str(row["controller"]): row for row in content.table("detection_summary").to_dict("records")}
+    rate = {name: _flagged(content, name, content.bounds.moderate_label) for name in summary}
     alarms = {name: _false_alarms(row) for name, row in summary.items()}
     if min(rate[name].low for name in summary) >= 0.9 and max(alarms[name].high for name in summary) <= 0.05:
         lead = f"Leaks from {moderate} can be flagged from one episode of ordinary motion."
@@ -214,7 +210,7 @@ def _detection(evaluation: Evaluation) -> Finding:
         lead = f"Leaks from {moderate} cannot be distinguished from healthy seals here."
     parts = [
         f"Flagged under {name}: {percent(rate[name])} of the leaks from {moderate}, "
-        f"{percent(_flagged(evaluation, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
+        f"{percent(_flagged(content, name, smallest))} of those of {smallest} l/min, and {percent(alarms[name])} of "
         f"the healthy seals (false alarms); AUROC {number(float(row['auroc']), 3)}."
         for name, row in summary.items()
     ]
@@ -228,8 +224,8 @@ def _alarm_sentence(alarms: dict[str, Interval]) -> str:
     return f"{sentence}; the test plants have clearly more under {listed(above)}." if above else f"{sentence}."
 
 
-def _size(evaluation: Evaluation) -> Finding:
-    rows, above = evaluation.detection_summary.to_dict("records"), evaluation.bounds.leaking_above
+def _size(content: Content) -> Finding:
+    rows, above = content.table("detection_summary").to_dict("records"), content.bounds.leaking_above
     middle = max(float(row["median_size_error_factor"]) for row in rows)
     lead = f"The size of a leak is estimated within a factor of {number(middle)} for half of the leaks."
     parts = [f"{number(float(row['p90_size_error_factor']))} under {row['controller']}" for row in rows]
