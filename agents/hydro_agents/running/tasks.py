@@ -1,4 +1,4 @@
-"""Tasks of protocols and studies: from parts of YAML files, under a condition, and with what experiments hold constant."""
+"""Tasks: from parts of YAML files, under a condition of a protocol, and with what experiments hold constant."""
 
 from __future__ import annotations
 
