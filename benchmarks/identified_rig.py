@@ -88,7 +88,7 @@ def trained(task: TaskConfig, base: Controller, folder: Path, steps: int) -> Con
     """PPO on top of a controller, with the settings of ``configs/studies/own_rig.yaml``; its weights are kept."""
     if not (folder / "policy.safetensors").exists():
         settings = validate(
-            PPOSettings, default_study("own_rig").controllers["PPO"].settings | {"total_steps": steps}, "PPO"
+            PPOSettings, default_study(Path("own_rig")).controllers["PPO"].settings | {"total_steps": steps}, "PPO"
         )
         resume = (folder / "checkpoint.safetensors").exists()
         train_ppo(task, settings, base, folder=folder, resume=resume).save(folder / "policy")

@@ -15,7 +15,7 @@ from hydro_agents.detection.head_training import HeadTrainingSettings
 from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
-from hydro_agents.running.settings_files import read_settings, read_task
+from hydro_agents.running.tasks import read_settings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
