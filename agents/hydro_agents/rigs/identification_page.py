@@ -12,7 +12,7 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
