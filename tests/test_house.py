@@ -34,12 +34,9 @@ FLOORS = (
 )
 DEBTS = {
     ("agents/hydro_agents/detection/operations.py", "hydro_agents.evaluation.opponents"),
-    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.report.text"),
     ("agents/hydro_agents/evaluation/bound_comparison.py", "hydro_agents.report.canvas"),
     ("agents/hydro_agents/evaluation/leak_bound_tables.py", "hydro_agents.report.canvas"),
     ("agents/hydro_agents/evaluation/move_trial.py", "hydro_agents.report.canvas"),
-    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.diagnosis_windows"),
-    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.verdict"),
     ("agents/hydro_agents/evaluation/leak_bound_tables.py", "hydro_agents.report.text"),
     ("agents/hydro_agents/evaluation/move_trial.py", "hydro_agents.report.text"),
     ("agents/hydro_agents/evaluation/opponents.py", "hydro_agents.export.exported"),

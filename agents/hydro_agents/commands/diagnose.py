@@ -36,18 +36,17 @@ def diagnose(
     Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
     """
     from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.recordings.columns import read_map
     from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
     from hydro_agents.rigs.diagnose import diagnose_to_folder
     from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import pretrained_folder
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
-    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
+    reader = make_detector(DetectorChoice(kind="head", weights=str(head) if head is not None else None))
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
     with ProgressDisplay() as display:
-        found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
+        found = diagnose_recording(recording, config, reader, mapped, window, settings, display.update)
     say(*diagnose_to_folder(output, found, overwrite, command_line()))

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detectors import Detector
+from hydro_agents.detection.detector import Detector, Windows
+from hydro_agents.detection.detectors import HeadDetector
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.readers import HeadReader
 from hydro_agents.evaluation.leak_jobs import windows
 from hydro_agents.evaluation.leak_protocol import FIRST_TEST_SEED, HEALTHY, LeakProtocol
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
@@ -29,9 +29,9 @@ def timings_table(protocol: LeakProtocol, detectors: dict[str, Detector]) -> pd.
     for name, detector in detectors.items():
         if detector.refuses(known, samples):
             continue
-        seconds = _shortest(partial(detector.read, signals, known), 2) / WINDOWS
+        seconds = _shortest(partial(detector.read, Windows.of(signals), known), 2) / WINDOWS
         rows.append({"detector": name, "what": "window", "seconds": seconds})
-        if isinstance(detector, HeadReader):
+        if isinstance(detector, HeadDetector):
             rows.append({"detector": name, "what": "update", "seconds": _update(detector.head, config)})
     return pd.DataFrame(rows)
 

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from hydro_agents.detection.detectors import VERDICTS
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, VERDICTS, Cause
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.report.findings import interval_text
 from hydro_agents.report.leak_record import Record, level_text, percent_of
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.text import Table, number, setting, unbroken
-
-RIGHT_VERDICT = {
-    "valve": "valve fault",
-    "tank": "return line",
-    "external": "external leak",
-}
-"""Verdict that names a fault, by the beginning of the fault's name; the others are faults of sensors."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +56,17 @@ def confusions(record: Record) -> list[Confusion]:
 
 def _cell(record: Record, condition: str, level: float, verdict: str, value: float) -> Cell:
     right = verdict in right_verdicts(record, condition, level)
-    meaning = "better" if right else "silent" if verdict == "cannot tell" else "worse"
+    meaning = "better" if right else "silent" if verdict == Cause.UNKNOWN.word else "worse"
     return Cell(number(100.0 * value, 0) if value > 0.0 else "", meaning, round(STRONGEST * value))
 
 
 def right_verdicts(record: Record, condition: str, level: float) -> tuple[str, ...]:
     """Correct verdicts: the leak if there is one, else the fault, else none."""
     if level > HEALTHY:
-        return ("internal leak",)
-    changes = str(record.conditions["changes"].get(condition, ""))
-    if '"faults"' not in changes:
-        return ("none",)
-    named = [verdict for start, verdict in RIGHT_VERDICT.items() if f'"{start}' in changes]
-    return tuple(named) or ("sensor fault",)
+        return (Cause.INTERNAL_LEAK.word,)
+    changes = record.conditions["changes"].get(condition)
+    faults = json.loads(changes).get("faults", {}) if isinstance(changes, str) and changes else {}
+    return tuple(CAUSE_OF_FAULT[name].word for name in faults) or (Cause.NONE.word,)
 
 
 def floors_table(record: Record) -> list[Table]:

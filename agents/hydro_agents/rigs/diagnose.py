@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.recording_readers import head_misfit, read_estimator, read_head
+from hydro_agents.detection.detector import NO_COMMANDS, Detector, Reading, Windows
+from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording
@@ -21,8 +21,8 @@ from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.rigs.diagnosis_alarm import Watched, watch
 from hydro_agents.rigs.diagnosis_page import write_page
 from hydro_agents.rigs.diagnosis_picture import paint
-from hydro_agents.rigs.diagnosis_windows import Windows, cut
-from hydro_agents.rigs.verdict import Limits, Reading, Verdict, judge
+from hydro_agents.rigs.diagnosis_windows import cut
+from hydro_agents.rigs.verdict import Limits, Verdict, judge
 from hydro_agents.running.folders import output_folder
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import write_text, write_whole
@@ -52,7 +52,7 @@ class Diagnosis(NamedTuple):
 def diagnose(
     path: Path,
     config: TaskConfig,
-    head: LeakageHead,
+    head: Detector,
     columns: ColumnMap | None = None,
     window: float = 2.0,
     alarm: AlarmSettings | None = None,
@@ -63,7 +63,7 @@ def diagnose(
     Args:
         path: the recording, CSV.
         config: the task whose rig was recorded.
-        head: the leakage head.
+        head: the leakage head, which reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; the head has its own.
         alarm: settings of an alarm that watches the recording.
@@ -77,8 +77,8 @@ def diagnose(
     windows = cut(checked.samples, max(round(window / config.control_period), 2))
     limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
     estimator, reading, watched = None, None, None
-    note = head_misfit(head, config, windows)
-    if not checked.severe and len(windows.begin):
+    note = head.refuses(config, windows.samples)
+    if not checked.severe and len(windows):
         fits = 2 * int(windows.commanded.sum())
 
         def done(finished: int) -> None:
@@ -86,10 +86,11 @@ def diagnose(
                 progress("estimator", finished, fits)
 
         done(0)
-        estimator = read_estimator(windows, config, done)
+        estimator = EstimatorDetector(threads=None).read(windows, config, done)
         if not note:
-            reading = read_head(windows, head)
-            watched = watch(checked.samples, head, alarm) if alarm is not None else None
+            chosen = np.flatnonzero(windows.commanded)
+            reading = head.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
+            watched = watch(checked.samples, head, config, alarm) if alarm is not None else None
     verdict = judge(checked.findings, estimator, reading, limits)
     return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
 
@@ -116,10 +117,10 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     for name, reading in (("estimator", diagnosis.estimator), ("head", diagnosis.head)):
         if reading is not None:
             columns |= {
-                f"{name}_leak": np.round(reading.leak, 5),
-                f"{name}_low": np.round(reading.low, 5),
-                f"{name}_high": np.round(reading.high, 5),
-                f"{name}_counts": reading.holds,
+                f"{name}_leak": np.round(reading.flow_lpm, 5),
+                f"{name}_low": np.round(reading.low_lpm, 5),
+                f"{name}_high": np.round(reading.high_lpm, 5),
+                f"{name}_counts": reading.answers,
                 f"{name}_fault": reading.fault,
                 f"{name}_remark": reading.why,
             }
