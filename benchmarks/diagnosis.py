@@ -21,17 +21,16 @@ import pandas as pd
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.operations import MOTIONS
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.diagnose import Diagnosis, diagnose
 from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
 
 TASK = TaskConfig(episode_duration=4.0)
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
-FIRST_SEED = TEST_SEEDS[80_000]
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
 
@@ -130,7 +129,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=1.0, help="of the recordings, for a quick look")
     arguments = parser.parse_args()
     head, begun = LeakageHead.load(pretrained_folder() / "leakage_head"), time.monotonic()
-    first = FIRST_SEED
+    skip = 0
     with tempfile.TemporaryDirectory() as folder:
         for name, axes in TABLES.items():
             if name in arguments.only:
@@ -139,8 +138,8 @@ def main() -> None:
             for axis in axes:
                 if name in arguments.only:
                     count = max(round(arguments.share * axis.recordings), 1)
-                    print(row(axis, diagnosed(axis, range(first, first + count), head, Path(folder))), flush=True)
-                first += axis.recordings
+                    print(row(axis, diagnosed(axis, DIAGNOSIS.take(count, skip), head, Path(folder))), flush=True)
+                skip += axis.recordings
     print(f"\n{time.monotonic() - begun:.0f} s")
 
 

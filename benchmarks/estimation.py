@@ -23,10 +23,10 @@ from hydro_agents.estimation.following import estimate_run
 from hydro_agents.estimation.names import LEAKAGE
 from hydro_agents.estimation.unknowns import default_unknowns
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ def record(
 ) -> Array:
     """Signals (N, 5, T), SI, of one episode per seed under a shipped controller."""
     names, _, scale, _ = observation_layout(config)
-    columns = [names.index(name) for name in (*CHANNELS, "previous_command")]
+    columns = [names.index(name) for name in (*SENSORS, "previous_command")]
     cases = Cases(
         np.array(seeds), leak, faults={name: np.full(len(seeds), size) for name, size in (faults or {}).items()}
     )
@@ -120,11 +120,11 @@ def _mean(values: NDArray[np.bool_]) -> float:
 def motion(config: TaskConfig, windows: int, validation: int, name: str, levels: list[float], begin: list[str]) -> None:
     """Detection and size in ordinary motion, from rest and later."""
     leak = healthy_leaks(validation)
-    signals = record(config, VALIDATION_SEEDS[:validation], leak)
-    tested = {0.0: record(config, TEST_SEEDS[:windows], healthy_leaks(windows))}
+    signals = record(config, THRESHOLDS.take(validation), leak)
+    tested = {0.0: record(config, EVALUATION.take(windows), healthy_leaks(windows))}
     for level in levels:
         place = LEVELS.index(level)
-        seeds = TEST_SEEDS[(place + 1) * windows : (place + 2) * windows]
+        seeds = EVALUATION.take(windows, (place + 1) * windows)
         tested[level] = record(config, seeds, np.full(windows, level))
     for place_in_run in begin:
         first = 0 if place_in_run == "rest" else LATER
@@ -147,7 +147,7 @@ def motion(config: TaskConfig, windows: int, validation: int, name: str, levels:
 def structure(windows: int) -> None:
     """Data that the model does not describe: how often is it flagged, and what would have been read?"""
     leak = healthy_leaks(windows)
-    seeds = TEST_SEEDS[20_000 : 20_000 + windows]
+    seeds = EVALUATION.take(windows, 20_000)
     lugre = CONFIG.model_copy(update={"plant": CONFIG.plant.replace(friction={"model": "lugre"})})
     recordings = {"LuGre friction": record(lugre, seeds, leak)}
     faults = {
@@ -180,7 +180,7 @@ def structure(windows: int) -> None:
 def run(axes: int) -> None:
     """Continuous running: the moving window and the filter, by time since the start, and their cost."""
     config = TaskConfig(episode_duration=8.0)
-    signals = record(config, TEST_SEEDS[30_000 : 30_000 + axes], np.full(axes, 0.1))
+    signals = record(config, EVALUATION.take(axes, 30_000), np.full(axes, 0.1))
     print(f"\n{axes} axes with 0.1 l/min for 8 s")
     for name, window, hop, memory in (
         ("moving window of 2 s, every 0.5 s", 401, 100, None),
@@ -210,12 +210,12 @@ def run(axes: int) -> None:
             )
 
 
-def rest(windows: int, seeds: range) -> None:
+def rest(windows: int) -> None:
     """Axes that stand still or move slowly, each controller on plants of its own; windows begin 3 s after the start."""
     print(f"\nAt rest and slowly, {windows} windows per row:")
     for place, (motion, controller, leak) in enumerate(REST):
         task = MOTIONS[motion].change(TaskConfig(episode_duration=5.1))
-        own = seeds[place * windows : (place + 1) * windows]
+        own = EVALUATION.take(windows, 42_000 + place * windows)
         truth = np.full(windows, leak) if leak else healthy_leaks(windows)
         signals = record(task, own, truth, controller=controller)[:, :, 600 : 600 + SAMPLES]
         before = time.process_time()
@@ -248,7 +248,7 @@ def main() -> None:
     if "structure" in arguments.only:
         structure(arguments.windows)
     if "rest" in arguments.only:
-        rest(arguments.windows, TEST_SEEDS[42_000:])
+        rest(arguments.windows)
     if "run" in arguments.only:
         run(max(arguments.windows // 4, 1))
 

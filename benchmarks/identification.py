@@ -17,16 +17,16 @@ from pathlib import Path
 import numpy as np
 
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
-from hydro_agents.evaluation.opponents import opponent
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.identify import Identification, identify
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import write_yaml
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import Rig, read_rig
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.units import flow_from_resistance
 
 
@@ -47,7 +47,7 @@ def truth(config: TaskConfig, seed: int) -> dict[str, float]:
     env = ServoHydraulicVectorEnv(1, config, info=False)
     env.reset(seed=[seed])
     values = dict(zip(PARAMETER_PATHS, to_vector(env.axes.parameters(0)).tolist(), strict=True))
-    values |= dict(zip(BIASES, env.axes.column("bias")[0].tolist(), strict=True))
+    values |= dict(zip(BIASES, env.axes.column("bias")[0, SENSOR_COLUMNS].tolist(), strict=True))
     values[LEAKAGE] = float(env.axes.column("leak_flow")[0])
     values[EXTERNAL_LEAKAGE] = flow_from_resistance(values[EXTERNAL_RESISTANCE])
     env.close()
@@ -76,11 +76,11 @@ def main() -> None:
     parser.add_argument("--controller", default="pid")
     parser.add_argument("--duration", type=float, default=20.0, help="s")
     parser.add_argument("--family", default=None, help="of references; default: drawn")
-    parser.add_argument("--without", nargs="+", default=[], choices=CHANNELS[1:], help="sensors that are absent")
+    parser.add_argument("--without", nargs="+", default=[], choices=SENSORS[1:], help="sensors that are absent")
     parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores; load {os.getloadavg()[0]:.1f}")
-    seeds = (VALIDATION_SEEDS if arguments.validation else TEST_SEEDS)[arguments.first :][: arguments.rigs]
+    seeds = (THRESHOLDS if arguments.validation else EVALUATION).take(arguments.rigs, arguments.first)
     shares, times, refused, rows = [], [], 0, []
     with tempfile.TemporaryDirectory() as name:
         rig = rig_with_ranges(arguments.rig, Path(name))

@@ -19,7 +19,7 @@ import numpy as np
 from hydro_agents import evaluate
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
@@ -28,7 +28,7 @@ from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.identify import identify, identify_to_folder
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import LEARNING
 from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, validate, write_text, write_yaml
@@ -106,9 +106,10 @@ def main() -> None:
     ratios: dict[str, list[float]] = {}
     print("| rig | controller | tuned on the true rig, mm | identified / true (95 %) | rough file / true (95 %) |")
     print("|---|---|---:|---:|---:|", flush=True)
+    seeds = LEARNING.take(len(NAMEPLATES))
     for number, (name, texts) in enumerate(NAMEPLATES.items()):
         folder = given.folder / f"rig_{number}"
-        lines = prepare(folder, texts, TRAINING_SEEDS.start + number)
+        lines = prepare(folder, texts, seeds[number])
         tasks = {
             "true": task_config("as_given", rig=folder / "truth.yaml"),
             "identified": task_config(rig=folder / "found" / "rig.yaml"),

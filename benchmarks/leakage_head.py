@@ -25,10 +25,11 @@ from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.manners import MANNERS, Operation, loaded, slow, still
+from hydro_agents.detection.monitor import load_head
 from hydro_agents.detection.roc import threshold_at_false_alarm_rate
-from hydro_agents.evaluation.opponents import load_head, opponent
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.study.settings import default_study
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml
@@ -40,8 +41,6 @@ LEVELS = (0.01, 0.1, 0.2, 0.3, 1.0)
 
 RUN = 10.0
 """s; duration of a run."""
-
-SEEDS_OFFSET = 600_000
 
 
 class SlidingMode:
@@ -118,7 +117,7 @@ ROWS = (
 def operator(who: str, config: TaskConfig, count: int) -> Any:
     """Controller or operation by its name."""
     if who in MANNERS:
-        return Operation(MANNERS[who], config, count, TEST_SEEDS.start)
+        return Operation(MANNERS[who], config, count, EVALUATION.first)
     if who in ("adrc", "lqg"):
         return make_controller(who, config, read_yaml(config_file("agents", who)))
     own = {"sliding mode": SlidingMode, "sine in open loop": Swing}
@@ -129,7 +128,7 @@ def measured(row: Row, head: LeakageHead, config: TaskConfig, plants: int) -> di
     """One row of the table."""
     task = row.task(task_config(config, episode_duration=RUN))
     flow = np.tile(LEVELS, plants)
-    seeds = TEST_SEEDS.start + SEEDS_OFFSET + np.repeat(np.arange(plants), len(LEVELS))
+    seeds = np.repeat(DETECTION.take(plants, 100_000), len(LEVELS))
     faults = {name: np.full(len(flow), size) for name, size in row.faults.items()}
     layout = ObservationLayout.of(task)
     columns = [layout.index(name) for name in SIGNALS]
@@ -168,7 +167,7 @@ def measured(row: Row, head: LeakageHead, config: TaskConfig, plants: int) -> di
 def update_time(head: LeakageHead, config: TaskConfig) -> tuple[float, float]:
     """Mean and largest processor time (ms) of one ``predict`` on one axis, over 1000 periods after a first window."""
     env = gym.make("ServoHydraulic-v0", config=task_config(config, episode_duration=RUN), info=False)
-    observation, _ = env.reset(seed=TEST_SEEDS.start)
+    observation, _ = env.reset(seed=EVALUATION.first)
     controller = opponent("pid", config, "PID")
     memory, state, times = None, None, []
     for _ in range(head.settings.window + 1000):

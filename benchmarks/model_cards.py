@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hydro_agents.evaluation.opponents import HEAD_FILE, load_head
+from hydro_agents.detection.monitor import HEAD_FILE, load_head
 from hydro_agents.evaluation.protocol import evaluate
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import config_folder, pretrained_folder

@@ -92,19 +92,6 @@ def _detector_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     return rows
 
 
-def _floor_rows(table: pd.DataFrame) -> list[dict[str, str]]:
-    rows = []
-    for _, row in table.iterrows():
-        measured = f"{row['measured']:.3g}"
-        if pd.notna(row["low"]):
-            measured += f" ({row['low']:.3g} to {row['high']:.3g})"
-        floor, aim = (f"{row[name]:.2g}" if row[name] < 10 else f"{row[name]:g}" for name in ("floor", "aim"))
-        note = "" if pd.isna(row["note"]) else str(row["note"])
-        first = {"figure": f"{row['figure']}, {row['unit']}", "detector": row["detector"], "measured": measured}
-        rows.append(first | {"floor": floor, "aim": aim, "reaches": row["reaches"], "note": note})
-    return rows
-
-
 def _verdict_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     return [
         {
@@ -131,7 +118,6 @@ SOURCES = {
     "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),
     "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
     "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
-    "floors": Source("leakage/tables/floors.csv", pd.DataFrame.copy, _floor_rows),
     "verdicts": Source("reproduce/verdicts.csv", pd.DataFrame.copy, _verdict_rows),
 }
 

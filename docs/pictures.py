@@ -32,9 +32,9 @@ from hydro_agents.report.canvas import (
     row_axis,
     ticks,
 )
-from hydro_agents.report.text import correction_name
 from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.folders import config_folder
+from hydro_agents.running.text import correction_name
 from hydro_agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER

@@ -279,17 +279,26 @@ def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, cod
             raise AssertionError("not reached")
 
     monkeypatch.setattr(check_table, "check_to_console", stopped)
-    # Whoever runs the tests in the background has Ctrl-C ignored.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # In the background Ctrl-C is ignored, under nohup the end of the terminal: for the tests as for a command.
+    before = signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     try:
         answer = hydro("check-rig", "-o", tmp_path / "out")
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
     assert answer.returncode == code
     [line] = own_lines(answer.stderr)
     assert line.startswith("hydro: stopped; ")
     assert words in line
     assert (tmp_path / "out").exists() == bool(files)
+
+
+def test_under_nohup_a_command_outlives_its_terminal(tmp_path, monkeypatch):
+    monkeypatch.setattr(check_table, "check_to_console", lambda *_: signal.raise_signal(signal.SIGHUP) or [])
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert hydro("check-rig").returncode == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def stopped_study(folder):

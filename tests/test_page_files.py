@@ -8,10 +8,10 @@ import pytest
 import yaml
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.opponents import opponent
 from hydro_agents.evaluation.robustness_protocol import protocol_named
-from hydro_agents.export.compiler import c_compiler
+from hydro_agents.export.c_files import c_compiler
 from hydro_agents.export.controller_folder import exported_files
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.recordings.columns import read_map
 from hydro_env import ServoHydraulicEnv, TaskConfig
 

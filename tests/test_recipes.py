@@ -17,16 +17,18 @@ import numpy as np
 import pytest
 
 import hydro_env
-from hydro_env import PlantParameters, ServoHydraulicEnv, equilibrium, simulate
+from hydro_env import PlantParameters, ServoHydraulicEnv, TaskConfig, equilibrium, simulate
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.simulate import TRAJECTORY_UNITS, valid_ranges
 from hydro_env.plant.states import STATE_NAMES
+from hydro_env.task.configuration import task_config
 
 ROOT = Path(__file__).resolve().parents[1]
 PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
 TASK_RECIPES = {"A new measured signal": 3, "A reward term": 2, "A reference family": 1}
+EVALUATION_RECIPES = {"A metric": 1}
 AGENT_RECIPES = {"A controller": 1, "Another algorithm": 1}
-MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **AGENT_RECIPES}
+MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AGENT_RECIPES}
 
 
 def steps_of(recipe: str) -> list[tuple[str, list[tuple[str, str]]]]:
@@ -110,20 +112,49 @@ def test_the_recipes_of_the_plant(sources):
 
 def test_the_recipes_of_task_and_agents(sources, tmp_path):
     np.save(tmp_path / "before.npy", lively_episode())
-    for recipe in [*TASK_RECIPES, *AGENT_RECIPES]:
+    watched_axis(tmp_path / "before", {})
+    for recipe in [*TASK_RECIPES, *EVALUATION_RECIPES, *AGENT_RECIPES]:
         apply(recipe, sources)
-    run(sources, "try_task", "try_agents")
+    run(sources, "try_task", "try_chain", "try_agents", "try_evaluation")
 
 
-def lively_episode() -> np.ndarray:
+def lively_episode(**task) -> np.ndarray:
     """Observations and true supply pressures of an episode with a given seed and reference, (steps + 1, n + 1)."""
-    env, supply = ServoHydraulicEnv(episode_duration=0.2), STATE_NAMES.index("supply_pressure")
+    env, supply = ServoHydraulicEnv(episode_duration=0.2, **task), STATE_NAMES.index("supply_pressure")
     observation, _ = env.reset(seed=5, options={"reference": "sine"})
     rows = [[*observation, env.axes.state[0, supply]]]
     for step in range(40):
         observation, *_ = env.step(np.array([0.8 if step % 20 < 10 else -0.6]))
         rows.append([*observation, env.axes.state[0, supply]])
     return np.array(rows)
+
+
+FITTED = {"supply_pressure": {"fitted": True}}
+
+
+def watched_axis(folder: Path, sensors: dict) -> None:
+    """Recordings of the shipped policy, and of a PID on an axis with further sensors, which a diagnosis then reads."""
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.simulated import record_axis
+    from hydro_agents.rigs.diagnose import diagnose, leak_table
+
+    folder.mkdir()
+    fitted = task_config(episode_duration=5.0, sensors=sensors)
+    for kind, config in ("ppo", TaskConfig(episode_duration=1.0)), ("pid", fitted):
+        record_axis(folder / f"{kind}.csv", config, opponent(kind, config, kind), 3, 1.0, "sine")
+    head = LeakageHead.load(ROOT / "agents/hydro_agents/pretrained/leakage_head")
+    found = diagnose(folder / "pid.csv", fitted, head)
+    assert found.estimator is not None
+    assert found.head is not None
+    leak_table(found).to_csv(folder / "leak.csv")
+
+
+def try_chain() -> None:
+    """A further sensor, fitted or not, changes nothing for policy, recording, estimator and leakage head."""
+    watched_axis(Path("after"), FITTED)
+    for file in ("ppo.csv", "pid.csv", "leak.csv"):
+        assert Path("after", file).read_bytes() == Path("before", file).read_bytes(), file
 
 
 def try_plant() -> None:
@@ -166,8 +197,9 @@ def try_plant() -> None:
 
 def try_task() -> None:
     # The signal: observed with its own noise; all others as they were, bit for bit.
-    before, after = np.load("before.npy"), lively_episode()
-    env = ServoHydraulicEnv(reward={"speed": 2.0}, references={"weights": {"sweep": 1.0}})
+    before, after = np.load("before.npy"), lively_episode(sensors=FITTED)
+    np.testing.assert_array_equal(lively_episode(), before)
+    env = ServoHydraulicEnv(reward={"speed": 2.0}, references={"weights": {"sweep": 1.0}}, sensors=FITTED)
     assert env.axes.observation_names[-1] == "supply_pressure"
     assert env.axes.observation_units[-1] == "Pa"
     np.testing.assert_array_equal(after[:, :-2], before[:, :-1])
@@ -219,6 +251,26 @@ def try_agents() -> None:
     assert not made.errors
     error = made.cases.groupby("controller")["mean_error_mm"].mean()
     assert error["damped"] < error["TD3"]  # which has hardly learned
+
+
+def try_evaluation() -> None:
+    from hydro_agents.evaluation.participants import participants
+    from hydro_agents.evaluation.robustness_protocol import Protocol
+    from hydro_agents.evaluation.robustness_running import run_protocol
+    from hydro_agents.evaluation.robustness_tables import make_tables
+    from hydro_agents.report.content import Content
+    from hydro_agents.report.robustness import absolute_table, ranking_table
+
+    # The metric: in the table of cases, in the comparisons, and on the page.
+    protocol = Protocol(task={"episode_duration": 0.3}, plants=3, families=["step"], conditions={"plain": {}})
+    chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
+    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1)).by_name()
+    assert tables["cases"]["saturated_share"].between(0.01, 0.99).any()
+    for name in ("comparison", "families", "ranking"):
+        assert "saturation_ratio" in tables[name]
+    assert "saturated_share" in set(tables["summary"]["metric"])
+    assert "saturation" in ranking_table(Content(tables))[0].header
+    assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
 
 
 if __name__ == "__main__":

@@ -6,9 +6,8 @@ import math
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro, hydro_process
 
-from hydro_agents.rigs.brief import assumed, brief
 from hydro_agents.rigs.check import beyond_dead_band, check_rig
-from hydro_agents.rigs.check_table import check_csv, check_markdown
+from hydro_agents.rigs.check_table import assumed, brief, check_csv, check_markdown
 from hydro_env import PlantParameters
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import STABLE_PRODUCT

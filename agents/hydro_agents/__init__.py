@@ -2,10 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
+from hydro_agents.moved import find_moved_modules
+
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation, evaluate
 
 __all__ = ["Evaluation", "evaluate"]
+
+find_moved_modules()
 
 
 def __getattr__(name: str) -> Any:

@@ -7,6 +7,7 @@ observation does not show them; ``info["faults"]`` does. To add a fault, add a c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -14,7 +15,7 @@ from pydantic import Field
 from hydro_env.files import Group
 from hydro_env.mistakes import known_name
 from hydro_env.task.groups import Range, TaskGroup, interval
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import CHANNELS, SENSORS
 from hydro_env.units import Number
 
 
@@ -34,7 +35,7 @@ class SensorFault(Fault):
     """A fault of one randomly chosen sensor."""
 
     sensors: tuple[Annotated[str, known_name(CHANNELS, "sensor")], ...] = Field(
-        CHANNELS, min_length=1, description="sensors that may fail, with equal probability"
+        SENSORS, min_length=1, description="sensors that may fail, with equal probability"
     )
 
 
@@ -120,16 +121,17 @@ SIGNED_KINDS = ("valve_null_shift", "valve_flow", "sensor_offset", "sensor_gain"
 """Kinds whose magnitude may be negative."""
 
 
-def _faults_of(kind: str) -> list[str]:
+def faults_of(kind: str, sensors: Sequence[str] = CHANNELS) -> list[str]:
+    """Names of the faults of a kind; of a kind that affects sensors, one for each of ``sensors``."""
     if not kind.startswith("sensor_"):
         return [kind]
-    return [f"{channel}_{kind.removeprefix('sensor_')}" for channel in CHANNELS]
+    return [f"{channel}_{kind.removeprefix('sensor_')}" for channel in sensors]
 
 
-FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in _faults_of(kind))
+FAULTS: tuple[str, ...] = tuple(name for kind in FAULT_KINDS for name in faults_of(kind))
 """Every single fault; those of sensors with the name of the sensor: ``position_offset``, ``pressure_a_freeze``, …"""
 
-KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in _faults_of(kind)}
+KIND_OF_FAULT: dict[str, str] = {name: kind for kind in FAULT_KINDS for name in faults_of(kind)}
 """Kind of each fault."""
 
 

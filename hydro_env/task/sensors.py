@@ -94,3 +94,10 @@ class Sensors(Group):
 
 CHANNELS = tuple(CHANNEL_UNITS)
 """Names of the measured signals."""
+
+SENSORS = ("position", "pressure_a", "pressure_b", "spool_position")
+"""Sensors that estimator, detectors, recordings and exports read; windows of signals hold them in this order, and then
+the command. A further channel does not concern them."""
+
+SENSOR_COLUMNS = [CHANNELS.index(name) for name in SENSORS]
+"""Columns of these sensors in arrays with one column per channel."""

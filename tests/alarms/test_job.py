@@ -145,7 +145,7 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
     [
         (("--hours", "-3"), ("hours = -3", "above 0")),
         (("--rate", "0"), ("rate = 0", "above 0")),
-        (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "the estimator has no weights")),
+        (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "only the head has weights")),
         (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
         (("--task", "period_10ms"), ("alarm: the leakage head was trained for a control period of 5 ms",)),
         (("--detector", "network"), ("kind = 'network'", "must be head, estimator, or module:attribute")),

@@ -16,6 +16,7 @@ from hydro_agents.evaluation.bound_comparison import (
 )
 from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro
+from tests.published import assert_published
 
 
 def test_the_command_writes_every_case_and_a_table(tmp_path):
@@ -23,6 +24,7 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     task.write_text("episode_duration: 0.05\n")
     answer = hydro("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
     assert answer.returncode == 0, answer.stderr
+    assert_published("bound", tmp_path / "out")
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
     shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO"}
     assert set(cases["controller"]) == {*shipped, TRUTH, NOMINAL}

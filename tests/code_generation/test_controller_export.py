@@ -14,17 +14,14 @@ import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
 from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.evaluation.opponents import opponent, trained_for
-from hydro_agents.export.compiler import c_compiler
-from hydro_agents.export.contract import read_contract
-from hydro_agents.export.controller_code import controller_code
+from hydro_agents.export.c_files import c_compiler, write_files
+from hydro_agents.export.controller import controller_code, controller_graph
 from hydro_agents.export.controller_folder import exported_files
-from hydro_agents.export.controller_graph import controller_graph
-from hydro_agents.export.exported import ExportedController, onnx_session
-from hydro_agents.export.measured import MeasuredController
-from hydro_agents.export.measured_signals import MeasuredSignals
+from hydro_agents.export.exported import ExportedController, onnx_session, read_contract
+from hydro_agents.export.measured import MeasuredController, MeasuredSignals
 from hydro_agents.export.tracing import TraceError
 from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.opponents import opponent, trained_for
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import pretrained_folder
@@ -143,7 +140,7 @@ def test_several_controllers_fit_into_one_program(tmp_path):
     if compiler is None:
         pytest.skip("this machine has no C compiler")
     for kind in KINDS[:4]:
-        controller_code(opponent(kind, TASK, kind), TASK, kind).write(tmp_path)
+        write_files(controller_code(controller_graph(opponent(kind, TASK, kind), TASK), kind).files, tmp_path)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
     files = [f"{kind}.c" for kind in KINDS[:4]]
     command = [compiler, *flags, "-o", "all.so", *files, "-lm"]
@@ -164,7 +161,7 @@ def test_several_controllers_fit_into_one_program(tmp_path):
 
 def test_a_name_that_is_none_in_c_is_refused():
     with pytest.raises(ConfigurationError, match="must be a valid name in C"):
-        controller_code(opponent("pid", TASK, "pid"), TASK, "my pid")
+        controller_code(controller_graph(opponent("pid", TASK, "pid"), TASK), "my pid")
 
 
 # Lost samples and values out of range --------------------------------------------------------------------------------

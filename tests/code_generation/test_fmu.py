@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command_line import hydro as run
 
-from hydro_agents.export.fmu import fmu_variables, make_fmu
+from hydro_agents.export.plant import fmu_variables, make_fmu
 from hydro_env import PlantParameters, TaskConfig, equilibrium, resistance_from_flow, simulate
 
 fmpy = pytest.importorskip("fmpy")

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.export import head_folder
-from hydro_agents.export.c_types import DOUBLE, INT, UINT64, array
-from hydro_agents.export.compiler import c_compiler
-from hydro_agents.export.expressions import TranslationError
-from hydro_agents.export.head_folder import ESTIMATES, FILES, LARGEST_DIFFERENCE, check_c, exported_head
+from hydro_agents.export.c_files import c_compiler, compared
+from hydro_agents.export.expressions import DOUBLE, INT, UINT64, TranslationError, array
+from hydro_agents.export.leakage_head import ESTIMATES, FILES, LARGEST_DIFFERENCE, exported_head
 from hydro_agents.export.translator import Translator
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import HydroError
@@ -59,11 +57,10 @@ def test_wrong_answers_are_refused(exported, monkeypatch):
     if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
     texts = {name: content.decode() for name, content in exported[0].items() if not name.endswith(".onnx")}
-    header, source = texts["leakage_head.h"], texts["leakage_head.c"]
-    wrong = source.replace("* scale[i];", "* scale[i] * 1.001;")
-    assert wrong != source
+    wrong = texts["leakage_head.c"].replace("* scale[i];", "* scale[i] * 1.001;")
+    assert wrong != texts["leakage_head.c"]
     with pytest.raises(HydroError, match="differs from the leakage head in Python"):
-        check_c(head_folder.HeadCode(header, wrong), texts)
+        compared("leakage_head", {**texts, "leakage_head.c": wrong})
 
 
 def test_arrays_loops_and_integers_are_translated():

@@ -7,8 +7,9 @@ import subprocess
 import numpy as np
 import pytest
 
+from hydro_agents.export.c_files import write_files
 from hydro_agents.export.expressions import TranslationError
-from hydro_agents.export.plant_code import plant_code
+from hydro_agents.export.plant import plant_code
 from hydro_agents.export.translator import Translator
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, equilibrium
 from hydro_env.compiling import inline
@@ -46,7 +47,7 @@ def plant(tmp_path_factory):
     if COMPILER is None:
         pytest.skip("this machine has no C compiler")
     folder = tmp_path_factory.mktemp("plant")
-    plant_code().write(folder)
+    write_files(plant_code().files, folder)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
     command = [COMPILER, *flags, "-o", str(folder / "plant.so"), str(folder / "plant.c"), "-lm"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

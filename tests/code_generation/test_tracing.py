@@ -6,8 +6,8 @@ import subprocess
 import numpy as np
 import pytest
 
+from hydro_agents.export.c_files import c_compiler
 from hydro_agents.export.c_writer import C_TYPES, CWriter
-from hydro_agents.export.compiler import c_compiler
 from hydro_agents.export.onnx_writer import OnnxWriter
 from hydro_agents.export.tracing import TraceError, trace
 

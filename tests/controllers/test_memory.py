@@ -7,8 +7,8 @@ import pytest
 
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.detection.monitor import MonitoredController
-from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, load_head, opponent
+from hydro_agents.detection.monitor import MonitoredController, load_head
+from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_env import TaskConfig
 

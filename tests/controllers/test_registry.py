@@ -5,7 +5,7 @@ import pytest
 
 from hydro_agents.controllers.pid import PID
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.evaluation.opponents import opponent
+from hydro_agents.learning.opponents import opponent
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()

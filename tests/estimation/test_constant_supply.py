@@ -5,7 +5,7 @@ import numpy as np
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.names import LEAKAGE
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.signals import observation_layout

@@ -12,7 +12,7 @@ from hydro_agents.estimation.names import LEAKAGE, NAMES
 from hydro_agents.estimation.priors import Prior, prior_of
 from hydro_agents.estimation.replay import Commands, replay
 from hydro_agents.estimation.unknowns import default_unknowns, priors_of
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS

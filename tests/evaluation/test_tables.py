@@ -71,7 +71,7 @@ def test_summary_of_every_metric(by):
         assert row["worst"] == values.max()
         assert row["cvar_5_percent"] == values.max()  # one in twenty of eight is one
         assert row["cases"] == 2 * PLANTS
-        assert row["unit"] == METRICS[row["metric"]][0]
+        assert row["unit"] == METRICS[row["metric"]].unit
 
 
 def test_ratios_overall_per_level_and_per_family():

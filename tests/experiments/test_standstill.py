@@ -2,9 +2,9 @@
 
 from proportional import Proportional, Relay
 
-from hydro_agents.evaluation.opponents import shipped
 from hydro_agents.evaluation.standstill import standstill
 from hydro_agents.evaluation.sweeps import HiddenPreview
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
 

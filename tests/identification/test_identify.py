@@ -12,8 +12,8 @@ from command_line import assert_one_clear_line, hydro, own_lines
 from recorded import SEED, recorded_file
 
 from hydro_agents.recordings.recording import read_recording
-from hydro_agents.rigs.identification_fit import fit_windows
-from hydro_agents.rigs.identification_motions import advise
+from hydro_agents.rigs.advice import advise
+from hydro_agents.rigs.fit import fit_windows
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig

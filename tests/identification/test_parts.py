@@ -7,11 +7,9 @@ import pytest
 
 from hydro_agents.estimation.priors import Prior
 from hydro_agents.recordings.sampling import Sampled
+from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import found_values, narrowed
-from hydro_agents.rigs.held_back import _share
-from hydro_agents.rigs.identification_fit import Fit, combinations, unknowns_of
-from hydro_agents.rigs.joint_fit import _joint_precision, reduce
-from hydro_agents.rigs.recording_parts import COMMAND, POSITION, parts_of
+from hydro_agents.rigs.parts import COMMAND, POSITION, _share, parts_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.units import resistance_from_flow
@@ -27,33 +25,6 @@ def samples_of(count, place=None):
     signals[COMMAND] = np.linspace(-0.5, 0.5, count)
     place = np.arange(count) if place is None else place
     return Sampled(place, PERIOD * place, signals, PERIOD, {}, [])
-
-
-def test_eliminating_the_starts_leaves_the_information_of_the_whole_problem():
-    """Second way: one dense least-squares problem of all windows, shared unknowns first, inverted as a whole."""
-    random = np.random.default_rng(1)
-    windows, own, shared, readings = 3, np.array([1, 3]), np.array([0, 2, 4]), 40
-    jacobian = random.standard_normal((windows, 5, readings))
-    residual = random.standard_normal((windows, readings))
-    weight = random.uniform(0.2, 1.0, (windows, readings))
-    reduced = reduce(np.zeros((windows, 5)), residual, jacobian, weight, own, shared)
-    dense = np.zeros((3 + 2 * windows, 3 + 2 * windows))
-    right = np.zeros(len(dense))
-    for window in range(windows):
-        places = np.zeros(5, dtype=int)
-        places[shared], places[own] = np.arange(3), 3 + 2 * window + np.arange(2)
-        weighted = weight[window] * jacobian[window]
-        dense[np.ix_(places, places)] += weighted @ jacobian[window].T
-        right[places] += weighted @ residual[window]
-    dense += np.eye(len(dense))  # every prior has the standard deviation 1
-    covariance = np.linalg.inv(dense)
-    precision = reduced.information.sum(axis=0) + np.eye(3)
-    np.testing.assert_allclose(np.linalg.inv(precision), covariance[:3, :3], rtol=1e-9)
-    step = np.linalg.solve(precision, reduced.score.sum(axis=0))
-    np.testing.assert_allclose(step, (covariance @ right)[:3], rtol=1e-9)
-    first = [0, 3, 1, 4, 2]  # places of the first window's unknowns in the dense problem
-    of_window = np.linalg.inv(_joint_precision(reduced, own, shared)[0])
-    np.testing.assert_allclose(of_window, covariance[np.ix_(first, first)], rtol=1e-9)
 
 
 def test_seven_tenths_are_fitted_and_the_rest_is_held_back():

@@ -83,5 +83,4 @@ def alarms():
 
 
 def tables():
-    timings = pd.DataFrame({"detector": ["head"], "what": ["update"], "seconds": [1e-4]})
-    return make_tables(protocol(), run(), [("file", "made up")], timings)
+    return make_tables(protocol(), run(), [("file", "made up")])

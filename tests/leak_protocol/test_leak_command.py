@@ -29,7 +29,7 @@ def evaluate(*arguments):
     return hydro("evaluate", "--protocol", "own.yaml", "-j", "1", *arguments)
 
 
-def test_tables_page_and_figures_beside_their_floors(place):
+def test_tables_page_and_the_shares_found_on_the_console(place):
     answer = evaluate()
     assert answer.returncode == 0, answer.stderr
     folder = place / "results" / "own"
@@ -40,7 +40,10 @@ def test_tables_page_and_figures_beside_their_floors(place):
     facts = pd.read_csv(folder / "tables" / "protocol.csv").set_index("key")["value"]
     assert facts["file_sha256"] in answer.stdout
     assert facts["sha256"] in (folder / "leakage.html").read_text(encoding="utf-8")
-    assert "worst fault taken for a seal leak" in answer.stdout
+    table = pd.read_csv(folder / "tables" / "detection.csv")
+    shares = table[(table["condition"] == "plain") & (table["level"] >= 0.0)].sort_values("level")["flagged"]
+    printed = next(line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["head"])
+    assert [float(share) for share in printed[1:]] == pytest.approx(100.0 * shares, abs=0.05)
     assert evaluate().returncode == 2  # the folder holds results
     again = evaluate("--resume")
     assert again.returncode == 0, again.stderr

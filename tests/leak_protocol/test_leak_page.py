@@ -7,28 +7,28 @@ import pytest
 from browser import problems_everywhere
 from made_up_run import tables
 
-from hydro_agents.report.leak_findings import findings
-from hydro_agents.report.leak_page import render_page
-from hydro_agents.report.leak_page_tables import confusions, right_verdicts
-from hydro_agents.report.leak_record import Record
+from hydro_agents.report.content import Content
+from hydro_agents.report.leak_findings import findings_of
+from hydro_agents.report.leak_page import render_leakage
+from hydro_agents.report.leakage import confusion_tables, right_verdicts
 
 
 @pytest.fixture(scope="module")
-def record():
-    return Record(tables().by_name(), "plain")
+def content():
+    return Content(tables().by_name(), others={"base": "plain"})
 
 
 @pytest.fixture(scope="module")
-def page(record):
-    return render_page(record).html
+def page(content):
+    return render_leakage(content).html
 
 
 def plain(text):
     return text.replace("\u00a0", " ")
 
 
-def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be_said(record):
-    small, early, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings(record))
+def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be_said(content):
+    small, early, sure, confused, silent = ((plain(item.lead), plain(item.text)) for item in findings_of(content))
     assert small[0] == "A leak of 0.2 l/min is found within 2 s of ordinary motion."
     assert early[0] == "A new leak of 1 l/min raises the alarm after 3 s."
     assert "0.1 l/min after 30 s, 2.0 % missed" in early[1]
@@ -45,46 +45,49 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
 def test_without_confusions_and_silence_the_findings_say_so():
     made = tables().by_name()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
-    leads = [item.lead for item in findings(Record(made, "plain"))]
+    leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
     assert "No other fault looks like a worn seal." in leads
     assert "No detector stays silent." in leads
     assert not any("alarm after" in lead for lead in leads)
 
 
-def test_right_verdicts_are_blue_and_wrong_ones_orange(record):
-    assert right_verdicts(record, "plain", 0.0) == ("none",)
-    assert right_verdicts(record, "null", 0.0) == ("valve fault",)
-    assert right_verdicts(record, "null", 0.3) == ("internal leak",)
-    tables_ = {confusion.caption.split(";")[0]: confusion for confusion in confusions(record)}
-    head = dict(tables_["head: healthy seal"].rows)["valve null −1 %"]
-    leak = head[tables_["head: healthy seal"].verdicts.index("internal leak")]
+def rows_of(table):
+    """Cells by column, by the name of the row."""
+    return {label: dict(zip(table.header[1:], cells, strict=True)) for label, *cells in table.rows}
+
+
+def test_right_verdicts_are_blue_and_wrong_ones_orange(content):
+    assert right_verdicts(content, "plain", 0.0) == ("none",)
+    assert right_verdicts(content, "null", 0.0) == ("valve fault",)
+    assert right_verdicts(content, "null", 0.3) == ("internal leak",)
+    found = {caption.split(";")[0]: table for caption, table in confusion_tables(content).items()}
+    head = rows_of(found["head: healthy seal"])["valve null −1 %"]
+    leak = head["internal leak"]
     assert leak.text == "60"
     assert (leak.meaning, leak.share) == ("worse", 30)  # 60 % of half the colour
-    told = dict(tables_["estimator: healthy seal"].rows)["valve null −1 %"]
-    right = told[tables_["estimator: healthy seal"].verdicts.index("valve fault")]
+    right = rows_of(found["estimator: healthy seal"])["valve null −1 %"]["valve fault"]
     assert (right.text, right.meaning, right.share) == ("20", "better", 10)
 
 
-def test_the_page_stands_alone_and_holds_scale_floors_and_conditions(page):
+def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
     assert page.startswith("<!doctype html>")
     assert not re.search(r'(src|href)="(?!#|figures/)', page)
     assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
-    for text in ("Results beside floors and aims", "Does better control hide the leak?", "valve null −1 %"):
+    for text in ("Does better control hide the leak?", "valve null −1 %"):
         assert text in page
-    assert "estimator did not read ADRC: reads no ADRC." in page
+    assert "estimator did not run under ADRC: reads no ADRC." in page
     assert page.count("<svg") >= 8
 
 
 def test_sections_without_figures_are_left_out():
     made = tables().by_name()
-    made = {name: table for name, table in made.items() if name not in ("alarms", "floors", "masking", "reliability")}
-    page = render_page(Record(made, "plain")).html
-    assert 'id="early"' not in page
-    assert 'id="floors"' not in page
+    made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
+    page = render_leakage(Content(made, others={"base": "plain"})).html
+    assert 'id="alarm_delay"' not in page
     assert 'id="masking"' not in page
 
 
-def test_nothing_is_cut_off_in_a_browser(browser, record, tmp_path):
-    render_page(record).write(tmp_path / "leakage.html")
+def test_nothing_is_cut_off_in_a_browser(browser, content, tmp_path):
+    render_leakage(content).write(tmp_path / "leakage.html")
     assert problems_everywhere(browser, tmp_path / "leakage.html") == []

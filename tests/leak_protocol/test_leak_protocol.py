@@ -6,9 +6,9 @@ from command_line import ROOT
 from small_leaks import SMALL, small
 
 from hydro_agents.detection.operations import ACTING, MOTIONS
-from hydro_agents.evaluation.leak_protocol import DRAWN, FIRST_TEST_SEED, HEALTHY, LeakProtocol, is_leak_protocol
+from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, LeakProtocol, is_leak_protocol
 from hydro_agents.running.cases import run_cases
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import LEAKAGE, TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import ConfigurationError
 
 
@@ -19,7 +19,7 @@ def test_every_level_and_condition_has_the_same_plants():
         np.testing.assert_array_equal(cases[0].seeds, other.seeds)
     assert set(cases[0].seeds) <= set(TEST_SEEDS)
     assert set(protocol.cases_in("plain", HEALTHY, 10, validation=True).seeds) <= set(VALIDATION_SEEDS)
-    assert min(cases[0].seeds) == FIRST_TEST_SEED
+    assert min(cases[0].seeds) == LEAKAGE.first
 
 
 def test_leaks_are_fixed_healthy_or_drawn():

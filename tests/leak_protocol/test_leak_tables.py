@@ -64,27 +64,6 @@ def test_masking_sets_detection_beside_the_position_error(made):
     assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
 
 
-def test_floors_stand_beside_what_was_measured(made):
-    found = {(r["detector"], r["figure"]): r for r in made.floors.to_dict("records")}
-    head = found["head", "0.1 l/min found at 1 % false alarms"]
-    assert (head["measured"], head["floor"], head["aim"], head["reaches"]) == (70.0, 60.0, 85.0, "floor")
-    assert found["head", "0.2 l/min found at 1 % false alarms"]["reaches"] == "floor"
-    assert found["head", "0.3 l/min found at 1 % false alarms"]["reaches"] == "aim"
-    assert found["estimator", "0.05 l/min found at 1 % false alarms"]["reaches"] == "below the floor"
-    size = found["estimator", "size error from 0.3 l/min"]
-    assert size["measured"] == pytest.approx(np.log10(1.1))
-    assert size["reaches"] == "below the floor"
-    unseen = found["head", "false alarms, worst unseen controller"]
-    assert (unseen["measured"], unseen["note"], unseen["reaches"]) == (4.0, "ADRC", "floor")
-    confused = found["head", "worst fault taken for a seal leak"]
-    assert (confused["measured"], confused["note"]) == (60.0, "valve null −1 %")
-    assert found["head", "one update"]["measured"] == pytest.approx(0.1)  # ms
-    assert found["head", "one update"]["reaches"] == "floor"
-    assert found["head", "alarm: 1 l/min, median delay"]["reaches"] == "floor"
-    assert found["head", "false alarms of the alarm stage"]["measured"] == 2.0
-    assert ("head", "0.3 l/min found: continuous running") not in found  # this protocol has no such condition
-
-
 def test_alarms_are_counted_over_axes_and_hours():
     names = [_name(level, then) for level in LEVELS for then in ACTIVITIES]
     healthy = [JobResult({"alarms": np.array([0.0, 3.0]), "hours": np.array([10.0, 10.0])})]

@@ -25,7 +25,7 @@ from hydro_agents.detection.head_training import (
 )
 from hydro_agents.detection.monitor import MonitoredController
 from hydro_agents.detection.roc import area_under_roc
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
@@ -239,7 +239,7 @@ def test_inputs_of_the_network_are_normalised_on_training_data():
     began = time.monotonic()
     head = train_head(CONFIG, [CONTROLLER], SMALL.model_copy(update={"epochs": 1}), seed=4)
     assert 0.0 < head.settings.training["seconds"] <= time.monotonic() - began + 0.1
-    first = TRAINING_SEEDS.start + len(TRAINING_SEEDS) // 2 + 4 * SMALL.episodes
+    first = HEAD_TRAINING.first + 4 * SMALL.episodes
     data = Windows.joined(list(SMALL.plan(CONFIG, [CONTROLLER]).windows(SMALL.episodes, first)))
     inputs = (data.features - head.tensors["mean"]) * head.tensors["scale"]
     np.testing.assert_allclose(inputs.mean(axis=0), 0.0, atol=1e-2)

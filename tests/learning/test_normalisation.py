@@ -8,8 +8,7 @@ import yaml
 
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID, PIDGains
-from hydro_agents.learning.features import PolicyFeatures
-from hydro_agents.learning.normalisation import Normalisation, observed
+from hydro_agents.learning.features import Normalisation, PolicyFeatures, observed
 from hydro_agents.learning.policy import PolicyController
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.folders import config_folder

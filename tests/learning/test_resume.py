@@ -104,11 +104,11 @@ def test_resume_needs_a_checkpoint_of_the_same_settings(tmp_path):
         train(None, resume=True)
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path, progress=interrupt_at(256))
-    with pytest.raises(ConfigurationError, match="another settings \\('discount' differs\\)"):
+    with pytest.raises(ConfigurationError, match="other settings \\('discount' differs\\)"):
         train(tmp_path, resume=True, settings=SETTINGS.model_copy(update={"discount": 0.5}))
     for message, config, base, seed in (
         ("another task \\('episode_duration' differs\\)", TaskConfig(episode_duration=0.2), BASE, 1),
-        ("another features \\('base' differs\\)", CONFIG, PID(PIDGains(proportional=3.0), CONFIG), 1),
+        ("other features \\('base' differs\\)", CONFIG, PID(PIDGains(proportional=3.0), CONFIG), 1),
         ("another seed; cannot resume", CONFIG, BASE, 2),
     ):
         with pytest.raises(ConfigurationError, match=message):

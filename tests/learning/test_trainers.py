@@ -91,7 +91,7 @@ def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
     assert [progress.steps for progress in seen] == [1000, 1200, 1400, 1600]
     assert resumed.training["steps"] == 1600
     other = longer.model_copy(update={"gradient_steps": 2})
-    with pytest.raises(ConfigurationError, match="made with other settings; cannot resume"):
+    with pytest.raises(ConfigurationError, match=r"other settings \('gradient_steps' differs\); cannot resume"):
         sac.train(CONFIG, other, progress=None, **{**options, "resume": True})
 
 

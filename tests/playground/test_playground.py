@@ -8,9 +8,8 @@ import pytest
 from browser import SCHEMES, SIZES, open_page, problems_of
 
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.evaluation.opponents import shipped
-from hydro_agents.export.choices import CHOICES
-from hydro_agents.export.tunable import Tunable
+from hydro_agents.export.playground import CHOICES, Tunable
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.states import STATE_NAMES

@@ -19,11 +19,11 @@ from hydro_agents.report.canvas import controllers_of, looks_of
 from hydro_agents.report.findings import caution, failures, findings, interval_text, verdict
 from hydro_agents.report.leaks import LOOKS
 from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
-from hydro_agents.report.plots import example_plot
-from hydro_agents.report.report import Example, StudyRecord, render_report, write_report, write_tables
-from hydro_agents.report.text import correction_name, duration, number
+from hydro_agents.report.report import StudyRecord, render_report, write_report, write_tables
+from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import correction_name, duration, number
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)

@@ -7,8 +7,8 @@ from command_line import ROOT
 from small_protocol import SMALL, small
 
 from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
-from hydro_agents.evaluation.robustness_protocol import FIRST_SEED, Protocol, file_sha256, protocol_named
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.evaluation.robustness_protocol import Protocol, file_sha256, protocol_named
+from hydro_agents.running.seeds import ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 
 PROTOCOLS = ROOT / "configs" / "protocols"
@@ -67,8 +67,8 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
         assert set(rows["leakage_flow_lpm"]) == {0.03, 4.0}
     everything = protocol_named("robustness")[0]
     own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
-    assert own.min() >= FIRST_SEED
-    assert own.max() < FIRST_SEED + 100_000 < TEST_SEEDS.stop
+    assert own.min() >= ROBUSTNESS.first
+    assert own.max() < ROBUSTNESS.first + ROBUSTNESS.count
     assert not set(own.tolist()) & set(tracking_cases(ProtocolSettings(plants=9_000))[0].seeds.tolist())
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 import yaml
 from command_line import COMMAND, assert_one_clear_line, environment, hydro, own_lines
+from published import assert_published
 from small_protocol import SMALL
 
 AGENTS = """
@@ -42,9 +43,12 @@ def evaluate(*arguments):
 
 
 def test_own_agents_and_training_seeds_stand_in_every_table(place):
+    whole = {**SMALL, "standstill_plants": 1, "bound_conditions": ["plain"], "bound_plants": 1}
+    (place / "own.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
     answer = evaluate("--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
     assert answer.returncode == 0, answer.stderr
     tables = place / "results" / "own" / "tables"
+    assert_published("robustness", tables)
     assert set(pd.read_csv(tables / "ranking.csv")["controller"]) == {"PID", "calm"}
     cases = pd.read_csv(tables / "cases.csv")
     assert set(cases.loc[cases["controller"] == "calm", "training_seed"]) == {0, 1}

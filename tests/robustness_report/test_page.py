@@ -7,34 +7,30 @@ import pytest
 from browser import problems_everywhere
 from made_up_tables import experiment_tables, protocol_tables
 
-from hydro_agents.report.findings import Finding
+from hydro_agents.report.content import Content
+from hydro_agents.report.experiments import cycles_by_condition, standstill_tables, stiffness_table
 from hydro_agents.report.heat import heat_map
 from hydro_agents.report.palette import MEANINGS, NEUTRALS, contrast, mixed
-from hydro_agents.report.report import Example
-from hydro_agents.report.robustness_findings import findings
-from hydro_agents.report.robustness_page import render_page
-from hydro_agents.report.robustness_page_tables import (
-    cycles_by_condition,
-    energy_table,
-    standstill_tables,
-    stiffness_table,
-)
-from hydro_agents.report.robustness_record import Record, Trace
+from hydro_agents.report.robustness_findings import findings_of
+from hydro_agents.report.robustness_page import render_robustness
+from hydro_agents.report.sections import Finding, Fold
+from hydro_agents.report.shared import energy_table
+from hydro_agents.report.traces import Example, Trace
 
 
 @pytest.fixture(scope="module")
-def record():
-    return Record({**protocol_tables(), **experiment_tables()})
+def content():
+    return Content({**protocol_tables(), **experiment_tables()})
 
 
 @pytest.fixture(scope="module")
-def page(record):
-    return render_page(record).html
+def page(content):
+    return render_robustness(content).html
 
 
-def test_the_first_sentences_name_winner_loser_and_price(record):
+def test_the_first_sentences_name_winner_loser_and_price(content):
     first, good, fair, rest, price = (
-        Finding(item.lead.replace("\u00a0", " "), item.text.replace("\u00a0", " ")) for item in findings(record)
+        Finding(item.lead.replace("\u00a0", " "), item.text.replace("\u00a0", " ")) for item in findings_of(content)
     )
     assert first.lead == "Good positions best: 30 % less error than PID."
     assert "Best, of 5 conditions: Good in 3, Fair in 1 and PID in 1." in first.text
@@ -52,24 +48,29 @@ def test_the_first_sentences_name_winner_loser_and_price(record):
 def test_nobody_is_called_best_without_a_clear_difference():
     tables = protocol_tables()
     tables["comparison"]["equal_weight_high"] = 1.2
-    assert findings(Record(tables))[0].lead == "No controller is clearly better than PID."
+    assert findings_of(Content(tables))[0].lead == "No controller is clearly better than PID."
 
 
-def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1(record):
-    rows = {row.label: row for group in heat_map(record) for row in group.rows}
-    good, fair = rows["8 l/min"].cells
+def heat_tables(content):
+    blocks = heat_map(content, "", "equal_weight")
+    return [block.blocks[0] if isinstance(block, Fold) else block for block in blocks]
+
+
+def test_a_cell_has_a_colour_only_where_the_whole_interval_is_on_one_side_of_1(content):
+    rows = {label: cells for table in heat_tables(content) for label, *cells in table.rows}
+    _, good, fair = rows["8 l/min"]
     assert good.meaning == "better"
-    assert good.best
+    assert good.strong
     assert (fair.meaning, fair.share) == ("", 0)
-    assert rows["period 10 ms"].cells[0].text == "–"
-    assert "tuned for 10 ms" in rows["period 10 ms"].cells[0].title
-    assert rows["latency 5 ms"].cells[0].meaning == "worse"
-    assert (rows["0.01 l/min"].cells[0].meaning, rows["0.01 l/min"].cells[0].share) == ("better", 50)  # half the error
-    assert rows["0.01 l/min"].baseline == "0.200"
+    assert rows["period 10 ms"][1].text == "–"
+    assert "tuned for 10 ms" in rows["period 10 ms"][1].title
+    assert rows["latency 5 ms"][1].meaning == "worse"
+    assert (rows["0.01 l/min"][1].meaning, rows["0.01 l/min"][1].share) == ("better", 50)  # half the error
+    assert rows["0.01 l/min"][0] == "0.200"
 
 
-def test_text_is_readable_on_every_colour_in_both_themes(record):
-    cells = [cell for group in heat_map(record) for row in group.rows for cell in row.cells if cell.meaning]
+def test_text_is_readable_on_every_colour_in_both_themes(content):
+    cells = [cell for table in heat_tables(content) for row in table.rows for cell in row[2:] if cell.meaning]
     assert len({cell.share for cell in cells}) > 2
     for cell in cells:
         for theme in ("light", "dark"):
@@ -77,16 +78,10 @@ def test_text_is_readable_on_every_colour_in_both_themes(record):
             assert contrast(mixed(getattr(MEANINGS[cell.meaning], theme), paper, cell.share), ink) >= 4.5
 
 
-def test_groups_are_in_order_and_the_many_parameters_are_folded(record):
-    groups = heat_map(record)
-    assert [group.title.split()[0] if group.title else "" for group in groups] == [
-        "",
-        "Kind",
-        "Leak",
-        "Timing",
-        "Assumed",
-    ]
-    assert [group.folded for group in groups] == [False, False, False, False, True]
+def test_groups_are_in_order_and_the_many_parameters_are_folded(content):
+    table, folded = heat_map(content, "", "equal_weight")
+    assert [title.split()[0] for title in table.breaks.values()] == ["Kind", "Leak", "Timing"]
+    assert folded.summary == "Assumed parameters, one at a time (1 conditions)"
 
 
 def test_every_section_and_number_stands_on_the_page(page):
@@ -106,12 +101,14 @@ def test_every_section_and_number_stands_on_the_page(page):
     assert not re.search(r'(src|href)="http', page)
 
 
-def test_a_policy_that_corrects_is_called_so(record):
-    sees = record.table("sees").assign(note=["", "corrects Fair", *[""] * (len(record.table("sees")) - 2)])
+def test_a_policy_that_corrects_is_called_so(content):
+    sees = content.table("sees").assign(note=["", "corrects Fair", *[""] * (len(content.table("sees")) - 2)])
     example = Example(
         "Worst case 1 of Good: 2 times the error of PID (x)", *[np.arange(2.0)] * 2, *[{"Good": np.ones(2)}] * 2
     )
-    page = render_page(Record({**record.tables, "sees": sees}, [Trace("Good", "PID", 2.0, example)])).html
+    page = render_robustness(
+        Content({**content.tables, "sees": sees}, others={"traces": [Trace("Good", "PID", 2.0, example)]})
+    ).html
     words = re.sub(r"\s+|\u00a0", " ", re.sub(r"<[^>]*>", " ", page))
     assert "Good on fair is a policy that adds a correction to the command of Fair." in words
     assert "Good on fair positions best: 30 % less error than PID." in words
@@ -121,7 +118,7 @@ def test_a_policy_that_corrects_is_called_so(record):
 
 def test_missing_tables_leave_their_sections_out():
     tables = protocol_tables()
-    page = render_page(Record({"summary": tables["summary"], "protocol": tables["protocol"]})).html
+    page = render_robustness(Content({"summary": tables["summary"], "protocol": tables["protocol"]})).html
     for title in (
         "Comparison by condition",
         "Where each controller fails",
@@ -133,35 +130,35 @@ def test_missing_tables_leave_their_sections_out():
     assert "<h2>How it was measured</h2>" in page
 
 
-def test_stiffness_beyond_what_can_be_told_is_a_bound(record):
-    row = stiffness_table(record)[0].rows[0]
+def test_stiffness_beyond_what_can_be_told_is_a_bound(content):
+    row = stiffness_table(content).rows[0]
     assert row[0] == "PID"
     assert row[1].startswith("≥")
     assert row[2] == "4\u2009400"  # 872 N over 0.2 mm
     assert row[3] == "100 (1 of 2)"
 
 
-def test_limit_cycles_are_counted_per_leak(record):
-    cycles, rest = standstill_tables(record)
+def test_limit_cycles_are_counted_per_leak(content):
+    cycles, rest = standstill_tables(content)
     assert cycles.rows[0] == ("PID", "2 of 2 (42 µm, 8.0 Hz)", "0 of 2")
     assert cycles.rows[1] == ("Good", "0 of 2", "0 of 2")
     assert rest.rows[0] == ("PID", "20.0", "1.0", "1.50")
 
 
-def test_conditions_without_a_limit_cycle_are_only_counted(record):
-    table = cycles_by_condition(record)[0]
+def test_conditions_without_a_limit_cycle_are_only_counted(content):
+    table = cycles_by_condition(content)[0]
     assert table.caption.endswith("none under the other 1")
     assert table.rows == [("0.01 l/min", "1 of 2", "0 of 1", "–")]
 
 
-def test_energy_is_told_for_every_leak(record):
-    assert energy_table(record)[0].rows[0] == ("PID", "300", "300")
+def test_energy_is_told_for_every_leak(content):
+    assert energy_table(content)[0].rows[0] == ("PID", "300", "300")
 
 
-def test_the_page_is_the_same_every_time(record, page):
-    assert render_page(record).html == page
+def test_the_page_is_the_same_every_time(content, page):
+    assert render_robustness(content).html == page
 
 
-def test_nothing_is_cut_off_in_a_browser(browser, record, tmp_path):
-    render_page(record).write(tmp_path / "robustness.html")
+def test_nothing_is_cut_off_in_a_browser(browser, content, tmp_path):
+    render_robustness(content).write(tmp_path / "robustness.html")
     assert problems_everywhere(browser, tmp_path / "robustness.html") == []

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from hydro_agents.running.folders import MANIFEST_FILE, output_folder
+from hydro_agents.running.folders import LOCK_FILE, MANIFEST_FILE, output_folder
 from hydro_env import ConfigurationError
 
 FILES = ("a.csv", "tables/*.csv", "b.csv")
@@ -127,7 +127,53 @@ def test_a_second_process_waits_and_a_killed_one_leaves_results_and_no_lock(tmp_
         with pytest.raises(ConfigurationError, match="another hydro command is writing here"):
             write(tmp_path, "b.csv", job="evaluate", writes=["b.csv"])
         process.kill()
+    assert (tmp_path / LOCK_FILE).exists()
     with pytest.raises(ConfigurationError, match="holds results already"):
         write(tmp_path, "a.csv")
     write(tmp_path, "b.csv", resume=True)
     assert listed(tmp_path) == {"a.csv": "study", "b.csv": "study"}
+    assert not (tmp_path / LOCK_FILE).exists()
+
+
+def test_a_folder_is_claimed_once_in_one_process_too(tmp_path):
+    with output_folder(tmp_path, "study", ["a.csv"]) as folder:
+        assert (folder / LOCK_FILE).exists()
+        with pytest.raises(ConfigurationError, match="another hydro command is writing here"):
+            write(tmp_path, "b.csv", job="evaluate", writes=["b.csv"])
+        assert (folder / LOCK_FILE).exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_foreign_file_in_place_of_the_lock_is_left_alone(tmp_path):
+    (tmp_path / LOCK_FILE).write_text("mine")
+    with pytest.raises(ConfigurationError, match=r"\.hydro\.lock: is not the lock of hydro"):
+        write(tmp_path, "a.csv")
+    (tmp_path / LOCK_FILE).unlink()
+    (tmp_path / LOCK_FILE).mkdir()
+    with pytest.raises(ConfigurationError, match="is not the lock of hydro"):
+        write(tmp_path, "a.csv")
+
+
+def test_of_many_processes_at_a_time_one_writes(tmp_path):
+    """Each removes the lock file when it ends; no two hold the folder at once for that."""
+    code = """
+import sys
+from pathlib import Path
+from hydro_agents.running.folders import output_folder
+from hydro_env import ConfigurationError
+done, folder = 0, Path(sys.argv[1])
+while done < 20:
+    try:
+        with output_folder(folder, "study", ["inside"], resume=True):
+            (folder / "inside").touch(exist_ok=False)
+            (folder / "inside").unlink()
+            done += 1
+    except ConfigurationError as error:
+        assert "another hydro command" in str(error), error
+"""
+    line = [sys.executable, "-c", code, str(tmp_path)]
+    processes = [subprocess.Popen(line, stderr=subprocess.PIPE, text=True) for _ in range(3)]
+    for process in processes:
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
+    assert list(tmp_path.iterdir()) == []

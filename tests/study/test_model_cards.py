@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_env import TaskConfig
@@ -44,6 +44,7 @@ CASES = pd.DataFrame(
             "plant": plant,
             "mean_error_mm": error,
             "valve_travel_per_s": 0.5 if name == "PPO" else 1.0,
+            "supply_energy_j": 300.0,
             "reversals_per_s": 2.0,
             "failed": float((name, plant, family) == ("PPO", 2, "step")),
         }
@@ -76,7 +77,8 @@ def test_the_card_of_a_policy_holds_errors_and_their_price(policy):
         "mean error / Flow linearisation's, all": 0.8,
         "mean error / Flow linearisation's, every kind of reference weighs the same": 0.8,
         "valve travel / PID's, all": 0.5,
-        "reversals of the valve / PID's, all": 1.0,
+        "reversals / PID's, all": 1.0,
+        "energy from the supply / PID's, all": 1.0,
         "share of runs that failed": 0.1667,
     }
     assert front["metrics"] == [one["type"] for one in result["metrics"]]

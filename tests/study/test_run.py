@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from published import assert_published
 
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.options import named_agents
@@ -118,6 +119,7 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     assert list(result.cases["controller"].unique()) == ["PID", "mine"]
     for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json", "tables/cases.csv"):
         assert name in files(folder)
+    assert_published("study", folder / "tables")
     state = json.loads((folder / "state.json").read_text())
     assert state["done"] == ["train mine", "train leakage head", "evaluate"]
     assert StudySettings.from_yaml(folder / "study.yaml").seed == 5

@@ -17,14 +17,14 @@ from hydro_agents.benchmark.table import Case, Row
 from hydro_agents.benchmark.timing import Extent, time_in
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.opponents import shipped
 from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model, train_ppo
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import THRESHOLDS
 from hydro_agents.study.settings import default_study as read_default_study
 from hydro_env import TaskConfig
 
@@ -146,7 +146,8 @@ def validation_error(settings: DefaultStudy, controller: Controller, plants: int
     """Mean absolute error in mm over all leak levels and kinds of reference, on validation plants."""
     levels, families = settings.evaluation.leak_levels, settings.evaluation.families
     grid = [(level, family, plant) for level in levels for family in families for plant in range(plants)]
-    seeds = np.array([VALIDATION_SEEDS.start + 1000 * families.index(family) + plant for _, family, plant in grid])
+    own = {family: THRESHOLDS.take(plants, 1000 * number) for number, family in enumerate(families)}
+    seeds = np.array([own[family][plant] for _, family, plant in grid])
     cases = Cases(seeds, np.array([level for level, _, _ in grid]), np.array([family for _, family, _ in grid]))
     rollout = run_cases(settings.task, controller, cases)
     assert cases.families is not None

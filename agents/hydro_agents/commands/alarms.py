@@ -58,7 +58,7 @@ def alarms(
     from hydro_agents.detection.detectors import HEAD_FILE, DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
     from hydro_agents.evaluation.bound_comparison import markdown
-    from hydro_agents.evaluation.opponents import shipped
+    from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env import ConfigurationError
@@ -69,7 +69,7 @@ def alarms(
     weights = str(head) if head is not None else None
     choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
     if detector != "head" and head is not None:
-        raise ConfigurationError(f"--head {head}: '{detector}' has no weights; leave out --head or --detector")
+        raise ConfigurationError(f"--head {head}: only the head has weights; leave out --head or --detector {detector}")
     given = {"rate": rate, "hours": hours, "axes": axes, "interval": interval, "learning": learning}
     chosen = {name: value for name, value in given.items() if value is not None}
     usual = SIZES["estimator" if detector == "estimator" else "head"]

@@ -7,18 +7,13 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Rig, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Rig, command_line, say
 
 
 def diagnose(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Measured signals, one row per sample.")],
-    columns: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
-    ] = None,
-    task: Annotated[
-        str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-    ] = None,
+    columns: Columns = None,
+    task: OwnTask = None,
     rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     alarm: Annotated[
@@ -36,17 +31,18 @@ def diagnose(
     Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
     """
     from hydro_agents.detection.alarm import AlarmSettings
-    from hydro_agents.detection.detectors import DetectorChoice, make_detector
+    from hydro_agents.detection.head import LeakageHead
     from hydro_agents.recordings.columns import read_map
     from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
     from hydro_agents.rigs.diagnose import diagnose_to_folder
     from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import pretrained_folder
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
-    reader = make_detector(DetectorChoice(kind="head", weights=str(head) if head is not None else None))
+    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
     with ProgressDisplay() as display:
-        found = diagnose_recording(recording, config, reader, mapped, window, settings, display.update)
+        found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
     say(*diagnose_to_folder(output, found, overwrite, command_line()))

@@ -71,8 +71,8 @@ def evaluate(
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
-    from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS
     from hydro_agents.evaluation.protocol import ProtocolSettings
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
@@ -148,7 +148,7 @@ def _trained_beside(config: Path | None, study: StudySettings) -> dict[str, str]
 
 def _watching(head: Path | None, task: TaskConfig) -> LeakageHead | None:
     """The leakage head; none, with one line on standard error, if the shipped one cannot watch this task."""
-    from hydro_agents.evaluation.opponents import load_head
+    from hydro_agents.detection.monitor import load_head
     from hydro_env import ConfigurationError
 
     try:

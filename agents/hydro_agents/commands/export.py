@@ -70,19 +70,19 @@ def export(
 
 
 def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
-    from hydro_agents.export.fmu import make_fmu
-    from hydro_agents.export.plant_code import plant_code
+    from hydro_agents.export.c_files import write_files
+    from hydro_agents.export.plant import make_fmu, plant_code
     from hydro_agents.running.folders import output_folder
 
     with output_folder(output, JOB, [FMU_FILE, *SOURCES], overwrite=overwrite):
-        plant_code(config.plant).write(output)
+        write_files(plant_code(config.plant).files, output)
         (output / FMU_FILE).write_bytes(make_fmu(config))
     say(*(f"written: {output / name}" for name in (FMU_FILE, *SOURCES)))
 
 
 def _export_head(output: Path, overwrite: bool) -> None:
     from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.export.head_folder import FILES, exported_head
+    from hydro_agents.export.leakage_head import FILES, exported_head
     from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.running.folders import output_folder, pretrained_folder
     from hydro_env.files import write_whole
@@ -108,10 +108,10 @@ def _export_playground(output: Path, overwrite: bool) -> None:
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.evaluation.opponents import trained_for
     from hydro_agents.export.controller_folder import FILES, exported_files
     from hydro_agents.export.exported import ExportedController
     from hydro_agents.export.onnx_writer import onnx_package
+    from hydro_agents.learning.opponents import trained_for
     from hydro_agents.running.folders import output_folder
     from hydro_env import ConfigurationError, PlantParameters
     from hydro_env.files import write_whole
@@ -139,7 +139,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
 def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
     from hydro_agents.learning.policy import PolicyController
     from hydro_agents.running.weights import weight_files
     from hydro_env import ConfigurationError

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, command_line, say
 
 
 def identify(
@@ -20,13 +20,8 @@ def identify(
             "--rig", metavar="NAME|FILE", help="The rig file; its `randomisation` holds a range for each unknown."
         ),
     ],
-    columns: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
-    ] = None,
-    task: Annotated[
-        str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-    ] = None,
+    columns: Columns = None,
+    task: OwnTask = None,
     output: Output = Path("results/identify"),
     overwrite: Overwrite = False,
 ) -> None:

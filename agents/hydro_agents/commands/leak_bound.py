@@ -55,7 +55,7 @@ def leak_bound(
     """
     from hydro_agents.evaluation.leak_bound_survey import SurveySettings, checked, survey
     from hydro_agents.evaluation.leak_bound_tables import as_markdown, picture
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole

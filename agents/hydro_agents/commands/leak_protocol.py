@@ -13,18 +13,19 @@ from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detectors import make_detector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
-from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
 from hydro_agents.evaluation.leak_running import run_leak_protocol
 from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
-from hydro_agents.evaluation.leak_timings import timings_table
 from hydro_agents.evaluation.robustness_protocol import file_sha256
-from hydro_agents.report.leak_page import PAGE_FILE, write_leak_report
+from hydro_agents.report.content import Content
+from hydro_agents.report.leak_page import write_leak_report
+from hydro_agents.report.leakage import PAGE_FILE, level_text
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.text import number, setting
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
+from hydro_agents.running.text import number
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
@@ -77,11 +78,11 @@ def evaluate_leak_protocol(
                 alarms += alarm_plan(name, watching, chosen, protocol.task, protocol.alarm_hours, digests[name])
         run = run_leak_protocol(protocol, detectors, digests, alarms, output, jobs or default_jobs(), display.update)
         display.update("page", 0, 1)
-        tables = make_tables(protocol, run, list(facts.items()), timings=timings_table(protocol, detectors))
+        tables = make_tables(protocol, run, list(facts.items()))
         tables.write(output / "tables")
         write_leak_report(output, tables.by_name(), protocol)
         display.update("page", 1, 1)
-    print_floors(tables, display)
+    _print_shares(tables, protocol, display)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / PAGE_FILE).resolve()}")
@@ -92,21 +93,16 @@ def evaluate_leak_protocol(
         raise ConfigurationError(f"{first}{more}; {output} holds the other results")
 
 
-def print_floors(tables: LeakTables, display: ProgressDisplay) -> None:
-    """Print the project's required figures beside the measured ones."""
-    for detector, rows in tables.floors.groupby("detector", sort=False):
-        table = Table(title=str(detector), title_justify="left", box=SIMPLE, pad_edge=False)
-        table.add_column("figure")
-        for heading in ("measured", "[95 %]", "floor", "aim", "reaches"):
-            table.add_column(heading, justify="right", no_wrap=True)
-        for row in rows.to_dict("records"):
-            low, high = number(row["low"], digits=2), number(row["high"], digits=2)
-            table.add_row(
-                f"{row['figure']}, {row['unit']}",
-                number(row["measured"], digits=3),
-                "" if low == "–" else f"{low}–{high}",
-                setting(row["floor"]),
-                "–" if row["aim"] != row["aim"] else setting(float(f"{row['aim']:.3g}")),
-                str(row["reaches"]).replace("below the floor", "below"),
-            )
-        display.console.lines(table)
+def _print_shares(tables: LeakTables, protocol: LeakProtocol, display: ProgressDisplay) -> None:
+    """Print the share of windows that each detector reports under the base condition, by size of the leak."""
+    content = Content(tables.by_name(), others={"base": protocol.base})
+    title = f"Windows reported as a leak, %: {content.label(protocol.base)}"
+    table = Table(title=title, title_justify="left", box=SIMPLE, pad_edge=False, collapse_padding=True)
+    table.add_column("detector")
+    levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
+    for level in levels:
+        table.add_column(level_text(level), justify="right", no_wrap=True)
+    for detector in content.detectors:
+        shares = (content.share(detector, protocol.base, level).value for level in levels)
+        table.add_row(detector, *(number(share, 1) for share in shares))
+    display.console.lines(table)

@@ -41,7 +41,7 @@ def design_test_move(
     """
     from hydro_agents.estimation.move_design import MoveSettings, design, limits_of
     from hydro_agents.evaluation.move_trial import gain, move_table, picture, trial, trial_markdown
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole

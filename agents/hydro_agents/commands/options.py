@@ -54,6 +54,13 @@ Task = Annotated[
         "--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file, instead of the study's task."
     ),
 ]
+Columns = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
+]
+OwnTask = Annotated[
+    str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
+]
 Config = Annotated[
     Path | None,
     typer.Option("--config", "-c", metavar="NAME|FILE", help="A study: a name in `configs/studies` or a YAML file."),
@@ -61,7 +68,7 @@ Config = Annotated[
 
 
 def exact_task(task: str | None, rig: Path | None) -> str | None:
-    """The task of a command that shows one axis: who names a rig alone wants it as its file says, nothing drawn."""
+    """The task of a command that shows one axis: with a rig alone it is as its file says, and nothing is drawn."""
     return "as_given" if task is None and rig is not None else task
 
 
@@ -106,7 +113,7 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
 
 def tell_rigs(study: StudySettings, controllers: Mapping[str, Controller]) -> None:
     """Name on standard error, in one line, the controllers that were made for another rig than the study's."""
-    from hydro_agents.evaluation.opponents import trained_for
+    from hydro_agents.learning.opponents import trained_for
 
     untuned = [name for name in study.tuned if name in controllers]
     foreign = [

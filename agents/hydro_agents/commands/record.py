@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import Rig, command_line, exact_task, say
+from hydro_agents.commands.options import OwnTask, Rig, command_line, exact_task, say
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -21,9 +21,7 @@ def record(
         typer.Option(metavar="NAME-v0", help="Minari data set to write instead of a CSV file, for offline learning."),
     ] = None,
     episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
-    task: Annotated[
-        str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
-    ] = None,
+    task: OwnTask = None,
     rig: Rig = None,
     controller: Annotated[
         str,
@@ -62,7 +60,7 @@ def record(
     With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
     task draws the parameters that are not known exactly.
     """
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import named_faults, record_axis
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
@@ -95,7 +93,7 @@ def record(
 def _record_dataset(
     name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
 ) -> None:
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.minari_dataset import check_dataset, record_dataset
     from hydro_agents.running.console import ProgressDisplay
 

@@ -52,7 +52,7 @@ def render(
     healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
     `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
-    from hydro_agents.evaluation.opponents import opponent
+    from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import named_faults
     from hydro_agents.report.film import FORMATS, check_mp4, frame_rate, write_film
     from hydro_agents.report.film_frames import film, film_size, panels

@@ -24,7 +24,8 @@ from hydro_agents.evaluation.robustness_protocol import Protocol, file_sha256, p
 from hydro_agents.evaluation.robustness_running import NOT_APPLICABLE, replay, run_protocol
 from hydro_agents.evaluation.robustness_tables import Tables, make_tables
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.robustness_page import PAGE_FILE, write_robustness_report
+from hydro_agents.report.robustness import PAGE_FILE
+from hydro_agents.report.robustness_page import write_robustness_report
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs

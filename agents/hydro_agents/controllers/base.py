@@ -109,6 +109,18 @@ class ObservationLayout:
         return values
 
 
+def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
+    """Check that weights fit a task: the observations must be the same as in training.
+
+    Raises:
+        ConfigurationError: names, scales or control period differ.
+    """
+    if layout != ObservationLayout.of(config):
+        raise ConfigurationError(
+            "was trained on other observations (names, scales or control period) than those of this task"
+        )
+
+
 def as_batch(observation: Floats) -> tuple[Floats, bool]:
     """The observation as a batch (N, n), and whether it was a single one."""
     array = observation if hasattr(observation, "ndim") else np.asarray(observation)

@@ -23,7 +23,15 @@ from hydro_agents.detection.alarm_proof import (
 from hydro_agents.detection.alarm_simulation import Onset, Operation
 from hydro_agents.detection.alarm_store import Bench
 from hydro_agents.detection.looks import Activity
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import (
+    ALARM_CALIBRATION,
+    ALARM_CALIBRATION_ONSETS,
+    ALARM_GROWTH,
+    ALARM_ONSETS,
+    ALARM_STARTS,
+    ALARMS,
+    SeedRange,
+)
 from hydro_env.files import Group
 
 Progress = Callable[[str, int, int], None]
@@ -42,9 +50,6 @@ FAULTS = (
 
 LIMIT_LPM = 1.0
 """The size to which growing leaks are extrapolated."""
-
-_FIRST_VALIDATION = VALIDATION_SEEDS.start + 500_000
-_FIRST_TEST = TEST_SEEDS.start + 700_000
 
 
 class AlarmJob(Group):
@@ -81,20 +86,20 @@ class Result(NamedTuple):
 
 @dataclass(frozen=True)
 class _Simulated:
-    """Looks at axes of one set of seeds."""
+    """Looks at axes at work."""
 
     bench: Bench
     job: AlarmJob
     name: str
-    first_seed: int
     progress: Progress | None
 
-    def healthy(self) -> Operation:
-        return Operation(self.first_seed, self.job.axes_of_healthy, self.job.shift, self.job.interval)
+    def healthy(self, seeds: SeedRange) -> Operation:
+        axes = self.job.axes_of_healthy
+        return Operation(seeds.take(axes).start, axes, self.job.shift, self.job.interval)
 
-    def found(self, part: str, offset: int, onsets: tuple[Onset, ...], after: float) -> list[OnsetLooks]:
-        past = self.job.past
-        work = Operation(self.first_seed + offset, self.job.axes, past, self.job.interval, after=after)
+    def found(self, part: str, seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> list[OnsetLooks]:
+        past, first_seed = self.job.past, seeds.take(self.job.axes).start
+        work = Operation(first_seed, self.job.axes, past, self.job.interval, after=after)
         before, *each = self.bench.looks(f"{self.name}_{part}", work, onsets, self.progress)
         return [OnsetLooks(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
 
@@ -122,25 +127,26 @@ def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Re
         KeyboardInterrupt: Ctrl-C; the parts that are finished remain in the folder.
     """
     leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
-    validation = _Simulated(bench, job, "validation", _FIRST_VALIDATION, progress)
-    healthy = bench.looks("validation_healthy", validation.healthy(), progress=progress)[0]
-    found = validation.found("onsets", 100_000, leaks, job.after)
+    validation = _Simulated(bench, job, "validation", progress)
+    healthy = bench.looks("validation_healthy", validation.healthy(ALARM_CALIBRATION), progress=progress)[0]
+    found = validation.found("onsets", ALARM_CALIBRATION_ONSETS, leaks, job.after)
     design = [each for each in found if each.onset.leak_lpm == LEVELS[0]]
     moving = [each for each in found if each.onset.then == Activity.MOVING]
     tried = calibrate(healthy, design, moving, job.rate, job.learning, bench.detector_name)
     settings = tried[0].settings
 
-    test = _Simulated(bench, job, "test", _FIRST_TEST, progress)
+    test = _Simulated(bench, job, "test", progress)
     others = tuple(Onset(fault=fault) for fault in FAULTS)
-    after = test.found("onsets", 100_000, (*leaks, *others), job.after)
+    after = test.found("onsets", ALARM_ONSETS, (*leaks, *others), job.after)
     starts = []
     for number, level in enumerate(LEVELS):
-        work = Operation(_FIRST_TEST + 200_000 + 10_000 * number, job.axes, job.past, job.interval, leak_lpm=level)
+        seeds = ALARM_STARTS.take(job.axes, 10_000 * number)
+        work = Operation(seeds.start, job.axes, job.past, job.interval, leak_lpm=level)
         starts.append((f"{level:g} l/min from the start", bench.looks(f"test_start_{level:g}", work, (), progress)[0]))
-    growing = test.found("growth", 250_000, (Onset(3.0, grows=True),), after=job.past)
+    growing = test.found("growth", ALARM_GROWTH, (Onset(3.0, grows=True),), after=job.past)
     tables = {
         "candidates": _candidates(tried),
-        "false_alarms": false_alarms(settings, bench.looks("test_healthy", test.healthy(), progress=progress)[0]),
+        "false_alarms": false_alarms(settings, bench.looks("test_healthy", test.healthy(ALARMS), progress=progress)[0]),
         "delays": delay_table(settings, after[: len(leaks)]),
         "from_the_start": share_table(settings, starts),
         "other_faults": fault_table(settings, after[len(leaks) :]),

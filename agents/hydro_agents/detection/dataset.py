@@ -16,8 +16,8 @@ from hydro_agents.detection.sheet import Sheet, sheet_of
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, faults_of
+from hydro_env.task.sensors import SENSORS
 
 UNSEEN = ("position_offset",)
 """Faults that are invisible in the measured signals; they get no label."""
@@ -140,7 +140,7 @@ class Plan(NamedTuple):
         noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
         noise = float(noise) if generator.random() < NOISY else 1.0
         sensors = config.sensors.model_dump()
-        for name in CHANNELS:
+        for name in SENSORS:
             sensors[name]["noise"] *= noise
         task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
         flow = self._leaks(generator, count)
@@ -191,7 +191,7 @@ def draw_faults(
         for kind in generator.choice(KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
             low, high = getattr(config.faults, kind).range
             size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
-            name = generator.choice([name for name, of in KIND_OF_FAULT.items() if of == kind])
+            name = generator.choice(faults_of(kind, SENSORS))
             sizes[name][axis] = size
             first[axis] = FAULTS.index(name) if first[axis] < 0 else first[axis]
             if name in LABEL_OF_FAULT:

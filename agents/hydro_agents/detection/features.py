@@ -22,11 +22,12 @@ from hydro_agents.detection.window_statistics import (
 )
 from hydro_env.compiling import SOURCES, compiled, tuple_reader, tuple_writer
 from hydro_env.plant.equations import Coefficients
+from hydro_env.task.sensors import SENSORS
 
-SIGNALS = ("position", "pressure_a", "pressure_b", "spool_position", "previous_command")
+SIGNALS = (*SENSORS, "previous_command")
 """Measured signals that the head reads, in this order."""
 
-SENSORS = SIGNALS[:4]
+SPOOL, COMMAND = SIGNALS.index("spool_position"), SIGNALS.index("previous_command")
 
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
@@ -134,15 +135,15 @@ def _build_repair(sources: int) -> Any:
         assert sources >= 0  # keys numba's cache
         flags = np.empty(signals.shape[2])
         for window in range(signals.shape[0]):
-            for sensor in range(4):
-                far = FAR_FROM_END_SPOOL if sensor == 3 else FAR_FROM_END
+            for sensor in range(lost.shape[1]):
+                far = FAR_FROM_END_SPOOL if sensor == SPOOL else FAR_FROM_END
                 values = signals[window, sensor]
                 mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
                 lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
-            values = signals[window, 4]
+            values = signals[window, COMMAND]
             for k in range(values.shape[0]):
                 flags[k] = 0.0 if values[k] == values[k] else 1.0
-            fill_gaps(values, flags, filled[window, 4])
+            fill_gaps(values, flags, filled[window, COMMAND])
 
     return compiled(repair)
 
@@ -205,10 +206,10 @@ def _build_describe(sources: int) -> Any:
                 misfit_of_force=logarithm(force.misfit, 1e-4),
             )
             _write_motion(values, motion)
-            for sensor in range(4):
+            for sensor in range(lost.shape[1]):
                 values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)
             mean_square = leak_changes(part_leak[window], part_deviation[window], change)
-            first = AFTER_MOTION + 4
+            first = AFTER_MOTION + lost.shape[1]
             for part in range(PARTS):
                 values[first + part] = math.asinh(change[part])
             for part in range(LAST_PARTS):

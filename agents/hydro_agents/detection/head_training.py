@@ -28,12 +28,12 @@ from hydro_agents.detection.head import (
 )
 from hydro_agents.detection.head_calibration import COVERAGE, calibrated, size_target
 from hydro_agents.running.optimiser import optimiser_tensors, restore_optimiser
-from hydro_agents.running.seeds import TRAINING_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
@@ -52,7 +52,7 @@ class HeadTrainingSettings(Group):
     model_config = ConfigDict(allow_inf_nan=False)
 
     episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
-    validation_episodes: int = Field(2_000, ge=20, le=500_000, description="for thresholds and intervals")
+    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
     windows: int = Field(3, ge=1, le=100, description="windows from each run")
     longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
     healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
@@ -76,7 +76,7 @@ class HeadTrainingSettings(Group):
             ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
                 lacks a sensor.
         """
-        absent = [name for name in CHANNELS if not getattr(config.sensors, name).fitted]
+        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
         if absent:
             raise ConfigurationError(
                 f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
@@ -184,10 +184,8 @@ def train_head(
     if resume:
         job.restore()
     try:
-        # The second half of the training seeds: PPO uses the first.
-        offset = len(TRAINING_SEEDS) // 2 + (seed * settings.episodes) % (len(TRAINING_SEEDS) // 4)
-        job.simulate("data", settings.episodes, TRAINING_SEEDS.start + offset)
-        job.simulate("validation", settings.validation_episodes, VALIDATION_SEEDS.start)
+        job.simulate("data", settings.episodes, HEAD_TRAINING.training(seed, settings.episodes).start)
+        job.simulate("validation", settings.validation_episodes, THRESHOLDS.first)
         job.save()
         job.fit()
     except KeyboardInterrupt:

@@ -1,15 +1,20 @@
-"""A controller with the leakage head attached."""
+"""The leakage head on an axis: weights that fit its task, and a controller with the head attached."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, Floats, as_batch
+from hydro_agents.controllers.base import Controller, Floats, as_batch, check_layout
 from hydro_agents.detection.head import HeadState, LeakageEstimate, LeakageHead
+from hydro_agents.running.folders import pretrained_folder
+from hydro_env import ConfigurationError, TaskConfig
+
+HEAD_FILE = "leakage_head"
 
 
 @dataclass
@@ -47,3 +52,27 @@ class MonitoredController:
     def estimate(self, state: MonitorState) -> LeakageEstimate:
         """Estimate on each axis (N,); NaN until a whole window is known."""
         return self.head.estimate_remembered(state.head)
+
+
+def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
+    """Check that a leakage head can watch the episodes of a task.
+
+    Raises:
+        ConfigurationError: its observations differ, or its window is longer than an episode.
+    """
+    try:
+        check_layout(head.settings.layout, config)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{name}: {error}") from None
+    if head.settings.window > config.steps:
+        raise ConfigurationError(
+            f"{name}: reads at least {head.settings.window} observations, an episode has {config.steps}"
+        )
+
+
+def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
+    """Weights of a leakage head, the shipped ones by default, checked against the task."""
+    path = path or pretrained_folder() / HEAD_FILE
+    head = LeakageHead.load(path)
+    check_head(head, config, str(path))
+    return head

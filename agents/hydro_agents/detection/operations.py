@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
 from hydro_agents.detection.manners import MANNERS, Operation, loaded, slow, still
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
 
 Make = Callable[[TaskConfig, int, int], Controller]

@@ -14,7 +14,7 @@ from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.parameters import Physical, to_vector
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE
 
@@ -139,8 +139,8 @@ def sheet_of(config: TaskConfig) -> Sheet:
         mean=np.array(mean),
         spread=np.array(spread),
         transition=np.array(transition),
-        sensor_low=np.array([getattr(sensors, name).low for name in CHANNELS]),
-        sensor_high=np.array([getattr(sensors, name).high for name in CHANNELS]),
+        sensor_low=np.array([getattr(sensors, name).low for name in SENSORS]),
+        sensor_high=np.array([getattr(sensors, name).high for name in SENSORS]),
         lowest_a=sensors.pressure_a.low + sensors.pressure_a.bias + 4.0 * sensors.pressure_a.noise,
         lowest_b=sensors.pressure_b.low + sensors.pressure_b.bias + 4.0 * sensors.pressure_b.noise,
         spool_noise=sensors.spool_position.noise + 1e-9,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 SHORTEST, FEWEST = 0.1, 20
 """s, and samples: shortest repetition of one reading that marks a sensor as stuck. With noise of one acquisition step,
@@ -45,7 +45,7 @@ def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
     """
     shortest = max(FEWEST, round(SHORTEST / config.control_period))
     rows = []
-    for name in CHANNELS:
+    for name in SENSORS:
         sensor = getattr(config.sensors, name)
         judged = config.sensors.enabled and sensor.noise >= sensor.resolution and sensor.noise > 0.0
         step = max(0.5 * sensor.resolution, 1e-6 * (sensor.high - sensor.low))
@@ -60,6 +60,6 @@ def stuck_sensors(signals: NDArray[np.float64], config: TaskConfig) -> NDArray[n
         signals: (N, 5, T) in SI units: position, pressures, spool position and command; NaN where a sample is lost.
         config: the task, which describes the sensors.
     """
-    stuck = np.empty((len(signals), len(CHANNELS)))
+    stuck = np.empty((len(signals), len(SENSORS)))
     find_stuck(np.ascontiguousarray(signals, dtype=np.float64), bounds_of(config), stuck)
     return stuck > 0.0

@@ -21,7 +21,7 @@ from hydro_agents.estimation.solver import Belief, fit, masked, prior_belief
 from hydro_agents.estimation.unknowns import priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import Number
 
 Array = NDArray[np.float64]
@@ -191,11 +191,11 @@ def checked_signals(signals: Any) -> Array:
         raise ConfigurationError("signals: must be an array of numbers (windows, 5, samples)") from None
     shape = windows.shape
     windows = windows[None] if windows.ndim == 2 else windows
-    if windows.ndim != 3 or windows.shape[1] != len(CHANNELS) + 1 or windows.shape[2] < 2 or not len(windows):
-        raise ConfigurationError(f"signals: shape {shape}: must be (windows, {len(CHANNELS) + 1}, samples)")
+    if windows.ndim != 3 or windows.shape[1] != len(SENSORS) + 1 or windows.shape[2] < 2 or not len(windows):
+        raise ConfigurationError(f"signals: shape {shape}: must be (windows, {len(SENSORS) + 1}, samples)")
     if np.isinf(windows).any():
         window, channel, sample = np.argwhere(np.isinf(windows))[0]
-        name = [*CHANNELS, "command"][channel]
+        name = [*SENSORS, "command"][channel]
         raise ConfigurationError(
             f"signals: {name} of window {window}, sample {sample} is infinite: must be finite, or "
             "NaN if there is no reading"
@@ -209,13 +209,13 @@ def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
     Useless are readings within three standard deviations of the noise from an end of the sensor's range, where they
     saturate, and the first reading of each pressure, whose lag depends on the time before the window.
     """
-    readings = signals[:, : len(CHANNELS)].copy()
+    readings = signals[:, : len(SENSORS)].copy()
     if config.sensors.enabled:
-        sensors = [getattr(config.sensors, channel) for channel in CHANNELS]
+        sensors = [getattr(config.sensors, channel) for channel in SENSORS]
         low = np.array([sensor.low + 3.0 * sensor.noise for sensor in sensors])[:, None]
         high = np.array([sensor.high - 3.0 * sensor.noise for sensor in sensors])[:, None]
         readings[~((readings > low) & (readings < high))] = np.nan
-    readings[:, [CHANNELS.index("pressure_a"), CHANNELS.index("pressure_b")], 0] = np.nan
+    readings[:, [SENSORS.index("pressure_a"), SENSORS.index("pressure_b")], 0] = np.nan
     return readings / model.noise[:, None]
 
 

@@ -11,7 +11,7 @@ from hydro_agents.estimation.names import STARTS
 from hydro_agents.estimation.priors import Prior
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -30,9 +30,9 @@ def first_values(signals: Array, durations: Array, config: TaskConfig, priors: M
     """
     first = np.tile([prior.mean for prior in priors.values()], (len(signals), 1))
     places = {name: place for place, name in enumerate(priors)}
-    value, slope = _starts(signals[:, : len(CHANNELS)], durations)
-    seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(CHANNELS)}
-    seen["start.velocity"] = slope[:, CHANNELS.index("position")]
+    value, slope = _starts(signals[:, : len(SENSORS)], durations)
+    seen = {f"start.{channel}": value[:, row] for row, channel in enumerate(SENSORS)}
+    seen["start.velocity"] = slope[:, SENSORS.index("position")]
     command = signals[:, -1, 0]  # without a spool sensor, the spool equals its command
     seen["start.spool_position"] = np.where(
         np.isnan(seen["start.spool_position"]), command, seen["start.spool_position"]
@@ -75,8 +75,8 @@ def _starts(signals: Array, durations: Array) -> tuple[Array, Array]:
 
 def supply_pressure(signals: Array, config: TaskConfig) -> Array:
     """Supply pressure (B,), Pa: with equal edges and without flow through the valve, it equals p_a + p_b − p_T."""
-    sums = signals[:, CHANNELS.index("pressure_a")] + signals[:, CHANNELS.index("pressure_b")]
-    opening = np.abs(signals[:, CHANNELS.index("spool_position")])
+    sums = signals[:, SENSORS.index("pressure_a")] + signals[:, SENSORS.index("pressure_b")]
+    opening = np.abs(signals[:, SENSORS.index("spool_position")])
     opening = np.where(np.isfinite(opening), opening, np.abs(signals[:, -1]))
     result = np.full(len(signals), np.nan)
     for window, (total, width) in enumerate(zip(sums, opening, strict=True)):

@@ -26,7 +26,7 @@ from hydro_agents.estimation.priors import Prior
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import one_of
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def jacobian_at(model: Model, scaled: Array) -> Array:
 def covariance(
     known: Information,
     unknowns: Sequence[str] | None = None,
-    sensors: Sequence[str] = CHANNELS,
+    sensors: Sequence[str] = SENSORS,
     widths: Mapping[str, float] | None = None,
 ) -> Array:
     """Smallest covariance of some unknowns, (B, lengths, p, p), each in its unit; the others are known exactly.
@@ -135,12 +135,12 @@ def covariance(
         ConfigurationError: an unknown or a sensor is not in ``known``.
     """
     names = known.names if unknowns is None else tuple(unknowns)
-    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, CHANNELS)):
+    for what, choice, allowed in (("unknowns", names, known.names), ("sensors", sensors, SENSORS)):
         for name in choice:
             if name not in allowed:
                 raise ConfigurationError(f"{what}: '{name}': {one_of(name, allowed)}")
     place = [known.names.index(name) for name in names]
-    rows = [CHANNELS.index(sensor) for sensor in sensors]
+    rows = [SENSORS.index(sensor) for sensor in sensors]
     matrix = known.matrix[:, :, rows].sum(axis=2)[..., place, :][..., place]
     width = np.array([(widths or {}).get(name, 1.0) for name in names])
     matrix = matrix + np.diag(1.0 / width**2)
@@ -156,7 +156,7 @@ def sigma(
     known: Information,
     name: str = LEAKAGE,
     unknowns: Sequence[str] | None = None,
-    sensors: Sequence[str] = CHANNELS,
+    sensors: Sequence[str] = SENSORS,
     widths: Mapping[str, float] | None = None,
 ) -> Array:
     """The bound of one unknown: its smallest standard deviation, (B, lengths), in its unit; see :func:`covariance`."""

@@ -18,7 +18,7 @@ from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def known_windows(
     if not len(kept):
         raise ConfigurationError(f"windows: all {len(cases)} axes failed before the end of their window")
     signals = np.stack(watcher.columns, axis=2)[kept]
-    signals[:, [place for place, name in enumerate(CHANNELS) if not getattr(config.sensors, name).fitted]] = np.nan
+    signals[:, [place for place, name in enumerate(SENSORS) if not getattr(config.sensors, name).fitted]] = np.nan
     return KnownWindows(
         signals=signals,
         leakage_flow_lpm=run.leakage_flow_lpm[kept],
@@ -130,7 +130,7 @@ class _Watcher:
                 **_sensors(axes),
             }
         if self.first <= self._step < self.last:
-            self.columns.append(np.column_stack([axes.column("measured"), axes.column("command")]))
+            self.columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
         self._step += 1
         return self.controller.predict(observation, state, episode_start, deterministic)
 
@@ -143,12 +143,12 @@ def _physical(axes: Axes, axis: int) -> Array:
 
 
 def _sensors(axes: Axes) -> dict[str, Array]:
-    """Gain and bias of the sensors of all axes now, (N, channels) each, faults included."""
+    """Gain and bias of the sensors of all axes now, (N, sensors) each, faults included."""
     faults = axes.column("fault")
-    gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in CHANNELS]] for what in ("gain", "offset"))
-    sensors = [getattr(axes.config.sensors, name) for name in CHANNELS]
+    gain, offset = (faults[:, [FAULTS.index(f"{name}_{what}") for name in SENSORS]] for what in ("gain", "offset"))
+    sensors = [getattr(axes.config.sensors, name) for name in SENSORS]
     spans = np.array([sensor.high - sensor.low for sensor in sensors])
-    return {"gain": 1.0 + gain, "bias": axes.column("bias") + offset * spans}
+    return {"gain": 1.0 + gain, "bias": axes.column("bias")[:, SENSOR_COLUMNS] + offset * spans}
 
 
 def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mapping[str, float] | None = None) -> Cases:

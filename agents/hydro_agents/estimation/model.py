@@ -14,7 +14,7 @@ from hydro_agents.estimation.replay import Commands, replay
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.states import N_STATES, State
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ def noise_of(config: TaskConfig) -> Array:
 
     For exact sensors it is a millionth of their range, about the integrator's error.
     """
-    sensors = [getattr(config.sensors, channel) for channel in CHANNELS]
+    sensors = [getattr(config.sensors, channel) for channel in SENSORS]
     on = float(config.sensors.enabled)
     return np.array([max(on * np.hypot(s.noise, s.resolution / 12**0.5), 1e-6 * (s.high - s.low)) for s in sensors])
 
@@ -155,7 +155,7 @@ class Model:
         """
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), self.config.command_latency)
-        bias, gain = np.zeros((len(window), len(CHANNELS))), np.ones((len(window), len(CHANNELS)))
+        bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name == LEAKAGE:
                 laminar = self.config.leakage.law == "laminar"
@@ -202,13 +202,13 @@ class Model:
         rows = np.repeat(scaled[:, None], moved + 1, axis=1)
         rows[:, 1:, self.simulated] += directions.transpose(0, 2, 1)
         read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, moved + 1), samples)
-        read, last = read.reshape(count, moved + 1, len(CHANNELS), -1), last.reshape(count, moved + 1, N_STATES)
+        read, last = read.reshape(count, moved + 1, len(SENSORS), -1), last.reshape(count, moved + 1, N_STATES)
         with np.errstate(invalid="ignore", over="ignore"):
             # If one of the two plants of a difference failed, there is no derivative.
             change = np.nan_to_num(read[:, 1:] - read[:, :1], posinf=0.0, neginf=0.0)
             last_change = np.nan_to_num(last[:, 1:] - last[:, :1], posinf=0.0, neginf=0.0)
         back = np.linalg.inv(directions).transpose(0, 2, 1)
-        jacobian = np.zeros((count, unknowns, len(CHANNELS), read.shape[-1]))
+        jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
         jacobian[:, self.simulated] = (back @ change.reshape(count, moved, -1)).reshape(change.shape)
         last_jacobian = np.zeros((count, unknowns, N_STATES))
         last_jacobian[:, self.simulated] = back @ last_change

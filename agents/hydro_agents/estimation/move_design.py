@@ -15,7 +15,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.estimation.information import information, sigma
 from hydro_agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
 from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
@@ -187,7 +187,7 @@ def design(
         move = move_from(numbers, limits)
         if move is None:
             return _IMPOSSIBLE
-        windows = moved(config, controller, move, TRAINING_SEEDS, settings.plants, settings.leak)
+        windows = moved(config, controller, move, LEARNING.take(settings.plants), settings.plants, settings.leak)
         if windows.count < settings.plants:
             return _IMPOSSIBLE
         return float(np.log(sigma(information(config, windows, priors), widths=worn.widths)[:, -1]).mean())
@@ -234,7 +234,7 @@ def _plants(config: TaskConfig, settings: MoveSettings) -> Array:
     from hydro_env import ServoHydraulicVectorEnv
 
     env = ServoHydraulicVectorEnv(settings.plants, config, info=False)
-    env.reset(seed=[int(seed) for seed in TRAINING_SEEDS[: settings.plants]])
+    env.reset(seed=list(LEARNING.take(settings.plants)))
     physical = env.axes.physical.copy()
     env.close()
     return physical

@@ -10,11 +10,11 @@ from __future__ import annotations
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.states import STATE_NAMES
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 LEAKAGE, EXTERNAL_LEAKAGE, LATENCY = "leakage_flow_lpm", "external_leakage_flow_lpm", "command_latency"
-BIASES = tuple(f"{channel}_bias" for channel in CHANNELS)
-GAINS = tuple(f"{channel}_gain" for channel in CHANNELS)
+BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
+GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
 STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
 EXTERNAL_RESISTANCE = "leakage.external_resistance"
 

@@ -23,7 +23,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.states import STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import flow_from_resistance
 
 _SHARE_UNKNOWN = 0.1
@@ -87,7 +87,7 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
     if name in STARTS:
         return _start(config, name.removeprefix("start."))
     if name in BIASES:
-        sensor = getattr(config.sensors, CHANNELS[BIASES.index(name)])
+        sensor = getattr(config.sensors, SENSORS[BIASES.index(name)])
         bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), sensor.high - sensor.low)
         return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * (sensor.high - sensor.low)))
     if name in GAINS:

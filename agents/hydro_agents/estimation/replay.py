@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
-from hydro_env.compiling import SOURCES, compiled, tuple_writer
+from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
 from hydro_env.plant.arrays import (
     N_COEFFICIENTS,
     read_physical,
@@ -22,9 +22,9 @@ from hydro_env.plant.equations import coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
-from hydro_env.task.signals import Signals, lagged
+from hydro_env.task.signals import lagged
 from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
@@ -38,7 +38,11 @@ MOST_STEPS = 500.0
 _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
-_write_signals = tuple_writer(Signals)
+
+Reading = named_tuple("Reading", SENSORS, __name__)
+"""What the sensors read at one instant."""
+
+_write_reading = tuple_writer(Reading)
 
 
 class Lag(NamedTuple):
@@ -83,11 +87,11 @@ def replay(
         threads: worker threads; ``None`` takes one per core.
 
     Returns:
-        Readings (R, channels, T) in the order of ``CHANNELS``, and states (R, N_STATES). They are NaN after a failure
+        Readings (R, sensors, T) in the order of ``SENSORS``, and states (R, N_STATES). They are NaN after a failure
         of the integration.
     """
     rows, samples = len(window), commands.command.shape[1]
-    readings = np.full((rows, len(CHANNELS), samples), np.nan)
+    readings = np.full((rows, len(SENSORS), samples), np.nan)
     state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
     arguments: tuple[Any, ...] = (
@@ -152,8 +156,13 @@ def _build(sources: int) -> Any:
             true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
             sensed[row, 0] = s.pressure_a - time_constant * rate.pressure_a
             sensed[row, 1] = s.pressure_b - time_constant * rate.pressure_b
-            signals = Signals(s.position, sensed[row, 0], sensed[row, 1], s.spool_position)
-            _write_signals(readings[first + row, :, 0], signals)
+            reading = Reading(
+                position=s.position,
+                pressure_a=sensed[row, 0],
+                pressure_b=sensed[row, 1],
+                spool_position=s.spool_position,
+            )
+            _write_reading(readings[first + row, :, 0], reading)
         for sample in range(1, readings.shape[2]):
             for row in range(rows):
                 source = window[first + row]
@@ -174,8 +183,13 @@ def _build(sources: int) -> Any:
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)
                 sensed[row, 1] = lagged(sensed[row, 1], true[row, 1], s.pressure_b, lag)
                 true[row, 0], true[row, 1] = s.pressure_a, s.pressure_b
-                signals = Signals(s.position, sensed[row, 0], sensed[row, 1], s.spool_position)
-                _write_signals(readings[first + row, :, sample], signals)
+                reading = Reading(
+                    position=s.position,
+                    pressure_a=sensed[row, 0],
+                    pressure_b=sensed[row, 1],
+                    spool_position=s.spool_position,
+                )
+                _write_reading(readings[first + row, :, sample], reading)
 
     return compiled(run)
 

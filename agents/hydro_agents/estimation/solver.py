@@ -1,7 +1,13 @@
-"""Levenberg–Marquardt for many windows at once: the most probable values of the unknowns given readings and priors."""
+"""Levenberg–Marquardt for many windows at once: the most probable values of the unknowns given readings and priors.
+
+Windows of different axes are searched independently. Windows of one axis may share unknowns, such as the parameters of
+the plant; each then keeps its own start state. The start states are eliminated window by window (Schur complement),
+which leaves a small problem of the shared unknowns.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +18,13 @@ from hydro_agents.estimation.model import LONG_STEP, Linearised, Model
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-DAMPINGS = (0.1, 1.0, 10.0, 100.0)
+DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
 """Factors on the damping; the best of their steps is taken in each iteration."""
-
 
 SMALL_DAMPING = 1e-2
 """Damping up to which a step is nearly a Gauss–Newton step."""
+
+NONE_SHARED: Indices = np.empty(0, np.int64)
 
 
 class Belief(NamedTuple):
@@ -31,15 +38,40 @@ class Fit(NamedTuple):
     """Result of the search in B windows."""
 
     scaled: Array  # (B, P)
-    chi2: Array  # (B,), sum of the squared residuals over the noise
     iterations: Indices  # (B,)
     directions: Array  # (B, S, S), steps along the axes of the uncertainty
+
+
+class Equations(NamedTuple):
+    """Normal equations of B windows with P unknowns, of which p are shared."""
+
+    curvature: Array  # (B, P, P), of the readings, and of the prior of the unknowns that are not shared
+    gradient: Array  # (B, P)
+    information: Array  # (B, p, p), of each window about the shared unknowns, with the others unknown
+    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
+    shared: Indices  # (p,), indices of the shared unknowns
+    own: Indices  # (P − p,), indices of the others
+
+    @property
+    def precision(self) -> Array:
+        """Precision of all unknowns of each window, (B, P, P), given the other windows and the prior of the shared."""
+        precision = self.curvature.copy()
+        others = self.information.sum(axis=0) - self.information
+        precision[:, self.shared[:, None], self.shared] += others + np.eye(len(self.shared))
+        return precision
 
 
 def prior_belief(model: Model, count: int) -> Belief:
     """The priors: scaled unknowns are independent, with mean 0 and standard deviation 1."""
     unknowns = len(model.names)
     return Belief(np.zeros((count, unknowns)), np.tile(np.eye(unknowns), (count, 1, 1)))
+
+
+def without(precision: Array, shared: Indices) -> Array:
+    """The precision of a prior, (B, P, P), with 0 for the shared unknowns: they have one prior, not one per window."""
+    own = precision.copy()
+    own[:, shared] = own[:, :, shared] = 0.0
+    return own
 
 
 def fit(
@@ -54,6 +86,9 @@ def fit(
     directions: Array | None = None,
     thorough: bool = True,
     step: float = LONG_STEP,
+    give_up: float = 1e4,
+    shared: Indices = NONE_SHARED,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
     """Improve the unknowns of some windows until convergence.
 
@@ -64,62 +99,113 @@ def fit(
         model: the model of all windows.
         measured: readings over their noise, (windows of the model, channels, T); NaN is left out.
         window: index of the windows to fit, (B,).
-        first: initial scaled unknowns, (B, P).
-        belief: prior of each window.
+        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
+        belief: prior of each window; shared unknowns have the prior of :func:`prior_belief` instead, once for all.
         samples: number of first samples that are used.
         iterations: largest number of iterations.
-        tolerance: stop a window when an iteration lowers its cost by less.
+        tolerance: stop a window when an iteration lowers its cost by less; of all windows together if they share.
         directions: steps of the first differences, (B, S, S).
         thorough: stop only after a step with little damping; a small gain with a damped step does not end the search.
         step: of the differences after the first, standard deviations.
+        give_up: largest damping; a window that no step with more improves is finished.
+        shared: indices of the unknowns that all windows have in common.
+        progress: called with the number of iterations and its limit.
     """
-    count, unknowns = first.shape
     scaled = first.copy()
     used = measured[window, :, :samples]
     known = np.isfinite(used)
-    level = np.full(count, 1e-2)
-    chi2, done = np.full(count, np.inf), np.zeros(count, dtype=np.int64)
-    active = np.arange(count)
-    for _ in range(iterations):
+    prior = without(belief.precision, shared)
+    steps_known = directions is not None
+    directions = np.empty((len(first), *[len(model.simulated)] * 2)) if directions is None else directions.copy()
+    level, done = np.full(len(first), 1e-2), np.zeros(len(first), dtype=np.int64)
+    active = np.arange(len(first))
+    for iteration in range(iterations):
+        if progress is not None:
+            progress(iteration, iterations)
         here, data, mask = scaled[active], used[active], known[active]
-        linear = model.linearise(here, window[active], None if directions is None else directions[active], samples)
+        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples)
         residual, jacobian = masked(linear, data, mask)
         weight = channel_weights(residual, mask)
-        fisher = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1)
-        mean, precision = belief.mean[active], belief.precision[active]
-        away = here - mean
-        pull = (precision @ away[:, :, None])[:, :, 0]
-        gradient = (jacobian @ (weight * residual)[:, :, None])[:, :, 0] - pull
-        curvature = fisher + precision
-        if directions is None:
-            directions = np.empty((count, len(model.simulated), len(model.simulated)))
-        directions[active] = model.directions(curvature, step)
-        cost = (weight * residual**2).sum(axis=1) + (away * pull).sum(axis=1)
+        mean, precision = belief.mean[active], prior[active]
+        equations = equations_of(residual, jacobian, weight, here - mean, precision, shared)
+        directions[active], steps_known = model.directions(equations.precision, step), True
+        cost = _cost(weight, residual**2, here, mean, precision, shared)
 
-        trials = here[:, None] + _damped_steps(curvature, gradient, level[active])
-        read, _ = model.readings(trials.reshape(-1, unknowns), np.repeat(window[active], len(DAMPINGS)), samples)
-        missed = np.where(mask[:, None], data[:, None] - read.reshape(len(active), len(DAMPINGS), *data.shape[1:]), 0.0)
-        square = missed.reshape(len(active), len(DAMPINGS), -1) ** 2
-        further = trials - mean[:, None]
-        costs = (weight[:, None] * square).sum(axis=2) + (further * (further @ precision)).sum(axis=2)
+        trials = here[:, None] + _damped_steps(equations, here, level[active])  # (B, dampings, P)
+        row, tried = np.arange(len(active)), len(DAMPINGS)
+        read, _ = model.readings(trials.reshape(-1, trials.shape[2]), np.repeat(window[active], tried), samples)
+        missed = np.where(mask[:, None], data[:, None] - read.reshape(len(active), tried, *data.shape[1:]), 0.0)
+        square = missed.reshape(len(active), tried, -1) ** 2
+        costs = _cost(weight[:, None], square, trials, mean[:, None], precision, shared)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         best = costs.argmin(axis=1)
-        row = np.arange(len(active))
         better = costs[row, best] < cost
         scaled[active] = np.where(better[:, None], trials[row, best], here)
-        chi2[active] = np.where(better, square[row, best].sum(axis=1), (residual**2).sum(axis=1))
-        factor = np.where(better, np.array(DAMPINGS)[best], 1e3)
-        level[active] = np.clip(level[active] * factor, 1e-8, 1e8)
+        level[active] = np.clip(level[active] * np.where(better, DAMPINGS[best], 1e3), 1e-8, 1e8)
         done[active] += 1
         gain = np.where(better, cost - costs[row, best], 0.0)
-        lost = ~better & (level[active] > 1e4)
+        lost = ~better & (level[active] > give_up)
         damped = (level[active] > SMALL_DAMPING) & thorough
-        moving = ~lost & ((gain > tolerance) | ~better | damped)
-        active = active[moving]
+        active = active[~lost & ((gain > tolerance) | ~better | damped)]
         if not len(active):
             break
-    assert directions is not None
-    return Fit(scaled, chi2, done, directions)
+    return Fit(scaled, done, directions)
+
+
+def equations_of(
+    residual: Array, jacobian: Array, weight: Array, away: Array, precision: Array, shared: Indices
+) -> Equations:
+    """Normal equations of each window, and those of the shared unknowns after its others are eliminated.
+
+    Args:
+        residual: over the noise, (B, readings).
+        jacobian: derivatives of the readings, (B, P, readings).
+        weight: of each reading, (B, readings).
+        away: scaled unknowns minus the mean of their prior, (B, P).
+        precision: of the prior, (B, P, P), from :func:`without`.
+        shared: their indices, (p,).
+    """
+    curvature = jacobian @ (weight[:, None] * jacobian).transpose(0, 2, 1) + precision
+    gradient = (jacobian @ (weight * residual)[:, :, None])[:, :, 0] - (precision @ away[:, :, None])[:, :, 0]
+    own = np.delete(np.arange(len(curvature[0])), shared)
+    if not len(shared):
+        return Equations(curvature, gradient, np.zeros((len(curvature), 0, 0)), gradient[:, :0], shared, own)
+    across = curvature[:, shared[:, None], own]
+    inner = np.concatenate([across.transpose(0, 2, 1), gradient[:, own, None]], axis=2)
+    solved = np.linalg.solve(curvature[:, own[:, None], own], inner)
+    information = curvature[:, shared[:, None], shared] - across @ solved[:, :, :-1]
+    score = gradient[:, shared] - (across @ solved[:, :, -1:])[:, :, 0]
+    return Equations(curvature, gradient, information, score, shared, own)
+
+
+def _damped_steps(equations: Equations, scaled: Array, level: Array) -> Array:
+    """Levenberg–Marquardt steps (B, dampings, P); each damping enlarges the diagonal."""
+    curvature, gradient, _, _, shared, own = equations
+    diagonal = np.einsum("bii->bi", curvature)
+    factors = level[:, None] * DAMPINGS
+    across = curvature[:, None, shared[:, None], own]
+    inner = np.concatenate([across[:, 0].transpose(0, 2, 1), gradient[:, own, None]], axis=2)
+    damped = curvature[:, None, own[:, None], own]
+    damped = damped + factors[:, :, None, None] * (diagonal[:, None, own, None] * np.eye(len(own)))
+    solved = np.linalg.solve(damped, np.broadcast_to(inner[:, None], (*damped.shape[:3], inner.shape[2])))
+    left = (curvature[:, None, shared[:, None], shared] - across @ solved[..., :-1]).sum(axis=0)
+    right = (gradient[:, None, shared] - (across @ solved[..., -1:])[..., 0]).sum(axis=0) - scaled[0, shared]
+    left += np.eye(len(shared)) + factors[0, :, None, None] * np.diag(1.0 + diagonal[:, shared].sum(axis=0))
+    common = np.linalg.solve(left, right[..., None])  # (dampings, p, 1)
+    steps = np.empty((*damped.shape[:2], curvature.shape[1]))
+    steps[..., shared] = common[..., 0]
+    steps[..., own] = solved[..., -1] - (solved[..., :-1] @ common)[..., 0]
+    return steps
+
+
+def _cost(weight: Array, square: Array, scaled: Array, mean: Array, precision: Array, shared: Indices) -> Array:
+    """Cost of each window and trial, (B, …): weighted squares and prior; the sum of all windows if they share."""
+    away = scaled - mean
+    pull = (precision @ away[:, :, None])[:, :, 0] if away.ndim == 2 else away @ precision
+    costs: Array = (weight * square).sum(axis=-1) + (away * pull).sum(axis=-1)
+    if len(shared):
+        costs = np.broadcast_to(costs.sum(axis=0) + (scaled[0][..., shared] ** 2).sum(axis=-1), costs.shape)
+    return costs
 
 
 def channel_weights(residual: Array, known: NDArray[np.bool_]) -> Array:
@@ -135,12 +221,3 @@ def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[A
     residual = np.where(known, data - linear.readings, 0.0).reshape(len(data), -1)
     jacobian = np.where(known[:, None], linear.jacobian, 0.0)
     return residual, jacobian.reshape(len(data), jacobian.shape[1], -1)
-
-
-def _damped_steps(curvature: Array, gradient: Array, level: Array) -> Array:
-    """Levenberg–Marquardt steps (B, dampings, P); each damping enlarges the diagonal."""
-    diagonal = np.einsum("bii->bi", curvature)
-    factors = level[:, None] * np.array(DAMPINGS)
-    damped = curvature[:, None] + factors[:, :, None, None] * (diagonal[:, None, :, None] * np.eye(curvature.shape[1]))
-    steps: Array = np.linalg.solve(damped, np.broadcast_to(gradient[:, None, :, None], (*damped.shape[:3], 1)))[..., 0]
-    return steps

@@ -16,7 +16,7 @@ from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.protocol import DRAWN_FAMILIES, ProtocolSettings, tracking_cases
 from hydro_agents.report.canvas import WIDE, looks_of, render
 from hydro_agents.running.cases import Cases, Rollout, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
@@ -45,7 +45,7 @@ def compare(
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    cases, table = tracking_cases(settings, _first_seed(settings))
+    cases, table = tracking_cases(settings, THRESHOLDS if settings.validation else EVALUATION)
     frames = []
     for name, controller in controllers.items():
         rollout = run_cases(config, controller, cases)
@@ -88,7 +88,7 @@ def convergence(
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
-    cases, table = tracking_cases(settings, _first_seed(settings))
+    cases, table = tracking_cases(settings, THRESHOLDS if settings.validation else EVALUATION)
     rows: list[dict[str, Any]] = []
     known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():
@@ -133,10 +133,6 @@ def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
         cells = [f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row]
         lines.append("| " + " | ".join([str(label), *cells]) + " |")
     return "\n".join(lines)
-
-
-def _first_seed(settings: ComparisonSettings) -> int:
-    return (VALIDATION_SEEDS if settings.validation else TEST_SEEDS).start
 
 
 def _errors(rollout: Rollout, cases: Cases, config: TaskConfig) -> dict[str, Any]:

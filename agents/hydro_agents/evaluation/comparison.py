@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hydro_agents.evaluation.metrics import COMPARED
 from hydro_agents.evaluation.tables import ERROR
 from hydro_agents.running.resampling import (
     RESAMPLES,
@@ -22,14 +23,6 @@ from hydro_agents.running.resampling import (
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
-
-COSTS = {
-    "travel_ratio": "valve_travel_per_s",
-    "reversals_ratio": "reversals_per_s",
-    "energy_ratio": "supply_energy_j",
-    "offset_ratio": "steady_state_error_sensor_mm",
-}
-"""Metrics of the ratios beside the error."""
 
 
 class Grid:
@@ -102,8 +95,8 @@ class Grid:
             value, low, high = interval(resampled, count)
             row |= {name: value, f"{name}_low": low, f"{name}_high": high}
         row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if not absent.all() else np.nan
-        for name, metric in COSTS.items():
-            row[name] = _ratio(*(self.values(who, metric)[:, part[0], part[1]] for who in (controller, against)))
+        for name, metric in COMPARED.items():
+            row[name] = _ratio(*(self.values(who, metric.name)[:, part[0], part[1]] for who in (controller, against)))
         row["cases"] = int((~np.isnan(mine)).sum())
         return row
 

@@ -20,11 +20,10 @@ from hydro_agents.detection.roc import (
     threshold_at_false_alarm_rate,
 )
 from hydro_agents.running.cases import Cases, Rollout
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
 
-SEEDS_OFFSET = 500_000
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
 """l/min at 100 bar; bounds of the size ranges, if the task draws such leaks."""
@@ -51,13 +50,12 @@ class LeakBounds(NamedTuple):
 
 def detection_cases(config: TaskConfig, count: int) -> Cases:
     """Alternating healthy and leaking episodes, sizes log-uniform, references drawn; the same for every controller."""
-    generator = np.random.default_rng(TEST_SEEDS.start)
+    generator = np.random.default_rng(EVALUATION.first)
     healthy = np.arange(count) % 2 == 0
     low = np.where(healthy, config.leakage.healthy_range[0], config.leakage.faulty_range[0])
     high = np.where(healthy, config.leakage.healthy_range[1], config.leakage.faulty_range[1])
     flow = np.exp(generator.uniform(np.log(low), np.log(high)))
-    first = TEST_SEEDS.start + SEEDS_OFFSET
-    return Cases(np.arange(first, first + count), flow)
+    return Cases(np.array(DETECTION.take(count)), flow)
 
 
 def signal_columns(names: tuple[str, ...]) -> list[int]:

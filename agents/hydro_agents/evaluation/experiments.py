@@ -14,9 +14,9 @@ from hydro_agents.evaluation.frequency import frequency_response
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.standstill import standstill
 from hydro_agents.evaluation.stiffness import force_sine, force_step
-from hydro_agents.evaluation.sweeps import FIRST_SEED
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import side_by_side
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_env import TaskConfig
 
 EXPERIMENTS: dict[str, Callable[..., pd.DataFrame]] = {
@@ -32,7 +32,7 @@ def run_experiments(
     config: TaskConfig,
     controllers: Mapping[str, Controller],
     plants: int | None = None,
-    first_seed: int = FIRST_SEED,
+    first_seed: int = EXPERIMENT_AXES.first,
     jobs: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.sweeps import (
-    FIRST_SEED,
     LEAKS,
     Array,
     HiddenPreview,
@@ -19,6 +18,7 @@ from hydro_agents.evaluation.sweeps import (
     sine_fit,
     working_place,
 )
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import own_reference
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import reachable_range
@@ -47,7 +47,7 @@ def frequency_response(
     frequencies: Sequence[float] = FREQUENCIES,
     amplitude: float | None = None,
     place: float | None = None,
-    first_seed: int = FIRST_SEED,
+    first_seed: int = EXPERIMENT_AXES.first,
 ) -> pd.DataFrame:
     """Gain and phase of each controller, leak, plant and frequency, with the preview and with the preview hidden.
 

@@ -17,9 +17,10 @@ from hydro_agents.detection.alarm_rates import peaks, poisson_interval
 from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity
-from hydro_agents.evaluation.leak_protocol import FIRST_TEST_SEED, HEALTHY
-from hydro_agents.evaluation.opponents import shipped
+from hydro_agents.evaluation.leak_protocol import HEALTHY
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import JobResult, digest_of_code
+from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import ConfigurationError, TaskConfig
 
@@ -32,8 +33,6 @@ SHIFT, PAST, AFTER = 600.0, 300.0, 62.0
 """Simulated time in s: of a healthy axis; of a leaking axis before and after the onset."""
 
 AXES_TOGETHER = 60
-FIRST_SEED = FIRST_TEST_SEED + 50_000
-FIRST_SEED_OF_LEAKS = FIRST_TEST_SEED + 80_000
 
 
 def _name(level: float, then: Activity | None) -> str:
@@ -113,10 +112,10 @@ def alarm_plan(
 ) -> Iterator[AlarmJob]:
     """The jobs of one alarm: ``hours`` of healthy axes, and axes with the onset of a leak."""
     axes = max(int(np.ceil(hours * 3600.0 / SHIFT)), 1)
-    for leaks, first_seed in ((False, FIRST_SEED), (True, FIRST_SEED_OF_LEAKS)):
+    for leaks, seeds in ((False, LEAKAGE_ALARMS.take(axes)), (True, LEAKAGE_ONSETS.take(axes))):
         for first in range(0, axes, AXES_TOGETHER):
             count = min(AXES_TOGETHER, axes - first)
-            yield AlarmJob(reader, detector, settings, config, first_seed + first, count, leaks, digest)
+            yield AlarmJob(reader, detector, settings, config, seeds.start + first, count, leaks, digest)
 
 
 def alarm_table(reader: str, results: dict[bool, list[JobResult]]) -> pd.DataFrame:

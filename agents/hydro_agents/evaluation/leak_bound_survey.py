@@ -14,11 +14,11 @@ from hydro_agents.estimation.information import Information, information, sigma
 from hydro_agents.estimation.known_windows import known_windows, leak_cases
 from hydro_agents.estimation.motions import MOTIONS
 from hydro_agents.estimation.unknown_sets import TASK, UnknownSets, unknown_sets
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EVALUATION
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Progress = Callable[[str, int, int], None]
 
@@ -42,7 +42,7 @@ class SurveySettings(Group):
 
 def sensor_choices(config: TaskConfig) -> dict[str, tuple[str, ...]]:
     """Choices of the sensors that the rig has, by name; the command is always known."""
-    fitted = [name for name in CHANNELS if getattr(config.sensors, name).fitted]
+    fitted = [name for name in SENSORS if getattr(config.sensors, name).fitted]
     choices = {
         ALL_SENSORS: fitted,
         "without pressures": [name for name in fitted if not name.startswith("pressure")],
@@ -94,7 +94,7 @@ def survey(
         if progress is not None:
             progress("bound", number, len(jobs))
         task = MOTIONS[motion](config)
-        cases = leak_cases(TEST_SEEDS, settings.plants, leak)
+        cases = leak_cases(EVALUATION.take(settings.plants), settings.plants, leak)
         windows = known_windows(task, controller, cases, settings.begin, max(settings.windows))
         known = information(task, windows, unknowns.priors, settings.windows)
         frames.append(_rows(known, unknowns, sensor_choices(config), cases.seeds[windows.case], motion, leak))

@@ -15,7 +15,7 @@ from hydro_agents.estimation.unknown_sets import TASK
 from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
 from hydro_agents.report.canvas import COLOURS, WIDE, looks_of, render, row_axis, ticks
-from hydro_agents.report.text import number, setting
+from hydro_agents.running.text import number, setting
 
 ORDINARY = next(iter(MOTIONS))
 

@@ -15,7 +15,7 @@ from pydantic import Field, StringConstraints, model_validator
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_agents.running.settings_files import read_task
 from hydro_agents.running.surroundings import Surroundings
 from hydro_env import ConfigurationError, TaskConfig
@@ -27,10 +27,6 @@ from hydro_env.task.faults import FAULTS, fault_limits
 
 KIND: Literal["leakage"] = "leakage"
 """``kind`` of such a protocol in its file."""
-
-FIRST_TEST_SEED = TEST_SEEDS.start + 400_000
-FIRST_VALIDATION_SEED = VALIDATION_SEEDS.start + 800_000
-"""The first of 100 000 seeds that only this protocol uses."""
 
 HEALTHY, DRAWN = 0.0, -1.0
 """Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
@@ -180,8 +176,7 @@ class LeakProtocol(Group):
     def cases_in(self, name: str, level: float, count: int, validation: bool = False) -> Cases:
         """The first ``count`` cases of a level; every level and condition has the same plants."""
         condition, task = self.conditions[name], self.task_in(name)
-        first = FIRST_VALIDATION_SEED if validation else FIRST_TEST_SEED
-        seeds = np.arange(first, first + count)
+        seeds = np.array((LEAK_THRESHOLDS if validation else LEAKAGE).take(count))
         healthy = np.full(count, level == HEALTHY)
         if level == DRAWN:
             healthy = np.arange(count) % 2 == 0

@@ -32,7 +32,6 @@ SECONDS_PER_HOUR = 3600.0
 class LeakTables:
     """Every table of a protocol; docs/leakage.md describes their columns."""
 
-    floors: pd.DataFrame
     detection: pd.DataFrame
     verdicts: pd.DataFrame
     sizes: pd.DataFrame
@@ -45,7 +44,6 @@ class LeakTables:
     protocol: pd.DataFrame
     bound: pd.DataFrame = field(default_factory=pd.DataFrame)
     alarms: pd.DataFrame = field(default_factory=pd.DataFrame)
-    timings: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def write(self, folder: Path) -> None:
         """Write every table that is not empty as CSV.
@@ -188,25 +186,16 @@ def masking_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def make_tables(
-    protocol: LeakProtocol,
-    run: LeakRun,
-    facts: Sequence[tuple[str, str]] = (),
-    timings: pd.DataFrame | None = None,
-) -> LeakTables:
+def make_tables(protocol: LeakProtocol, run: LeakRun, facts: Sequence[tuple[str, str]] = ()) -> LeakTables:
     """All tables of a run.
 
     Args:
         protocol: the protocol.
         run: its results.
         facts: keys and values of the table ``protocol``, in addition to title and hash.
-        timings: seconds of each detector.
     """
-    from hydro_agents.evaluation.leak_floors import floors_table
-
     known = [("title", protocol.title), ("sha256", protocol.sha256), ("windows", str(len(run.windows))), *facts]
-    measured = LeakTables(
-        floors=pd.DataFrame(),
+    return LeakTables(
         detection=detection_table(run, protocol),
         verdicts=verdict_table(run),
         sizes=size_table(run),
@@ -219,6 +208,4 @@ def make_tables(
         protocol=pd.DataFrame(known, columns=["key", "value"]),
         alarms=run.alarms,
         bound=run.bound,
-        timings=timings if timings is not None else pd.DataFrame(),
     )
-    return LeakTables(**{**measured.by_name(), "floors": floors_table(measured, protocol)})

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.evaluation.metrics import Metric, by_name
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
@@ -26,13 +27,13 @@ LASTING = 0.5
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after its return, evaluated time."""
 
-LIMIT_CYCLE: dict[str, tuple[str, str]] = {
-    "limit_cycle": ("1", "1 if the axis continues to oscillate without noise, 0 if it comes to rest"),
-    "amplitude_um": ("µm", "amplitude of the motion that remains"),
-    "frequency_hz": ("Hz", "its strongest frequency; NaN at rest"),
-    "failed": ("1", "1 if the axis failed"),
-}
-"""Name, unit and meaning of the standstill metrics."""
+LIMIT_CYCLE = by_name(
+    Metric("limit_cycle", "1", "Limit cycles", "1 if the axis continues to oscillate without noise, else 0"),
+    Metric("amplitude_um", "µm", "Amplitude", "amplitude of the motion that remains"),
+    Metric("frequency_hz", "Hz", "Frequency", "its strongest frequency; NaN at rest"),
+    Metric("failed", "1", "Failed runs", "1 if the axis failed"),
+)
+"""Metrics of a standstill."""
 
 
 _DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,34 +26,120 @@ REVERSAL_THRESHOLD = 0.005
 """Swing of the command, as a fraction of 10 V, that counts as a reversal: a servo valve does not respond to smaller
 ones."""
 
-METRICS: dict[str, tuple[str, str]] = {
-    "mean_error_mm": ("mm", "mean of |reference − position|"),
-    "rms_error_mm": ("mm", "root mean square of the error"),
-    "peak_error_mm": ("mm", "largest error"),
-    "settling_time_s": (
+
+class Metric(NamedTuple):
+    """A figure of one episode: its column in every CSV file, and how tables and pages show it.
+
+    An entry of :data:`METRICS` and its computation in :func:`case_metrics` add a metric to every table and page.
+    """
+
+    name: str
+    unit: str
+    word: str
+    meaning: str
+    shown_unit: str = ""  # on pages, with the factor; default: the unit
+    factor: float = 1.0
+    cost: bool = False  # stands beside every error: an error is no result without its price
+    ratio: str = ""  # short name; tables compare its mean with the baseline's in the column NAME_ratio
+
+    @property
+    def label(self) -> str:
+        """Word and shown unit, for headers of tables."""
+        return f"{self.word}, {self.shown_unit or self.unit}"
+
+
+def by_name(*metrics: Metric) -> dict[str, Metric]:
+    """Metrics by their names."""
+    return {metric.name: metric for metric in metrics}
+
+
+METRICS = by_name(
+    Metric("mean_error_mm", "mm", "Mean error", "mean of |reference − position|"),
+    Metric("rms_error_mm", "mm", "Root-mean-square error", "root mean square of the error"),
+    Metric("peak_error_mm", "mm", "Peak error", "largest error"),
+    Metric(
+        "settling_time_s",
         "s",
+        "Settling time, if settled",
         "from the start of a standstill of the reference until the error stays within ±0.2 mm; the end of the "
         "standstill, when the preview shows the next move, does not count",
     ),
-    "unsettled_share": ("1", "share of standstills on which the axis never settled"),
-    "overshoot_percent": ("%", "beyond the target, relative to the size of the step (family 'step')"),
-    "steady_state_error_mm": (
+    Metric(
+        "unsettled_share",
+        "1",
+        "Standstills without settling",
+        "share of standstills on which the axis never settled",
+        shown_unit="%",
+        factor=100.0,
+    ),
+    Metric(
+        "overshoot_percent",
+        "%",
+        "Overshoot of steps",
+        "beyond the target, relative to the size of the step (family 'step')",
+    ),
+    Metric(
+        "steady_state_error_mm",
         "mm",
+        "Steady-state error",
         "|mean error| over the last 50 ms of a standstill, before the next move is in the preview",
     ),
-    "mean_error_sensor_mm": (
+    Metric(
+        "mean_error_sensor_mm",
         "mm",
+        "Mean error in the frame of the sensor",
         "mean of |reference − reading|, without the sensor's noise: visible to a controller",
     ),
-    "steady_state_error_sensor_mm": ("mm", "the steady-state error between reference and reading, without noise"),
-    "itae_mm_s2": ("mm s²", "∫ t |error| dt"),
-    "control_effort": ("1", "root mean square of the limited command, as a fraction of 10 V"),
-    "valve_travel_per_s": ("1/s", "travel of the spool in full strokes per second"),
-    "reversals_per_s": ("1/s", "changes of the command's direction by more than 0.5 % of 10 V"),
-    "supply_energy_j": ("J", "∫ of the flow that the valve draws, times supply pressure"),
-    "failed": ("1", "1 if the axis failed"),
+    Metric(
+        "steady_state_error_sensor_mm",
+        "mm",
+        "Steady-state error in the frame of the sensor",
+        "the steady-state error between reference and reading, without noise",
+        ratio="offset",
+    ),
+    Metric("itae_mm_s2", "mm s²", "Time-weighted error (ITAE)", "∫ t |error| dt"),
+    Metric(
+        "control_effort",
+        "1",
+        "Command, root mean square",
+        "root mean square of the limited command, as a fraction of 10 V",
+        shown_unit="V",
+        factor=10.0,
+    ),
+    Metric(
+        "valve_travel_per_s",
+        "1/s",
+        "Valve travel",
+        "travel of the spool in full strokes per second",
+        shown_unit="strokes per second",
+        cost=True,
+        ratio="travel",
+    ),
+    Metric(
+        "reversals_per_s",
+        "1/s",
+        "Reversals",
+        "changes of the command's direction by more than 0.5 % of 10 V",
+        shown_unit="per second",
+        cost=True,
+        ratio="reversals",
+    ),
+    Metric(
+        "supply_energy_j",
+        "J",
+        "Energy from the supply",
+        "∫ of the flow that the valve draws, times supply pressure",
+        cost=True,
+        ratio="energy",
+    ),
+    Metric("failed", "1", "Failed runs", "1 if the axis failed", shown_unit="%", factor=100.0, cost=True),
+)
+"""Every metric of an episode."""
+
+COMPARED = {
+    f"{metric.ratio}_ratio": metric for metric in sorted(METRICS.values(), key=lambda m: not m.cost) if metric.ratio
 }
-"""Name, unit and meaning of every metric."""
+"""Metrics of the ratios beside that of the error, costs first, by their columns."""
 
 
 def standstills(reference: Array, period: float) -> list[tuple[int, int]]:

@@ -20,8 +20,8 @@ from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
 from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_tables import decades
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis
-from hydro_agents.report.text import number, setting
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EVALUATION
+from hydro_agents.running.text import number, setting
 from hydro_env import TaskConfig
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def trial(
     Raises:
         ConfigurationError: no axis can make the move.
     """
-    unknowns = unknown_sets(config)
+    unknowns, seeds = unknown_sets(config), EVALUATION.take(plants)
     worn = unknowns.sets[WORN_VALVE]
     priors = {name: unknowns.priors[name] for name in worn.unknowns}
     jobs = [(motion, leak) for motion in (*MOTIONS, TEST_MOVE) for leak in leaks]
@@ -69,9 +69,9 @@ def trial(
         if progress is not None:
             progress("trial", done, len(jobs))
         if motion == TEST_MOVE:
-            windows = moved(config, controller, move, TEST_SEEDS, plants, leak)
+            windows = moved(config, controller, move, seeds, plants, leak)
         else:
-            cases = leak_cases(TEST_SEEDS, plants, leak)
+            cases = leak_cases(seeds, plants, leak)
             windows = known_windows(MOTIONS[motion](config), controller, cases, BEGIN, move.duration)
         found = estimate(windows.signals, config, worn.unknowns, priors=priors)
         frames.append(
@@ -79,7 +79,7 @@ def trial(
                 {
                     "motion": motion,
                     "leakage_flow_lpm": leak,
-                    "seed": windows.case + TEST_SEEDS.start,
+                    "seed": windows.case + seeds.start,
                     "sigma_lpm": sigma(information(config, windows, priors))[:, -1],
                     "estimate_lpm": found.value(LEAKAGE),
                     "deviation_lpm": found.deviation(LEAKAGE),

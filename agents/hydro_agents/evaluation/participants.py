@@ -13,9 +13,9 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Protocol
 from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
+from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder
@@ -95,7 +95,7 @@ def participants(
     """Make the controllers of a protocol.
 
     Args:
-        controllers: by name, objects with ``predict`` or texts of :func:`~hydro_agents.evaluation.opponents.opponent`.
+        controllers: by name, objects with ``predict`` or texts of :func:`~hydro_agents.learning.opponents.opponent`.
             The first one is the baseline. ``NAME#0``, ``NAME#1``, … are training seeds of one controller.
         protocol: the protocol, which may name controllers for single conditions.
         special: more of these, by ``NAME@CONDITION``; they replace those of the protocol.

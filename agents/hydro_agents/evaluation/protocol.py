@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_cases,
@@ -27,16 +27,15 @@ from hydro_agents.evaluation.detection import (
     signal_columns,
 )
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.opponents import check_head, opponent
 from hydro_agents.evaluation.tables import ratio_table, summary_table
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, ControllerError, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EVALUATION, SEEDS_PER_FAMILY, SeedRange
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 
-SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 
 
@@ -82,12 +81,12 @@ class Evaluation:
         return [str(name) for name in self.cases["controller"].unique()]
 
 
-def tracking_cases(settings: ProtocolSettings, first_seed: int = TEST_SEEDS.start) -> tuple[Cases, pd.DataFrame]:
+def tracking_cases(settings: ProtocolSettings, seeds: SeedRange = EVALUATION) -> tuple[Cases, pd.DataFrame]:
     """All cases of the tracking part, and a table with level, family and plant of each.
 
     Args:
         settings: levels, families and number of plants.
-        first_seed: seed of the first plant; the others follow it.
+        seeds: those of the plants.
     """
     rows = [
         (level, family, plant)
@@ -98,8 +97,8 @@ def tracking_cases(settings: ProtocolSettings, first_seed: int = TEST_SEEDS.star
     table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
     # A family has the same plants at every level; families have different plants.
     family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
-    seeds = first_seed + table["plant"].to_numpy() + SEEDS_PER_FAMILY * family_number.to_numpy()
-    cases = Cases(seeds.astype(np.int64), table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
+    numbers = seeds.of_family(family_number.to_numpy(), table["plant"].to_numpy())
+    cases = Cases(numbers, table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
     return cases, table
 
 
@@ -118,7 +117,7 @@ def evaluate(
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
         controllers: by name, objects with stable-baselines3's ``predict``, or texts for
-            :func:`~hydro_agents.evaluation.opponents.opponent`. The first one is the baseline of the ratios.
+            :func:`~hydro_agents.learning.opponents.opponent`. The first one is the baseline of the ratios.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of cases done, and their total.

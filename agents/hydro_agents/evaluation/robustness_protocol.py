@@ -15,7 +15,7 @@ from pydantic import Field, StringConstraints, model_validator
 
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY
 from hydro_agents.running.settings_files import read_settings, read_task
 from hydro_agents.running.surroundings import Factor, Surroundings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
@@ -25,10 +25,6 @@ from hydro_env.mistakes import did_you_mean, kept, refuse
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family, task_config
 from hydro_env.task.rig import merged
 
-FIRST_SEED = TEST_SEEDS.start + 200_000
-"""The first of 100 000 seeds that only the protocol uses; the ordinary evaluation has others."""
-
-SEEDS_PER_FAMILY = 10_000
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 
@@ -274,7 +270,7 @@ class Protocol(Group):
 def _grid(levels: Sequence[float], families: Sequence[str], plants: int) -> pd.DataFrame:
     """One row per leak level, family and plant, with its seed."""
     rows = [
-        (level, family, plant, FIRST_SEED + SEEDS_PER_FAMILY * REFERENCE_FAMILIES.index(family) + plant)
+        (level, family, plant, ROBUSTNESS.of_family(REFERENCE_FAMILIES.index(family), plant))
         for level in levels
         for family in families
         for plant in range(plants)

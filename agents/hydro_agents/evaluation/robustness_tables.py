@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.comparison import COSTS, Grid
-from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.evaluation.participants import Participants, sees_table
 from hydro_agents.evaluation.robustness_protocol import Protocol
 from hydro_agents.evaluation.robustness_running import FAILED, ProtocolRun
@@ -101,7 +101,7 @@ def summary_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for controller in grid.controllers:
         own = cases[cases["controller"] == controller]
-        for metric, (unit, _) in METRICS.items():
+        for metric, about in METRICS.items():
             values = grid.values(controller, metric)
             for condition in (ALL, *dict.fromkeys(grid.condition.tolist())):
                 chosen = values[:, :, (grid.condition == condition) | (condition == ALL)]
@@ -119,7 +119,7 @@ def summary_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
                         "controller": controller,
                         "condition": condition,
                         "metric": metric,
-                        "unit": unit,
+                        "unit": about.unit,
                         **dict(zip(("mean", "mean_low", "mean_high"), mean, strict=True)),
                         **dict(zip(("iqm", "iqm_low", "iqm_high"), middle, strict=True)),
                         "worst": float(worst[metric]),
@@ -172,7 +172,7 @@ def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.
     baseline = grid.controllers[0]
     by_condition = run.cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
     best = by_condition.idxmin(axis=1)
-    copied = ("equal_weight", "equal_weight_low", "equal_weight_high", "worst_ratio", *COSTS, "gap")
+    copied = ("equal_weight", "equal_weight_low", "equal_weight_high", "worst_ratio", *COMPARED, "gap")
     rows = []
     for controller in grid.controllers:
         if controller == baseline:

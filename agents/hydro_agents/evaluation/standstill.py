@@ -14,7 +14,8 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.limit_cycles import find_limit_cycle
-from hydro_agents.evaluation.sweeps import FIRST_SEED, run_sweep, working_place
+from hydro_agents.evaluation.sweeps import run_sweep, working_place
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 
@@ -37,7 +38,7 @@ def standstill(
     leaks: Sequence[float] = STANDSTILL_LEAKS,
     plants: int = 8,
     places: Sequence[float] = PLACES,
-    first_seed: int = FIRST_SEED,
+    first_seed: int = EXPERIMENT_AXES.first,
 ) -> pd.DataFrame:
     """Hold a position under every controller, once without and once with the noise of the sensors.
 

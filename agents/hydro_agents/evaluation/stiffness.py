@@ -9,7 +9,6 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.sweeps import (
-    FIRST_SEED,
     LEAKS,
     Array,
     full_force,
@@ -17,6 +16,7 @@ from hydro_agents.evaluation.sweeps import (
     sine_fit,
     working_place,
 )
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
@@ -44,7 +44,7 @@ def force_step(
     plants: int = 8,
     force: float | None = None,
     place: float | None = None,
-    first_seed: int = FIRST_SEED,
+    first_seed: int = EXPERIMENT_AXES.first,
 ) -> pd.DataFrame:
     """Deviation after a sudden external force on an axis at rest, without sensor noise, which would hide the recovery.
 
@@ -100,7 +100,7 @@ def force_sine(
     frequencies: Sequence[float] = SINE_FREQUENCIES,
     force: float | None = None,
     place: float | None = None,
-    first_seed: int = FIRST_SEED,
+    first_seed: int = EXPERIMENT_AXES.first,
 ) -> pd.DataFrame:
     """Compliance over frequency: amplitude of the position per amplitude of a sinusoidal external force.
 

@@ -12,16 +12,12 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats
 from hydro_agents.running.cases import Cases, Rollout, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
-
-FIRST_SEED = TEST_SEEDS.start + 900_000
-"""First seed of the experiments; the evaluation uses smaller ones."""
 
 LEAKS = (0.01, 1.0, 4.0)
 """l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak."""

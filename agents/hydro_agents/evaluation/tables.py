@@ -34,13 +34,13 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
     """Every metric per controller and value of the column ``by``."""
     rows = []
     for (controller, group), frame in cases.groupby(["controller", by], sort=False):
-        for metric, (unit, _) in METRICS.items():
+        for metric, about in METRICS.items():
             rows.append(
                 {
                     "controller": controller,
                     by: group,
                     "metric": metric,
-                    "unit": unit,
+                    "unit": about.unit,
                     **mean_interval(per_plant(frame, metric)).columns("mean"),
                     "worst": float(frame[metric].max()),
                     "cvar_5_percent": conditional_value_at_risk(frame[metric].to_numpy()),

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-import subprocess
-import tempfile
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy
 import yaml
+from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.gains_file import gain_rows
 from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.export.c_files import compared, csv_text, render
 from hydro_agents.export.c_writer import C_TYPES
-from hydro_agents.export.compiler import c_compiler, compile_c
-from hydro_agents.export.contract import FILE, Contract, ContractSignal, StatePart
-from hydro_agents.export.controller_code import ControllerCode, code_of
-from hydro_agents.export.controller_graph import ControllerGraph, controller_graph
-from hydro_agents.export.controller_onnx import controller_model
-from hydro_agents.export.exported import MODEL_FILE, TASK_FILE, onnx_session
-from hydro_agents.export.plant_code import render
-from hydro_agents.export.vectors import Vectors, make_vectors
-from hydro_agents.learning.validation import validation_cases, validation_errors
-from hydro_env import HydroError, TaskConfig, __version__
+from hydro_agents.export.controller import ControllerGraph, controller_code, controller_graph, controller_model
+from hydro_agents.export.exported import FILE, MODEL_FILE, TASK_FILE, Contract, ContractSignal, StatePart, onnx_session
+from hydro_agents.export.measured import MeasuredController, MeasuredMemory
+from hydro_agents.learning.progress import validation_cases, validation_errors
+from hydro_agents.running.seeds import CONTROLLER_VECTORS
+from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
 from hydro_env.units import FULL_VOLTAGE
 
@@ -47,6 +43,83 @@ FILES = (
 """Names of the files of an exported controller."""
 
 
+FAMILIES = ("step", "multi_sine", "start_stop")
+"""References of the closed-loop episodes, if the task has them."""
+
+LONGEST = 250
+"""Control periods per episode of the vectors."""
+
+
+@dataclass(frozen=True)
+class Vectors:
+    """Consecutive samples; a 1 in ``start`` begins an episode."""
+
+    names: tuple[str, ...]
+    start: NDArray[np.bool_]  # (samples,)
+    signals: NDArray[np.float64]  # (samples, signals), SI
+    voltage: NDArray[np.float64]  # (samples,), V
+
+    def text(self) -> str:
+        """As CSV; every number reads back exactly."""
+        rows = ((*signals, voltage) for signals, voltage in zip(self.signals, self.voltage, strict=True))
+        return csv_text([*self.names, "voltage"], zip(self.start, rows, strict=True))
+
+
+def make_vectors(measured: MeasuredController) -> Vectors:
+    """Closed-loop episodes under the controller, and one with lost samples and values out of range.
+
+    The voltages of the closed-loop episodes come from ``predict`` with the observations of the environment: they also
+    check that the signals in SI units give the same observations.
+    """
+    config, signals = measured.signals.config, measured.signals
+    families: list[str | None] = [name for name in FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
+    length = min(LONGEST, config.steps)
+    env = ServoHydraulicVectorEnv(1, config, info=False)
+    episodes: list[tuple[NDArray[np.float64], list[float]]] = []
+    families = families or [None]
+    for seed, family in zip(CONTROLLER_VECTORS.take(len(families)), families, strict=True):
+        options = {"reference": [family]} if family is not None else None
+        observation, _ = env.reset(seed=[seed], options=options)
+        samples, voltages, memory = [], [], None
+        for _ in range(length):
+            samples.append(signals.of_axes(env.axes)[0])
+            action, memory = measured.controller.predict(observation, memory)
+            voltages.append(FULL_VOLTAGE * float(np.clip(np.float64(action[0, 0]), -1.0, 1.0)))
+            observation, _, terminated, truncated, _ = env.step(action)
+            if terminated[0] or truncated[0]:
+                break
+        episodes.append((np.array(samples), voltages))
+    env.close()
+    disturbed = _disturbed(np.resize(episodes[0][0], (120, len(signals.signals))))
+    state: MeasuredMemory | None = None
+    voltages = []
+    for row in disturbed:
+        voltage, state = measured(row, state)
+        voltages.append(voltage)
+    episodes.append((disturbed, voltages))
+    if not all(np.isfinite(voltages).all() for _, voltages in episodes):
+        raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
+    starts: Sequence[NDArray[np.bool_]] = [np.arange(len(voltages)) == 0 for _, voltages in episodes]
+    return Vectors(
+        tuple(signal.name for signal in signals.signals),
+        np.concatenate(starts),
+        np.concatenate([rows for rows, _ in episodes]),
+        np.concatenate([np.array(voltages) for _, voltages in episodes]),
+    )
+
+
+def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Samples with lost ones at the start, of each signal in turn and of all at once, and values out of range."""
+    rows, count = samples.copy(), samples.shape[1]
+    rows[:2, -2] = np.nan  # the controller waits
+    for signal in range(count):
+        rows[10 + 4 * signal : 12 + 4 * signal, signal] = (np.nan, np.inf)
+    rows[60:63] = np.nan
+    for place, factor in enumerate((1e3, -1e3, 1e6, -1e6)):
+        rows[70 + 10 * place : 73 + 10 * place] *= factor
+    return rows
+
+
 def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported controller by name, and the results of their checks, one line each.
 
@@ -62,7 +135,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
     """
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
-    vectors, code = make_vectors(graph.measured), code_of(graph, CODE)
+    vectors, code = make_vectors(graph.measured), controller_code(graph, CODE)
     allowed = LARGEST_DIFFERENCE * FULL_VOLTAGE
     values = {
         "title": f"Controller of a hydraulic servo axis ({type(controller).__name__})",
@@ -76,29 +149,27 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "state_size": sum(part.size for part in graph.memory),
         "gains": gain_rows(gains) if isinstance(gains := getattr(controller, "gains", None), Group) else [],
     }
-    test_program = render("test_controller.c.j2", values)
     found = check_onnx(model, vectors)
     if not found["largest_difference_of_command"] <= LARGEST_DIFFERENCE:
         raise HydroError(
             f"{type(controller).__name__}: the ONNX model differs by {found['largest_difference_of_command']:.2g} of "
             "full command from the controller in Python: cannot be exported"
         )
-    in_c = check_c(code, test_program, vectors)
     texts = {
-        f"{CODE}.c": code.source,
-        f"{CODE}.h": code.header,
-        f"test_{CODE}.c": test_program,
+        **code.files,
+        f"test_{CODE}.c": render("test_controller.c.j2", values),
         "vectors.csv": vectors.text(),
         TASK_FILE: yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True),
         "README.md": render("controller_readme.md.j2", values),
     }
+    in_c = compared(CODE, texts)
     files = {MODEL_FILE: model, **{name: text.encode() for name, text in texts.items()}}
-    contract = _contract(controller, graph, {"controller.onnx": found, "controller.c": in_c}, command, files)
-    files[FILE] = contract.text().encode()
+    checked = {"controller.onnx": found, "controller.c": {"result": in_c}}
+    files[FILE] = _contract(controller, graph, checked, command, files).text().encode()
     report = [
         f"{MODEL_FILE}: {found['samples']} samples in onnxruntime, {found['another_voltage']} with another voltage, "
         f"largest difference of command {found['largest_difference_of_command']:.2g}",
-        f"controller.c: {in_c['result']}",
+        f"controller.c: {in_c}",
     ]
     return files, report
 
@@ -117,28 +188,6 @@ def check_onnx(model: bytes, vectors: Vectors) -> dict[str, Any]:
         "another_voltage": int((difference != 0.0).sum()),
         "largest_difference_of_command": float(difference.max()),
     }
-
-
-def check_c(code: ControllerCode, test_program: str, vectors: Vectors) -> dict[str, Any]:
-    """Result of the test program, compiled on this machine.
-
-    Raises:
-        HydroError: the code cannot be compiled, or gives other voltages.
-    """
-    if c_compiler() is None:
-        return {"result": "not compiled: this machine has no C compiler"}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        code.write(folder)
-        (folder / f"test_{code.name}.c").write_text(test_program, encoding="utf-8")
-        (folder / "vectors.csv").write_text(vectors.text(), encoding="utf-8")
-        flags = ["-Wall", "-Wextra", "-Werror"]
-        compile_c(folder, [*flags, "-o", "test", f"test_{code.name}.c", f"{code.name}.c"])
-        result = subprocess.run([str(folder / "test")], cwd=folder, capture_output=True, text=True, check=False)
-    said = " ".join((result.stdout + result.stderr).split())
-    if result.returncode != 0:
-        raise HydroError(f"the C code differs from the controller in Python: {said}")
-    return {"result": said}
 
 
 def _contract(

@@ -17,10 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from hydro_agents.export.c_types import (
+from hydro_agents.export.expressions import (
     BOOL,
     DOUBLE,
     INT,
+    Expressions,
+    TranslationError,
+    Typed,
     array,
     declared,
     element_of,
@@ -28,7 +31,6 @@ from hydro_agents.export.c_types import (
     shape_of,
     size_of,
 )
-from hydro_agents.export.expressions import Expressions, TranslationError, Typed
 
 
 @dataclass

@@ -1,17 +1,28 @@
-"""The whole state of an on-policy training between two rollouts; a resumed training continues from it bit for bit."""
+"""The whole state of PPO's training between two rollouts, and when it is written, logged and checked.
+
+A resumed training continues from a checkpoint bit for bit.
+"""
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3 import PPO
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
+from hydro_agents.learning.progress import Progress
+from hydro_agents.learning.settings import PPOSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.optimiser import optimiser_tensors, restore_optimiser
 from hydro_agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
@@ -72,7 +83,18 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
         ConfigurationError: the checkpoint is missing, damaged, or was made under other conditions.
     """
     path = folder / CHECKPOINT_FILE
-    tensors, stored = load_checkpoint(path, KIND)
+    tensors, stored = load_made_with(path, KIND, made_with)
+    steps, updates, seconds = read_counters(stored, ("steps", "updates", "seconds"), path)
+    return Checkpoint(dict(tensors), int(steps), int(updates), float(seconds))
+
+
+def load_made_with(path: Path, kind: str, made_with: Mapping[str, Any]) -> tuple[Tensors, dict[str, Any]]:
+    """Tensors and facts of a checkpoint of any kind, made under the conditions ``made_with``.
+
+    Raises:
+        ConfigurationError: as for :func:`load`.
+    """
+    tensors, stored = load_checkpoint(path, kind)
     before = stored.get("made_with")
     if not isinstance(before, dict):
         raise ConfigurationError(f"{path}: damaged: its conditions (made_with) are missing")
@@ -82,9 +104,9 @@ def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
             changed = ""
             if isinstance(old, dict) and isinstance(now, dict):
                 changed = next((f" ('{key}' differs)" for key in {**now, **old} if old.get(key) != now.get(key)), "")
-            raise ConfigurationError(f"{path}: was made with another {what}{changed}; cannot resume")
-    steps, updates, seconds = read_counters(stored, ("steps", "updates", "seconds"), path)
-    return Checkpoint(tensors, int(steps), int(updates), float(seconds))
+            other = "other" if what.endswith("s") else "another"
+            raise ConfigurationError(f"{path}: was made with {other} {what}{changed}; cannot resume")
+    return tensors, stored
 
 
 def read_counters(stored: Mapping[str, Any], names: Sequence[str], path: Path) -> list[float]:
@@ -151,3 +173,143 @@ def _plain(array: NDArray[Any]) -> NDArray[Any]:
 def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
     """The inverse of :func:`_plain`."""
     return array if like.dtype.names is None else array.view(like.dtype).reshape(like.shape)
+
+
+class SessionCallback(BaseCallback):
+    """What every training reports: its progress and its log; a subclass writes the checkpoints.
+
+    Args:
+        settings: of the training.
+        seconds: duration of the earlier sessions of a resumed training.
+        progress: called by :meth:`report`.
+    """
+
+    def __init__(self, settings: TrainingSettings, seconds: float, progress: Callable[[Progress], None] | None) -> None:
+        super().__init__()
+        self._total, self._every = settings.total_steps, settings.validation_every
+        self._progress = progress
+        self._began = time.monotonic() - seconds
+
+    @property
+    def seconds(self) -> float:
+        """Duration of training, all sessions together, without the caller's checks."""
+        return time.monotonic() - self._began
+
+    def mean_reward(self) -> float:
+        """Mean reward per control period over the last episodes; NaN before the first one has ended."""
+        episodes = self.model.ep_info_buffer or ()
+        return float(np.mean([episode["r"] / episode["l"] for episode in episodes])) if episodes else math.nan
+
+    def report(self) -> None:
+        """Tell the caller how far the training is."""
+        if self._progress is not None:
+            self._progress(Progress(self.num_timesteps, self._total, self.seconds, self.mean_reward()))
+
+    def log(self, steps: int, validation: Mapping[str, float]) -> None:
+        """Write a row of the log."""
+        for name, value in validation.items():
+            self.logger.record(f"validation/{name}", value)
+        self.logger.record("rollout/mean_reward", self.mean_reward())
+        self.logger.record("time/time_elapsed", self.seconds)
+        self.logger.dump(steps)
+
+    def validates(self, steps: int, since: int) -> bool:
+        """Whether a validation is due in the last ``since`` of these steps."""
+        return bool(self._every) and steps // self._every > (steps - since) // self._every
+
+    def write_checkpoint(self) -> None:
+        """Write the last state from which the training can be resumed."""
+        raise NotImplementedError
+
+
+@contextmanager
+def session(model: BaseAlgorithm, env: AxisVecEnv, callback: SessionCallback) -> Iterator[None]:
+    """A block that trains: Ctrl-C in it writes a checkpoint, and its end closes the log and the axes."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        callback.write_checkpoint()
+        raise
+    finally:
+        model.logger.close()
+        env.close()
+
+
+class TrainingCallback(SessionCallback):
+    """Logs, writes checkpoints and calls ``check`` between rollouts of PPO; sets the exploration after each."""
+
+    model: PPO
+
+    def __init__(
+        self,
+        settings: PPOSettings,
+        seconds: float,
+        progress: Callable[[Progress], None] | None,
+        write: Callable[[Checkpoint], None] | None,
+        checkpoint_seconds: float,
+        check: Callable[[float], bool],
+        validate: Callable[[], dict[str, float]],
+    ) -> None:
+        super().__init__(settings, seconds, progress)
+        self._settings = settings
+        self._write = write
+        self._checkpoint_seconds = checkpoint_seconds
+        self._check = check
+        self._validate = validate
+        self._written: float | None = None
+        self._checkpoint: Checkpoint | None = None
+        self._logged = -1
+        self._ended = False
+
+    def _on_training_start(self) -> None:
+        self._logged = self.num_timesteps
+
+    def _on_rollout_start(self) -> None:
+        self._between_rollouts()
+        before = time.monotonic()
+        self._ended = self._check(self.seconds)
+        self._began += time.monotonic() - before
+
+    def _on_step(self) -> bool:
+        return not self._ended
+
+    def _on_rollout_end(self) -> None:
+        settings, steps = self._settings, self.num_timesteps
+        share = min(steps / settings.total_steps, 1.0)
+        with torch.no_grad():
+            self.model.policy.get_parameter("log_std").fill_(settings.log_standard_deviation_at(share))
+        self.report()
+
+    def _on_training_end(self) -> None:
+        if not self._ended:
+            self._between_rollouts()
+        self.write_checkpoint()
+
+    def _between_rollouts(self) -> None:
+        """Log the last rollout and its update, and copy the state at the start of the next rollout."""
+        steps = self.num_timesteps
+        if steps > self._logged:
+            due = self.validates(steps, steps - self._logged) or (self._every and steps >= self._total)
+            self._log(steps, self._validate() if due else {})
+            self._logged = steps
+        if self._write is not None:
+            env = self.model.get_env()
+            assert isinstance(env, AxisVecEnv)
+            self._checkpoint = take(self.model, env, self.seconds)
+            if self._written is None or time.monotonic() - self._written > self._checkpoint_seconds:
+                self.write_checkpoint()
+
+    def _log(self, steps: int, validation: Mapping[str, float]) -> None:
+        env = self.model.get_env()
+        assert isinstance(env, AxisVecEnv)
+        for name, value in env.mean_rewards().items():
+            self.logger.record(f"reward/{name}", value)
+        lengths = [episode["l"] for episode in self.model.ep_info_buffer or ()]
+        self.logger.record("rollout/ep_len_mean", float(np.mean(lengths)) if lengths else math.nan)
+        self.log(steps, validation)
+
+    def write_checkpoint(self) -> None:
+        """Write the state at the start of the present rollout, or of the next rollout if none is in progress."""
+        if self._write is not None and self._checkpoint is not None:
+            self._write(self._checkpoint)
+            self._written = time.monotonic()

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import importlib
-import math
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from pydantic import Field
 from stable_baselines3 import SAC
-from stable_baselines3.common.callbacks import BaseCallback
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, read_counters
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, SessionCallback, load_made_with, read_counters, session
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import Progress, training_logger
+from hydro_agents.learning.progress import Progress, training_logger, validation_errors
 from hydro_agents.learning.settings import TrainingSettings
 from hydro_agents.learning.training import PolicyTrainer, make_env, make_features, training_record
-from hydro_agents.learning.validation import validation_errors
-from hydro_agents.running.seeds import first_training_seed
-from hydro_agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
+from hydro_agents.running.seeds import LEARNING
+from hydro_agents.running.weights import Tensors, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
@@ -86,10 +81,8 @@ class OffPolicyTrainer(PolicyTrainer):
             "settings": {**settings.model_dump(mode="json"), "total_steps": 0},
             "features": features.describe(),
         }
-        stored = load_checkpoint(path, KIND) if resume else None
-        if stored is not None and stored[1].get("made_with") != made_with:
-            raise ConfigurationError(f"{path}: was made with other settings; cannot resume")
-        env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
+        stored = load_made_with(path, KIND, made_with) if resume else None
+        env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
         model = algorithm(
             "MlpPolicy",
             env,
@@ -115,18 +108,12 @@ class OffPolicyTrainer(PolicyTrainer):
             before = _restore(model, *stored, path)
         model.set_logger(training_logger(folder, int(model.num_timesteps)))
         callback = _Callback(settings, features, path, made_with, before, progress)
-        try:
+        with session(model, env, callback):
             if model.num_timesteps < settings.total_steps:
                 left = settings.total_steps - int(model.num_timesteps)
                 model.learning_starts = int(model.num_timesteps) + settings.learning_starts
                 model.learn(left, callback, log_interval=10**9, reset_num_timesteps=False)
-                callback.write()
-        except KeyboardInterrupt:
-            callback.write()
-            raise
-        finally:
-            model.logger.close()
-            env.close()
+                callback.write_checkpoint()
         record = training_record(self._name, env, seed, int(model.num_timesteps), callback.seconds, settings)
         return PolicyController.from_sb3(model, features, record)
 
@@ -139,7 +126,7 @@ class OffPolicyTrainer(PolicyTrainer):
             ) from None
 
 
-class _Callback(BaseCallback):
+class _Callback(SessionCallback):
     """Logs and writes checkpoints every ``log_every`` steps."""
 
     model: SAC
@@ -153,35 +140,23 @@ class _Callback(BaseCallback):
         seconds: float,
         progress: Callable[[Progress], None] | None,
     ) -> None:
-        super().__init__()
-        self._settings, self._features, self._path = settings, features, path
-        self._made_with, self._progress = made_with, progress
-        self._began = time.monotonic() - seconds
-
-    @property
-    def seconds(self) -> float:
-        """Duration of training, all sessions together."""
-        return time.monotonic() - self._began
+        super().__init__(settings, seconds, progress)
+        self._settings, self._features, self._path, self._made_with = settings, features, path, made_with
 
     def _on_step(self) -> bool:
         settings, steps = self._settings, self.num_timesteps
         if steps // settings.log_every == (steps - settings.axes) // settings.log_every:
             return True
-        episodes = self.model.ep_info_buffer or ()
-        reward = float(np.mean([each["r"] / each["l"] for each in episodes])) if episodes else math.nan
-        every = settings.validation_every
-        if every and steps // every > (steps - settings.log_every) // every:
-            mean, _, _ = validation_errors(self._features.config, PolicyController.from_sb3(self.model, self._features))
-            self.logger.record("validation/mean_error_mm", mean)
-        self.logger.record("rollout/mean_reward", reward)
-        self.logger.record("time/time_elapsed", self.seconds)
-        self.logger.dump(steps)
-        self.write()
-        if self._progress is not None:
-            self._progress(Progress(steps, settings.total_steps, self.seconds, reward))
+        found = {}
+        if self.validates(steps, settings.log_every):
+            policy = PolicyController.from_sb3(self.model, self._features)
+            found = {"mean_error_mm": validation_errors(self._features.config, policy)[0]}
+        self.log(steps, found)
+        self.write_checkpoint()
+        self.report()
         return True
 
-    def write(self) -> None:
+    def write_checkpoint(self) -> None:
         """Write a checkpoint."""
         counters = {"steps": int(self.model.num_timesteps), "seconds": self.seconds, "made_with": self._made_with}
         save_checkpoint(self._path, KIND, _tensors(self.model), counters)

@@ -12,8 +12,7 @@ from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Floats, as_batch
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, FeatureState, PolicyFeatures
-from hydro_agents.learning.normalisation import Normalisation
+from hydro_agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, FeatureState, Normalisation, PolicyFeatures
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -166,7 +165,7 @@ class PolicyController:
         import torch
         from stable_baselines3 import PPO
 
-        from hydro_agents.learning.asymmetric import AsymmetricPolicy
+        from hydro_agents.learning.privileged import AsymmetricPolicy
 
         inputs = (env.observation_space.shape or (0,))[0]
         needed = self.features.size if self.critic is None else self.critic[0][0].shape[1]

@@ -1,4 +1,4 @@
-"""Hidden quantities for the critic in training: leak, plant, true state, bias, latency, family."""
+"""A critic that sees more than the actor in training: leak, plant, true state, bias, latency, family."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import MlpExtractor
+from torch import Tensor
 
-from hydro_agents.running.seeds import TRAINING_SEEDS
+from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import TYPICAL_SIZE
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 
 PLANTS = 256
 """Number of plants that are drawn for the mean and the spread of each parameter."""
@@ -36,13 +39,13 @@ class Privileged:
 
     def __init__(self, config: TaskConfig) -> None:
         env = ServoHydraulicVectorEnv(PLANTS, config, info=False)
-        env.reset(seed=list(TRAINING_SEEDS[:PLANTS]))
+        env.reset(seed=list(LEARNING.take(PLANTS)))
         drawn = env.axes.physical
         area, pressure = (env.axes.coefficient[:, Coefficients._fields.index("area_a")], config.plant.supply.pressure)
         self._force = float(np.mean(area)) * pressure
         self._drawn = np.flatnonzero(np.isfinite(drawn).all(axis=0) & (drawn != drawn[0]).any(axis=0))
         self._mean, self._spread = drawn[:, self._drawn].mean(axis=0), drawn[:, self._drawn].std(axis=0)
-        sensors = [getattr(config.sensors, name) for name in CHANNELS]
+        sensors = [getattr(config.sensors, name) for name in SENSORS]
         self._bias = np.array([sensor.bias if sensor.bias > 0.0 else 1.0 for sensor in sensors])
         self._steps, self._period = config.steps, config.control_period
         self.size = self(env.axes).shape[1]
@@ -61,9 +64,54 @@ class Privileged:
             state,
             error[:, None],
             force[:, None],
-            record["bias"] / self._bias,
+            record["bias"][:, SENSOR_COLUMNS] / self._bias,
             record["latency"][:, None] / self._period,
             family,
             1.0 - record["step"][:, None] / self._steps,
         ]
         return np.concatenate(columns, axis=1, dtype=np.float32)
+
+
+class _Extractor(MlpExtractor):
+    """Like its parent, but the actor sees only the first inputs.
+
+    Args:
+        actor_inputs: number of the inputs that the actor sees.
+        inputs: number of all inputs.
+        options: as for ``MlpExtractor``.
+    """
+
+    def __init__(self, actor_inputs: int, inputs: int, **options: Any) -> None:
+        super().__init__(inputs, **options)
+        self.policy_net = MlpExtractor(actor_inputs, **options).policy_net
+        self._actor_inputs = actor_inputs
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        """Last hidden layer of the actor."""
+        hidden: Tensor = self.policy_net(features[:, : self._actor_inputs])
+        return hidden
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Last hidden layers of actor and critic."""
+        return self.forward_actor(features), self.forward_critic(features)
+
+
+class AsymmetricPolicy(ActorCriticPolicy):
+    """``MlpPolicy`` whose actor sees the first ``actor_inputs`` entries of an observation, and whose critic sees all.
+
+    :class:`~hydro_agents.learning.vec_env.AxisVecEnv` with ``privileged`` gives such observations. A trained actor
+    needs no hidden quantity.
+    """
+
+    def __init__(self, *arguments: Any, actor_inputs: int, **keywords: Any) -> None:
+        self.actor_inputs = actor_inputs
+        super().__init__(*arguments, **keywords)
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = _Extractor(
+            self.actor_inputs,
+            self.features_dim,
+            net_arch=self.net_arch,
+            activation_fn=self.activation_fn,
+            device=self.device,
+        )

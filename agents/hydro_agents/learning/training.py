@@ -12,16 +12,14 @@ from stable_baselines3 import PPO
 
 from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
-from hydro_agents.learning.asymmetric import AsymmetricPolicy
-from hydro_agents.learning.callback import TrainingCallback
-from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, load, restore, save
+from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, TrainingCallback, load, restore, save, session
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import Progress, training_logger
+from hydro_agents.learning.privileged import AsymmetricPolicy
+from hydro_agents.learning.progress import Progress, family_errors, training_logger, validation_errors
 from hydro_agents.learning.settings import PPOSettings, TrainingSettings
-from hydro_agents.learning.validation import family_errors, validation_errors
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_agents.running.seeds import first_training_seed
+from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
 
@@ -180,7 +178,7 @@ def train_ppo(
         (place / CHECKPOINT_FILE).unlink(missing_ok=True)
     done = checkpoint.steps if checkpoint is not None else 0
 
-    env = make_env(config, settings, features, first_training_seed(seed, settings.axes))
+    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
     model = make_model(env, settings, seed)
     model.set_logger(training_logger(place, done))
 
@@ -206,18 +204,12 @@ def train_ppo(
         lambda seconds: check is not None and check(current(), int(model.num_timesteps), seconds),
         validation,
     )
-    try:
+    with session(model, env, callback):
         if checkpoint is not None and place is not None:
             restore(model, env, checkpoint, place / CHECKPOINT_FILE)
         if done < settings.total_steps:
             never = settings.total_steps  # the callback writes the log after the update
             model.learn(settings.total_steps - done, callback, log_interval=never, reset_num_timesteps=False)
-    except KeyboardInterrupt:
-        callback.write_checkpoint()
-        raise
-    finally:
-        model.logger.close()
-        env.close()
     record = training_record("PPO", env, seed, int(model.num_timesteps), callback.seconds, settings)
     return PolicyController.from_sb3(model, features, record)
 

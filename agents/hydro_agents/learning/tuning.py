@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.running.seeds import first_training_seed
+from hydro_agents.running.seeds import LEARNING
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
@@ -60,9 +60,9 @@ class TuningCases:
     def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
         """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
         known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-        first = first_training_seed(seed, count)
+        seeds = LEARNING.training(seed, count)
         return cls(
-            tuple(range(first, first + count)),
+            tuple(seeds),
             tuple(LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(count)),
             tuple(known[(index // len(LEAK_LEVELS)) % len(known)] for index in range(count)),
         )

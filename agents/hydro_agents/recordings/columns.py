@@ -9,15 +9,16 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from hydro_agents.detection.features import SIGNALS
 from hydro_agents.recordings.units import UNITS, factor
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import Number
 
-COMMAND = SIGNALS.index("previous_command")
-MEASURED: tuple[str, ...] = ("position", "pressure_a", "pressure_b", "spool_position", "command")
-"""Names of the signals in a file, in the order of :data:`hydro_agents.detection.head.SIGNALS`."""
+MEASURED = (*SENSORS, "command")
+"""Names of the signals in a file, in the order of a window's rows."""
+
+COMMAND = MEASURED.index("command")
 
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.report.text import number
+from hydro_agents.running.text import number
 
 NOT_RECORDED = "was not recorded"
 """What is found about a signal without a column."""

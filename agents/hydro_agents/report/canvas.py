@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import matplotlib
 import numpy as np
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.report.hover import name_categories, with_values
 from hydro_agents.report.palette import NEUTRALS, SERIES, themed
-from hydro_agents.report.text import number, setting
+from hydro_agents.running.text import number, setting
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation
@@ -76,6 +76,8 @@ STYLE: Any = {
 @dataclass(frozen=True)
 class Plot:
     """A figure of a page, with title, note and description."""
+
+    kind: ClassVar[str] = "plot"
 
     key: str  # name of its file
     title: str

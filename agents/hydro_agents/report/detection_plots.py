@@ -23,7 +23,7 @@ from hydro_agents.report.canvas import (
     ticks,
 )
 from hydro_agents.report.hover import name_categories
-from hydro_agents.report.text import number, setting
+from hydro_agents.running.text import number, setting
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.detection import LeakBounds

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from hydro_agents.report.canvas import controllers_of
-from hydro_agents.report.text import decimals_for, family_name, listed, number, unbroken
+from hydro_agents.report.content import interval_text, percent
+from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
+from hydro_agents.running.text import family_name, listed, number, unbroken
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation
@@ -25,33 +26,6 @@ FALSE_ALARM_TARGET = 0.01
 """Target false-alarm rate of the leakage head's threshold."""
 
 NEITHER = "no clear difference"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A summary, and the numbers."""
-
-    lead: str
-    text: str
-
-
-# Numbers as text ----------------------------------------------------------------------------------------------------
-
-
-def interval_text(interval: Interval, unit: str = "", decimals: int | None = None) -> str:
-    """Value, unit, and interval in brackets if there is one."""
-    if decimals is None:
-        decimals = decimals_for(interval.value)
-    value, low, high = (number(part, decimals) for part in interval)
-    unit = f" {unit}" if unit else ""
-    return f"{value}{unit}" if np.isnan(interval.low) else f"{value}{unit} ({low} to {high})"
-
-
-def percent(interval: Interval) -> str:
-    """A share as percent, with its interval."""
-    if np.isnan(interval.value):
-        return "–"
-    return interval_text(Interval(*(100.0 * part for part in interval)), "%", 1)
 
 
 def row_interval(row: Any, column: str) -> Interval:

@@ -1,17 +1,16 @@
-"""The heat map controller x condition: ratios of errors as text, on colours that diverge around 1."""
+"""The heat map of controllers and conditions: ratios of errors as text, on colours that diverge around 1."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from hydro_agents.report.findings import interval_text
+from hydro_agents.report.content import ALL, Content, interval, interval_text
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.robustness_record import ALL, Record, interval
-from hydro_agents.report.text import family_name, number
+from hydro_agents.report.sections import Block, Fold
+from hydro_agents.running.text import Cell, Table, family_name, number, setting
 
 FULL_COLOUR = 2.0
 """A ratio of 2 or 1/2 has the strongest colour."""
@@ -35,112 +34,79 @@ GROUPS = {
 FOLDED = ("parameter",)
 """Groups that the page folds because they have many conditions."""
 
-
-@dataclass(frozen=True)
-class Cell:
-    """One controller under one condition."""
-
-    text: str
-    title: str  # the interval, or the reason for a missing number
-    meaning: str = ""  # better or worse, if certain
-    share: int = 0  # percentage of the meaning's colour
-    best: bool = False
+Row = tuple[str | Cell, ...]
 
 
-@dataclass(frozen=True)
-class Row:
-    """One condition: its label, the error of the baseline, and a cell for each other controller."""
-
-    label: str
-    baseline: str
-    cells: tuple[Cell, ...]
-
-
-@dataclass(frozen=True)
-class Group:
-    """Conditions that belong together."""
-
-    title: str
-    rows: tuple[Row, ...]
-    folded: bool = False
-
-
-def heat_map(record: Record, column: str = "equal_weight") -> list[Group]:
-    """Groups of rows; ``column`` of the table ``comparison`` gives the values. None with one controller."""
-    conditions, others = record.table("conditions"), record.names[1:]
-    if conditions.empty or not others:
-        return []
-    groups = [Group("", (_row(record, ALL, "all conditions", column),))]
-    if column == "equal_weight" and not record.table("families").empty:
-        groups.append(Group("Kind of reference (mean errors, all leaks)", _family_rows(record)))
-    known = [*GROUPS, *(name for name in conditions["group"].unique() if name not in GROUPS)]
-    for group in known:
-        names = [str(name) for name in conditions.loc[conditions["group"] == group, "condition"]]
-        rows = tuple(_row(record, name, record.label(name), column) for name in names)
+def heat_map(content: Content, caption: str, column: str) -> list[Block]:
+    """The map of a column of the table ``comparison``: label, error of the baseline, and a cell per controller."""
+    conditions = content.table("conditions")
+    groups: dict[str, list[Row]] = {"": [_row(content, ALL, "all conditions", column)]}
+    if column == "equal_weight" and content.has("families"):
+        groups["Kind of reference (mean errors, all leaks)"] = _family_rows(content)
+    folded: dict[str, list[Row]] = {}
+    for group in [*GROUPS, *(name for name in conditions["group"].unique() if name not in GROUPS)]:
+        rows = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
         if rows:
-            groups.append(Group(GROUPS.get(group, str(group)), rows, group in FOLDED))
-    return groups
+            (folded if group in FOLDED else groups)[GROUPS.get(group, str(group))] = rows
+    header = ("Condition", f"{content.baseline}, mm", *content.controllers[1:])
+    breaks: dict[int, str] = {}
+    shown: list[Row] = []
+    for title, rows in groups.items():
+        if title:
+            breaks[len(shown)] = title
+        shown += rows
+    blocks: list[Block] = [Table(caption, header, shown, style="heat", folded=False, breaks=breaks)]
+    for title, rows in folded.items():
+        blocks.append(Fold(f"{title} ({len(rows)} conditions)", [Table("", header, rows, style="heat")]))
+    return blocks
 
 
-def _row(record: Record, condition: str, label: str, column: str) -> Row:
-    rows = {name: record.against(name, condition) for name in record.names[1:]}
-    missing = {name: _reason(record, name, condition) for name in rows}
-    return Row(label, _baseline_error(record, condition), _cells(rows, column, missing))
+def legend() -> list[Cell]:
+    """Colours of some ratios."""
+    return [Cell(setting(ratio), "better" if ratio < 1.0 else "worse", colour_share(ratio)) for ratio in SCALE]
 
 
-def _family_rows(record: Record) -> tuple[Row, ...]:
-    table = record.table("families")
-    found = []
-    for family in [str(name) for name in table["family"].unique() if name != ALL]:
-        part = table[table["family"] == family].set_index("controller")
-        rows: dict[str, dict[str, Any]] = {
-            name: part.loc[name].to_dict() if name in part.index else {} for name in record.names[1:]
-        }
-        found.append(Row(family_name(family), "", _cells(rows, "ratio", {})))
-    return tuple(found)
+def _row(content: Content, condition: str, label: str, column: str) -> Row:
+    rows = {name: content.against(name, condition) for name in content.controllers[1:]}
+    missing = {name: _reason(content, name, condition) for name in rows}
+    error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
+    return label, number(float(error.get("mean", np.nan))), *_cells(rows, column, missing)
 
 
-def _cells(rows: dict[str, dict[str, Any]], column: str, missing: dict[str, str]) -> tuple[Cell, ...]:
-    values = {name: float(row.get(column, np.nan)) for name, row in rows.items()}
-    finite = [value for value in values.values() if np.isfinite(value)]
-    least = min(finite) if finite else np.nan
+def _family_rows(content: Content) -> list[Row]:
+    found: list[Row] = []
+    for family in [str(name) for name in content.table("families")["family"].unique() if name != ALL]:
+        rows = {name: content.row("families", family=family, controller=name) for name in content.controllers[1:]}
+        found.append((family_name(family), "", *_cells(rows, "ratio", {})))
+    return found
+
+
+def _cells(rows: Mapping[str, Mapping[str, Any]], column: str, missing: Mapping[str, str]) -> list[Cell]:
+    """A cell for each controller; it has a colour only if its whole interval is on one side of 1."""
+    values = {name: interval(row, column) for name, row in rows.items()}
+    least = min((value.value for value in values.values() if np.isfinite(value.value)), default=np.nan)
     cells = []
-    for name, row in rows.items():
-        value = interval(row, column)
+    for name, value in values.items():
         if not np.isfinite(value.value):
             reason = missing.get(name, "")
-            cells.append(Cell("failed" if reason.startswith("failed") else "–", reason or "did not run"))
+            text = "failed" if reason.startswith("failed") else "–"
+            cells.append(Cell(text, title=reason or "did not run"))
             continue
         certain = value.low > 1.0 or value.high < 1.0
-        cells.append(
-            Cell(
-                number(value.value, 2),
-                interval_text(value, decimals=2),
-                "" if not certain else "better" if value.value < 1.0 else "worse",
-                colour_share(value.value) if certain else 0,
-                value.value == least and least < 1.0,
-            )
-        )
-    return tuple(cells)
+        meaning = "" if not certain else "better" if value.value < 1.0 else "worse"
+        share = colour_share(value.value) if certain else 0
+        best = value.value == least < 1.0
+        cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
+    return cells
 
 
-def _reason(record: Record, controller: str, condition: str) -> str:
+def _reason(content: Content, controller: str, condition: str) -> str:
     """The reason for a controller's missing number under a condition, over all its training seeds."""
-    status = record.table("status")
+    status = content.table("status")
     if status.empty or condition == ALL:
         return ""
     own = status[(status["condition"] == condition) & (status["controller"].str.partition("#")[0] == controller)]
     return "; ".join(f"{row['status']}: {row['message']}" for row in own.to_dict("records") if row["status"] != "done")
-
-
-def _baseline_error(record: Record, condition: str) -> str:
-    summary: pd.DataFrame = record.table("summary")
-    own = summary[
-        (summary["controller"] == record.baseline)
-        & (summary["condition"] == condition)
-        & (summary["metric"] == "mean_error_mm")
-    ]
-    return number(float(own["mean"].iloc[0])) if len(own) else "–"
 
 
 def colour_share(ratio: float) -> int:

@@ -13,7 +13,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydro_agents.report.text import number
+from hydro_agents.running.text import number
 
 MOST_POINTS = 20
 """Largest number of points per line; a longer line is thinned evenly."""

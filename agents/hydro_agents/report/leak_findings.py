@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
-from hydro_agents.report.findings import Finding, interval_text
-from hydro_agents.report.leak_record import Record
-from hydro_agents.report.text import listed, number, setting, unbroken
+from hydro_agents.report.content import Content, interval_text
+from hydro_agents.report.sections import Finding
+from hydro_agents.running.text import listed, number, setting, unbroken
 
 SURE = 95.0
 """Percentage of windows with detection for the sentence "is found"."""
@@ -18,32 +18,32 @@ TOO_OFTEN = 10.0
 MOST_NAMED = 5
 
 
-def findings(record: Record) -> list[Finding]:
+def findings_of(content: Content) -> list[Finding]:
     """Findings on size, delay, reliability, confusions and windows without an answer."""
-    items = [_small(record), *_early(record), _sure(record), _confused(record), _silent(record)]
+    items = [_small(content), *_early(content), _sure(content), _confused(content), _silent(content)]
     return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
 
 
-def _levels(record: Record, detector: str, condition: str) -> list[float]:
-    table = record.table("detection")
+def _levels(content: Content, detector: str, condition: str) -> list[float]:
+    table = content.table("detection")
     mine = table[(table["detector"] == detector) & (table["condition"] == condition) & (table["level"] > HEALTHY)]
     return sorted(float(level) for level in mine["level"])
 
 
-def smallest_found(record: Record, detector: str, condition: str) -> float:
+def smallest_found(content: Content, detector: str, condition: str) -> float:
     """The smallest leak such that it and every larger one is found in 95 % of the windows; NaN if there is none."""
     found = np.nan
-    for level in reversed(_levels(record, detector, condition)):
-        if record.share(detector, condition, level, "at_1_percent").value < SURE:
+    for level in reversed(_levels(content, detector, condition)):
+        if content.share(detector, condition, level, "at_1_percent").value < SURE:
             break
         found = level
     return float(found)
 
 
-def _small(record: Record) -> Finding:
-    sizes = {name: smallest_found(record, name, record.base) for name in record.detectors}
+def _small(content: Content) -> Finding:
+    sizes = {name: smallest_found(content, name, content.base) for name in content.detectors}
     known = {name: size for name, size in sizes.items() if np.isfinite(size)}
-    duration = float(record.conditions["duration_s"][record.base])
+    duration = float(content.conditions["duration_s"][content.base])
     if not known:
         return Finding(
             "No size of leak is found reliably.", f"No detector finds any of them in {SURE:.0f} % of the windows."
@@ -61,8 +61,8 @@ def _small(record: Record) -> Finding:
     return Finding(lead, text)
 
 
-def _early(record: Record) -> list[Finding]:
-    table = record.table("alarms")
+def _early(content: Content) -> list[Finding]:
+    table = content.table("alarms")
     if table.empty:
         return []
     items = []
@@ -88,19 +88,19 @@ def _early(record: Record) -> list[Finding]:
     return items
 
 
-def _sure(record: Record) -> Finding:
+def _sure(content: Content) -> Finding:
     parts, worst, rates = [], {}, {}
-    for name in record.detectors:
-        value = record.share(name, record.base, HEALTHY)
-        per_hour = float(record.cell("detection", name, record.base, HEALTHY).get("per_hour", np.nan))
+    for name in content.detectors:
+        value = content.share(name, content.base, HEALTHY)
+        per_hour = float(content.cell("detection", name, content.base, HEALTHY).get("per_hour", np.nan))
         parts.append(f"{name} {interval_text(value, '%', 1)}, which is {number(per_hour, 0)} per hour")
         if np.isfinite(per_hour):
             rates[name] = per_hour
-        others = {where: record.share(name, where, HEALTHY) for where in record.in_groups("motion", "controller")}
+        others = {where: content.share(name, where, HEALTHY) for where in content.in_groups("motion", "controller")}
         others = {where: share for where, share in others.items() if np.isfinite(share.value)}
         if others:
             where = max(others, key=lambda each: others[each].value)
-            worst[name] = f"{name} {interval_text(others[where], '%', 1)}, {record.label(where)}"
+            worst[name] = f"{name} {interval_text(others[where], '%', 1)}, {content.label(where)}"
     text = f"Healthy windows in which a leak is reported: {'; '.join(parts)}."
     if worst:
         text += f" Under the worst motion or controller: {'; '.join(worst.values())}."
@@ -111,14 +111,15 @@ def _sure(record: Record) -> Finding:
     return Finding(lead, text)
 
 
-def _confused(record: Record) -> Finding:
+def _confused(content: Content) -> Finding:
     parts, clean = [], []
-    for name in record.detectors:
-        found = {where: record.share(name, where, HEALTHY).value for where in record.in_groups("fault", "plant", "rig")}
+    changed = content.in_groups("fault", "plant", "rig")
+    for name in content.detectors:
+        found = {where: content.share(name, where, HEALTHY).value for where in changed}
         shares = {where: value for where, value in found.items() if np.isfinite(value)}
         wrong = sorted((where for where in shares if shares[where] > TOO_OFTEN), key=lambda where: -shares[where])
         if wrong:
-            named = [f"{record.label(where)} {number(shares[where], 0)} %" for where in wrong[:MOST_NAMED]]
+            named = [f"{content.label(where)} {number(shares[where], 0)} %" for where in wrong[:MOST_NAMED]]
             more = f" and {len(wrong) - MOST_NAMED} more" if len(wrong) > MOST_NAMED else ""
             parts.append(f"{name}: {', '.join(named)}{more}")
         elif shares:
@@ -130,12 +131,12 @@ def _confused(record: Record) -> Finding:
     return Finding(lead, text.strip())
 
 
-def _silent(record: Record) -> Finding:
+def _silent(content: Content) -> Finding:
     parts = []
-    table = record.table("detection")
-    for name in record.detectors:
+    table = content.table("detection")
+    for name in content.detectors:
         mine = table[(table["detector"] == name) & (table["cannot_tell"] > 0.5)]
-        labels = list(dict.fromkeys(record.label(str(condition)) for condition in mine["condition"]))
+        labels = list(dict.fromkeys(content.label(str(condition)) for condition in mine["condition"]))
         if labels:
             more = f" and {len(labels) - MOST_NAMED} more" if len(labels) > MOST_NAMED else ""
             parts.append(f"{name}: {', '.join(labels[:MOST_NAMED])}{more}")

@@ -8,32 +8,10 @@ from pathlib import Path
 import pandas as pd
 
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.report.leak_findings import findings
-from hydro_agents.report.leak_page_tables import (
-    alarm_tables,
-    conditions_tables,
-    confusions,
-    detection_tables,
-    floors_table,
-    masking_tables,
-    size_tables,
-)
-from hydro_agents.report.leak_pictures import (
-    coverage_plots,
-    detection_plot,
-    fault_plots,
-    masking_plot,
-    motion_plots,
-    reliability_plot,
-    size_plot,
-)
-from hydro_agents.report.leak_record import Record
-from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table
-from hydro_agents.running.machine import Origin
-
-HERE = Path(__file__).parent
-PAGE_FILE = "leakage.html"
+from hydro_agents.report.content import Content
+from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE
+from hydro_agents.report.page import Page
+from hydro_agents.report.sections import render_page
 
 
 def write_leak_report(folder: Path, tables: Mapping[str, pd.DataFrame], protocol: LeakProtocol) -> None:
@@ -47,45 +25,9 @@ def write_leak_report(folder: Path, tables: Mapping[str, pd.DataFrame], protocol
     Raises:
         ConfigurationError: the file cannot be written.
     """
-    render_page(Record(tables, protocol.base)).write(folder / PAGE_FILE)
+    render_leakage(Content(tables, protocol.task, {"base": protocol.base})).write(folder / PAGE_FILE)
 
 
-def render_page(record: Record) -> Page:
+def render_leakage(content: Content) -> Page:
     """The page."""
-    facts = record.facts()
-    return make_page(
-        HERE / "leakage.html.j2",
-        Origin.of(facts),
-        title=facts.get("title", "Leak detection"),
-        detectors=record.detectors,
-        findings=findings(record),
-        problems=problems(record),
-        floors=floors_table(record),
-        small=[*detection_plot(record), *size_plot(record)],
-        alarms=alarm_tables(record),
-        motions=motion_plots(record),
-        faults=fault_plots(record),
-        confusions=confusions(record),
-        reliability=reliability_plot(record),
-        coverage=coverage_plots(record),
-        masking=masking_plot(record),
-        masking_tables=masking_tables(record),
-        detection=detection_tables(record),
-        sizes=size_tables(record),
-        facts=Table("Facts of this run", ("Fact", "Value"), list(facts.items())),
-        conditions=conditions_tables(record),
-    )
-
-
-def problems(record: Record) -> list[str]:
-    """Detectors that failed or were not applicable under a condition, one line each."""
-    status = record.table("status")
-    if status.empty:
-        return []
-    failed = status[status["status"] == "failed"].to_dict("records")
-    lines = [f"{row['detector']} failed under {record.label(row['condition'])}: {row['message']}" for row in failed]
-    absent = status[status["status"] == "not applicable"]
-    for name, frame in absent.groupby("detector", sort=False):
-        where = ", ".join(record.label(str(condition)) for condition in frame["condition"])
-        lines.append(f"{name} did not read {where}: {frame['message'].iloc[0]}.")
-    return lines
+    return render_page(content.facts.get("title", "Leak detection"), LEAKAGE, content)

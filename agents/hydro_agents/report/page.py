@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jinja2
+
 from hydro_agents.report.canvas import Plot
 from hydro_agents.report.palette import css_variables
-from hydro_agents.report.text import templates
 from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import number, setting
 from hydro_env.files import write_whole
 
 LETTER = re.compile(r'<path id="DejaVuSans[^"]*"[^>]*/>')
@@ -69,3 +71,19 @@ def _shared_letters(html: str) -> str:
         f'<svg width="0" height="0" aria-hidden="true" style="position:absolute"><defs>{"".join(letters)}</defs></svg>'
     )
     return LETTER.sub("", html).replace("<body>", f"<body>\n{store}", 1) if letters else html
+
+
+def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
+    """Templates of some folders and of this one: HTML, or prose with free line breaks.
+
+    Filters: ``n`` is :func:`~hydro_agents.running.text.number`, ``s`` is :func:`~hydro_agents.running.text.setting`.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
+        autoescape=not prose,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=not prose,
+        lstrip_blocks=not prose,
+    )
+    environment.filters.update({"n": number, "s": setting})
+    return environment

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from hydro_agents.report.canvas import (
@@ -16,9 +14,7 @@ from hydro_agents.report.canvas import (
     INK,
     PALE,
     Array,
-    Look,
     Plot,
-    add_legend,
     bars,
     bars_by,
     controllers_of,
@@ -26,20 +22,15 @@ from hydro_agents.report.canvas import (
     dodge,
     level_axis,
     looks_of,
-    make_plot,
     one_panel,
     row_axis,
     ticks,
 )
-from hydro_agents.report.text import family_name, number, setting
 from hydro_agents.running.statistics import mean_interval
+from hydro_agents.running.text import family_name, number, setting
 
 if TYPE_CHECKING:
     from hydro_agents.evaluation.protocol import Evaluation
-    from hydro_agents.report.report import Example
-
-JUMP = 2e-4
-"""m between two samples; a larger change of the reference is a step."""
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
@@ -229,67 +220,3 @@ def _ratio_scale(axes: Axes, values: Array) -> None:
         axes.set_xlim(low - room, high + room)
         axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
         axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
-
-
-def example_limits(examples: Sequence[Example]) -> tuple[float, float]:
-    """Lowest and highest error (mm) of some episodes, for one scale in all their figures."""
-    errors = [1e3 * (one.reference - position) for one in examples for position in one.position.values()]
-    low, high = min(float(np.nanmin(e)) for e in errors), max(float(np.nanmax(e)) for e in errors)
-    room = 0.05 * (high - low) or 1.0
-    return low - room, high + room
-
-
-def example_plot(
-    example: Example, key: str, looks: Mapping[str, Look], limits: tuple[float, float] | None = None
-) -> Plot:
-    """Position and reference, error in mm, command in V of one episode under every controller.
-
-    Args:
-        example: the episode.
-        key: name of the figure.
-        looks: of the controllers.
-        limits: of the error, mm.
-    """
-    names = list(example.position)
-    jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP] if example.preview > 0.0 else np.empty(0)
-    ahead = setting(1e3 * example.preview)
-
-    def paint(figure: Figure) -> None:
-        above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
-        above.plot(example.time, 1e3 * example.reference, color=INK, linewidth=1.0, label="reference")
-        if len(jumps):
-            seen: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": ":"}
-            above.plot(
-                example.time - example.preview, 1e3 * example.reference, label=f"preview, {ahead} ms ahead", **seen
-            )
-        for name in names:
-            look = looks[name]
-            above.plot(example.time, 1e3 * example.position[name], label=name, linewidth=1.2, **look.stroke)
-            middle.plot(example.time, 1e3 * (example.reference - example.position[name]), linewidth=1.2, **look.stroke)
-            below.plot(example.time, 10.0 * example.command[name], linewidth=0.9, **look.stroke)
-        for axes in panels:
-            for jump in jumps:
-                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5)
-        middle.axhline(0.0, color=INK, linewidth=0.6)
-        above.set_ylabel("position, mm")
-        middle.set_ylabel("error, mm")
-        below.set(ylabel="command, V", xlabel="time, s", ylim=(-10.8, 10.8), yticks=[-10, 0, 10])
-        below.set_xlim(0.0, float(example.time[-1]))
-        if limits is not None:
-            middle.set_ylim(limits)
-        for axes in (above, middle):
-            axes.yaxis.set_major_locator(MaxNLocator(5))
-        figure.align_ylabels()
-        add_legend(above)
-
-    errors = [
-        f"{name} {number(1e3 * float(np.mean(np.abs(example.reference - example.position[name]))))} mm"
-        for name in names
-    ]
-    note = f"Mean error of this run: {', '.join(errors)}."
-    if len(jumps):
-        note += (
-            f" Dotted: the preview shows the reference {ahead} ms ahead, so the axis may start before the step (grey)."
-        )
-    alt = f"Position, error and valve command over time: {example.title}. {note}"
-    return make_plot(key, example.title[:1].upper() + example.title[1:], note, alt, paint, 4.6)

@@ -19,8 +19,8 @@ from hydro_agents.report.canvas import Look, Plot, controllers_of, looks_of
 from hydro_agents.report.detection_plots import detection_plots
 from hydro_agents.report.findings import caution, failures, findings, plants_of
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.plots import example_limits, example_plot, level_plot, tracking_plots
-from hydro_agents.report.price_plots import price_plots, price_sentence
+from hydro_agents.report.plots import level_plot, tracking_plots
+from hydro_agents.report.shared import price_plots, price_sentence
 from hydro_agents.report.tables import (
     definitions,
     detection_tables,
@@ -30,37 +30,17 @@ from hydro_agents.report.tables import (
     overview,
     ratio_tables,
 )
-from hydro_agents.report.text import Table, correction_name, duration, family_name, listed, setting, span
+from hydro_agents.report.traces import Example, example_limits, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
 from hydro_agents.running.statistics import RESAMPLES
+from hydro_agents.running.text import Table, correction_name, duration, family_name, listed, setting, span
 from hydro_env.files import write_whole
 
 HERE = Path(__file__).parent
 
 Array = NDArray[np.floating[Any]]
-
-
-@dataclass(frozen=True)
-class Example:
-    """One test episode under every controller. Arrays (T,)."""
-
-    title: str
-    time: Array  # s
-    reference: Array  # m
-    position: dict[str, Array]  # controller → m
-    command: dict[str, Array]  # controller → fraction of 10 V
-    preview: float = 0.0  # s; the observation shows the reference this far ahead
-    leak: float = 0.0  # l/min at 100 bar
-
-    def renamed(self, names: Mapping[str, str]) -> Example:
-        """The episode with new names of controllers."""
-        return replace(
-            self,
-            position={names.get(name, name): trace for name, trace in self.position.items()},
-            command={names.get(name, name): trace for name, trace in self.command.items()},
-        )
 
 
 @dataclass(frozen=True)
@@ -124,7 +104,7 @@ def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
         metric_tables={by: metric_tables(evaluation, by) for by in ("level", "family")},
         levels=_levels(evaluation, record),
         level_plots=_level_plots(record, looks),
-        price_plots=[*price_plots(record.leak_price), energy],
+        price_plots=[*(price_plots(record.leak_price) if len(record.leak_price) else []), energy],
         detection_plots=detection_plots(evaluation),
         detection_tables=detection_tables(evaluation),
         learning_plots=learning_plots(record.training_curve, next(iter(looks)), record.validation_error_mm, looks),

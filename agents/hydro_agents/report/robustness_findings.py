@@ -7,27 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from hydro_agents.report.findings import Finding, interval_text, percent
-from hydro_agents.report.robustness_record import ALL, Record, interval
-from hydro_agents.report.text import listed, number, setting, unbroken
+from hydro_agents.evaluation.metrics import COMPARED
+from hydro_agents.report.content import ALL, Content, interval, interval_text, percent
+from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import listed, number, setting, unbroken
 
 MOST_NAMED = 6
 """Largest number of conditions that a sentence names."""
 
-SAME = 0.02
-"""Costs that differ by less than this share count as the same."""
 
-
-def findings(record: Record) -> list[Finding]:
+def findings_of(content: Content) -> list[Finding]:
     """The findings: best controller, weaknesses of each controller, and cost of the leak."""
     items: list[Finding] = []
-    if not record.table("comparison").empty:
-        items += [_winner(record), *(_controller(record, name) for name in record.names[1:])]
-    if not record.table("standstill").empty:
-        items.append(_standstill(record))
-    if not record.table("leak_price").empty:
-        items.append(_price(record))
+    if content.has("comparison"):
+        items += [_winner(content), *(_controller(content, name) for name in content.controllers[1:])]
+    if content.has("standstill"):
+        items.append(_standstill(content))
+    if content.has("leak_price"):
+        items.append(_price(content))
     return [Finding(_unbroken(item.lead), _unbroken(item.text)) for item in items]
 
 
@@ -43,30 +41,30 @@ def verdict(value: Interval) -> str:
     return "worse" if value.low > 1.0 else "same"
 
 
-def _ratio(record: Record, name: str) -> Interval:
-    return interval(record.against(name), "equal_weight")
+def _ratio(content: Content, name: str) -> Interval:
+    return interval(content.against(name), "equal_weight")
 
 
-def _winner(record: Record) -> Finding:
-    base = record.baseline
-    ranked = sorted(record.names[1:], key=lambda name: _ratio(record, name).value)
-    best, value = ranked[0], _ratio(record, ranked[0])
+def _winner(content: Content) -> Finding:
+    base = content.baseline
+    ranked = sorted(content.controllers[1:], key=lambda name: _ratio(content, name).value)
+    best, value = ranked[0], _ratio(content, ranked[0])
     if verdict(value) != "better":
         return Finding(
             f"No controller is clearly better than {base}.",
             f"The error of the best other one, {best}, is {interval_text(value, decimals=2)} times as large.",
         )
     share = 100.0 * (1.0 - value.value)
-    others = [f"{name} {interval_text(_ratio(record, name), decimals=2)}" for name in ranked[1:]]
+    others = [f"{name} {interval_text(_ratio(content, name), decimals=2)}" for name in ranked[1:]]
     text = f"Error against {base}, all kinds of reference with equal weight: {best} {interval_text(value, decimals=2)}"
     text += f"; {'; '.join(others)}." if others else "."
-    text += f" {_best_in(record)} {_cost(record, best)}"
+    text += f" {_best_in(content)} {_cost(content, best)}"
     return Finding(f"{best} positions best: {number(share, 0)} % less error than {base}.", text)
 
 
-def _best_in(record: Record) -> str:
+def _best_in(content: Content) -> str:
     """Number of conditions in which each controller is the best, as a sentence."""
-    ranking = record.table("ranking")
+    ranking = content.table("ranking")
     if ranking.empty or "best_in" not in ranking:
         return ""
     rows = [row for row in ranking.to_dict("records") if int(row["best_in"]) > 0]
@@ -74,18 +72,21 @@ def _best_in(record: Record) -> str:
     return f"Best, of {int(ranking['conditions'].max())} conditions: {listed(parts)}."
 
 
-def _cost(record: Record, name: str) -> str:
+def _cost(content: Content, name: str) -> str:
     """Cost of a controller for valve and supply, as a sentence."""
-    row = record.against(name)
-    words = {"travel_ratio": "valve travel", "reversals_ratio": "reversals", "energy_ratio": "energy from the supply"}
-    parts = [f"{text} {number(float(row[key]), 2)}" for key, text in words.items() if np.isfinite(row.get(key, np.nan))]
-    return f"Its cost relative to {record.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
+    row = content.against(name)
+    parts = [
+        f"{metric.word.lower()} {number(float(row[column]), 2)}"
+        for column, metric in COMPARED.items()
+        if metric.cost and np.isfinite(row.get(column, np.nan))
+    ]
+    return f"Its cost relative to {content.baseline}: {listed([f'{part} ×' for part in parts])}." if parts else ""
 
 
-def _controller(record: Record, name: str) -> Finding:
-    base, row = record.baseline, record.against(name)
-    whole = _ratio(record, name)
-    kinds = _by_verdict(record, name)
+def _controller(content: Content, name: str) -> Finding:
+    base, row = content.baseline, content.against(name)
+    whole = _ratio(content, name)
+    kinds = _by_verdict(content, name)
     ran = sum(len(conditions) for conditions in kinds.values())
     won, lost = len(kinds["better"]), len(kinds["worse"])
     lead = f"{name} beats {base} in {won} of {ran} conditions and loses in {lost or 'none'}."
@@ -97,35 +98,35 @@ def _controller(record: Record, name: str) -> Finding:
     text += f"; better in {percent(better)} of the cases" if np.isfinite(better.value) else ""
     text += f"; worst single case {number(float(row['worst_ratio']), 2)} ×." if "worst_ratio" in row else "."
     if kinds["worse"]:
-        text += f" It loses under: {_named(record, kinds['worse'], name)}."
+        text += f" It loses under: {_named(content, kinds['worse'], name)}."
     gap = interval(row, "gap")
     if np.isfinite(gap.value):
         text += f" It closes {percent(gap)} of the gap between {base} and the best found."
-    return Finding(lead, f"{text} {_cost(record, name)} {_troubles(record, name)}".strip())
+    return Finding(lead, f"{text} {_cost(content, name)} {_troubles(content, name)}".strip())
 
 
-def _by_verdict(record: Record, name: str) -> dict[str, list[str]]:
+def _by_verdict(content: Content, name: str) -> dict[str, list[str]]:
     kinds: dict[str, list[str]] = {"better": [], "worse": [], "same": []}
-    table = record.table("comparison")
+    table = content.table("comparison")
     for row in table[(table["controller"] == name) & (table["condition"] != ALL)].to_dict("records"):
-        value = interval({str(key): entry for key, entry in row.items()}, "equal_weight")
+        value = interval(row, "equal_weight")
         if np.isfinite(value.value):
             kinds[verdict(value)].append(str(row["condition"]))
     return kinds
 
 
-def _named(record: Record, conditions: list[str], controller: str) -> str:
+def _named(content: Content, conditions: list[str], controller: str) -> str:
     """The worst of some conditions, by name."""
-    values = {name: interval(record.against(controller, name), "equal_weight").value for name in conditions}
+    values = {name: interval(content.against(controller, name), "equal_weight").value for name in conditions}
     worst = sorted(conditions, key=lambda name: -values[name])
-    parts = [f"{record.label(name)} ({number(values[name], 2)})" for name in worst[:MOST_NAMED]]
+    parts = [f"{content.label(name)} ({number(values[name], 2)})" for name in worst[:MOST_NAMED]]
     more = len(conditions) - len(parts)
     return ", ".join(parts) + (f" and {more} more" if more > 0 else "")
 
 
-def _troubles(record: Record, name: str) -> str:
+def _troubles(content: Content, name: str) -> str:
     """Failures and limit cycles of all runs, as a sentence."""
-    ranking = record.table("ranking")
+    ranking = content.table("ranking")
     own = ranking[ranking["controller"] == name].to_dict("records") if not ranking.empty else []
     if not own or "failures" not in own[0]:
         return ""
@@ -133,18 +134,18 @@ def _troubles(record: Record, name: str) -> str:
     return f"Failed runs: {failures}." if failures else "No run failed."
 
 
-def cycle_counts(record: Record) -> dict[str, tuple[int, int, dict[str, Any]]]:
+def cycle_counts(content: Content) -> dict[str, tuple[int, int, dict[str, Any]]]:
     """Per controller: cases with a limit cycle at standstill, all cases, and the row of the largest."""
     counts = {}
-    for name, frame in record.table("standstill").groupby("controller", sort=False):
+    for name, frame in content.table("standstill").groupby("controller", sort=False):
         cycles = frame[frame["limit_cycle"].astype(bool)]
         largest = cycles.sort_values("amplitude_um").tail(1).to_dict("records")
         counts[str(name)] = (len(cycles), len(frame), {str(k): v for k, v in largest[0].items()} if largest else {})
     return counts
 
 
-def _standstill(record: Record) -> Finding:
-    counts = cycle_counts(record)
+def _standstill(content: Content) -> Finding:
+    counts = cycle_counts(content)
     without = [name for name, (cycles, _, _) in counts.items() if cycles == 0]
     lead = "No controller oscillates while it holds a position."
     if len(without) < len(counts):
@@ -166,8 +167,8 @@ def _standstill(record: Record) -> Finding:
     return Finding(lead, f"Held positions with a limit cycle: {'; '.join(parts)}. The runs are without sensor noise.")
 
 
-def _price(record: Record) -> Finding:
-    table = record.table("leak_price")
+def _price(content: Content) -> Finding:
+    table = content.table("leak_price")
     held = table[np.isfinite(table["holding_power_w"])]  # the largest leaks may make holding impossible
     tight, leaking = held.iloc[0], held.iloc[-1]
     leak = setting(float(leaking["leakage_flow_lpm"]))

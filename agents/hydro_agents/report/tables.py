@@ -8,35 +8,12 @@ import pandas as pd
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.report.canvas import controllers_of
-from hydro_agents.report.findings import interval_text, percent, plants_of, row_interval, verdict
-from hydro_agents.report.text import Table, decimals_for, family_name, number, setting
+from hydro_agents.report.content import interval_text, percent
+from hydro_agents.report.findings import plants_of, row_interval, verdict
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk
+from hydro_agents.running.text import Table, decimals_for, family_name, number, setting
 
-SHOWN: dict[str, tuple[str, str, float]] = {
-    "mean_error_mm": ("Mean error", "mm", 1.0),
-    "rms_error_mm": ("Root-mean-square error", "mm", 1.0),
-    "peak_error_mm": ("Peak error", "mm", 1.0),
-    "settling_time_s": ("Settling time, if settled", "s", 1.0),
-    "unsettled_share": ("Standstills without settling", "%", 100.0),
-    "overshoot_percent": ("Overshoot of steps", "%", 1.0),
-    "steady_state_error_mm": ("Steady-state error", "mm", 1.0),
-    "itae_mm_s2": ("Time-weighted error (ITAE)", "mm s²", 1.0),
-    "control_effort": ("Command, root mean square", "V", 10.0),
-    "valve_travel_per_s": ("Valve travel", "strokes per second", 1.0),
-    "reversals_per_s": ("Reversals of the command", "per second", 1.0),
-    "supply_energy_j": ("Energy from the supply", "J", 1.0),
-    "mean_error_sensor_mm": ("Mean error in the frame of the sensor", "mm", 1.0),
-    "steady_state_error_sensor_mm": ("Steady-state error in the frame of the sensor", "mm", 1.0),
-    "failed": ("Failed runs", "%", 100.0),
-}
-"""Name, displayed unit and factor of each metric."""
-
-
-def _shown(metric: str) -> tuple[str, str, float]:
-    return SHOWN.get(metric, (metric, METRICS[metric][0], 1.0))
-
-
-OVERVIEW = ("mean_error_mm", "peak_error_mm", "valve_travel_per_s", "reversals_per_s", "supply_energy_j", "failed")
+OVERVIEW = tuple(m for m in METRICS.values() if m.cost or m.name in ("mean_error_mm", "peak_error_mm"))
 """Metrics side by side: an error is no result without its cost."""
 
 
@@ -65,7 +42,7 @@ def level_tables(evaluation: Evaluation) -> dict[float, Table]:
 
 
 def _overview_header() -> tuple[str, ...]:
-    return tuple(f"{label.lower()}, {unit}" for label, unit, _ in map(_shown, OVERVIEW))
+    return tuple(metric.label[0].lower() + metric.label[1:] for metric in OVERVIEW)
 
 
 def _overall(evaluation: Evaluation, name: str) -> tuple[str, str]:
@@ -79,7 +56,7 @@ def _overall(evaluation: Evaluation, name: str) -> tuple[str, str]:
 
 def _overview_cells(cases: pd.DataFrame, name: str) -> tuple[str, ...]:
     own = cases[cases["controller"] == name]
-    return tuple(number(_shown(metric)[2] * float(own[metric].mean())) for metric in OVERVIEW)
+    return tuple(number(metric.factor * float(own[metric.name].mean())) for metric in OVERVIEW)
 
 
 def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
@@ -87,20 +64,20 @@ def metric_table(evaluation: Evaluation, by: str, metric: str) -> Table:
     column, first = ("leakage_flow_lpm", "Leak, l/min") if by == "level" else ("family", "Reference")
     table = evaluation.levels if by == "level" else evaluation.families
     table = table[table["metric"] == metric]
-    label, unit, factor = _shown(metric)
+    shown = METRICS[metric]
     names = controllers_of(evaluation)
-    means = factor * table["mean"].abs()
+    means = shown.factor * table["mean"].abs()
     decimals = decimals_for(float(means[means > 0.0].median()))
     rows = []
     for value in table[table["mean"].notna()][column].unique():
         cells = [setting(value) if by == "level" else family_name(str(value))]
         for name in names:
             row = table[(table["controller"] == name) & (table[column] == value)].iloc[0]
-            mean = Interval(*(factor * float(row[key]) for key in ("mean", "low", "high")))
-            tail = (factor * float(row[key]) for key in ("cvar_5_percent", "worst"))
+            mean = Interval(*(shown.factor * float(row[key]) for key in ("mean", "low", "high")))
+            tail = (shown.factor * float(row[key]) for key in ("cvar_5_percent", "worst"))
             cells += [interval_text(mean, decimals=decimals), *(number(part, decimals) for part in tail)]
         rows.append(tuple(cells))
-    caption = f"{label}, {unit}, by {'leak size' if by == 'level' else 'kind of reference'}"
+    caption = f"{shown.label}, by {'leak size' if by == 'level' else 'kind of reference'}"
     header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
     return Table(caption, header, rows, tuple((name, 3) for name in names))
 
@@ -189,6 +166,7 @@ def _detection_summary(evaluation: Evaluation) -> Table:
 def definitions() -> Table:
     """Definitions of the metrics."""
     rows = []
-    for name, (unit, meaning) in METRICS.items():
-        rows.append((_shown(name)[0], meaning if unit == "1" else f"{meaning}; {unit}", name))
+    for metric in METRICS.values():
+        meaning = metric.meaning if metric.unit == "1" else f"{metric.meaning}; {metric.unit}"
+        rows.append((metric.word, meaning, metric.name))
     return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows)

@@ -1,23 +1,68 @@
-"""Repeats the worst cases of every controller with their traces."""
+"""Single runs: the worst cases of every controller, run again with their rivals, and figures of runs over time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from hydro_agents.report.report import Example
-from hydro_agents.report.robustness_record import Trace
-from hydro_agents.report.text import family_name, number, setting
+from hydro_agents.report.canvas import INK, PALE, Array, Look, Plot, add_legend, make_plot
 from hydro_agents.running.cases import Rollout
+from hydro_agents.running.text import family_name, number, setting
 
 Replay = Callable[[Mapping[str, Any]], Rollout]
 """Runs one case again; its argument has the columns of ``cases``."""
 
 CASE = ["condition", "family", "leakage_flow_lpm", "seed"]
 """Columns that identify a case."""
+
+JUMP = 2e-4
+"""m between two samples; a larger change of the reference is a step."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """One test episode under every controller. Arrays (T,)."""
+
+    title: str
+    time: Array  # s
+    reference: Array  # m
+    position: dict[str, Array]  # controller → m
+    command: dict[str, Array]  # controller → fraction of 10 V
+    preview: float = 0.0  # s; the observation shows the reference this far ahead
+    leak: float = 0.0  # l/min at 100 bar
+
+    def renamed(self, names: Mapping[str, str]) -> Example:
+        """The episode with new names of controllers."""
+        return replace(
+            self,
+            position={names.get(name, name): trace for name, trace in self.position.items()},
+            command={names.get(name, name): trace for name, trace in self.command.items()},
+        )
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One of the worst cases of a controller, with its rival on the same case."""
+
+    controller: str
+    rival: str
+    ratio: float  # error over that of the rival
+    example: Example
+
+    def renamed(self, names: Mapping[str, str]) -> Trace:
+        """The case with new names of controllers."""
+        controller, rival = (names.get(name, name) for name in (self.controller, self.rival))
+        title = self.example.title.replace(f" of {self.controller}:", f" of {controller}:")
+        title = title.replace(f"error of {self.rival} ", f"error of {rival} ")
+        return replace(
+            self, controller=controller, rival=rival, example=replace(self.example.renamed(names), title=title)
+        )
 
 
 def worst_rows(cases: pd.DataFrame, baseline: str, count: int = 2) -> pd.DataFrame:
@@ -92,3 +137,67 @@ def worst_traces(
         )
         traces.append(Trace(name, rival, float(case["ratio"]), example))
     return traces
+
+
+def example_limits(examples: Sequence[Example]) -> tuple[float, float]:
+    """Lowest and highest error (mm) of some episodes, for one scale in all their figures."""
+    errors = [1e3 * (one.reference - position) for one in examples for position in one.position.values()]
+    low, high = min(float(np.nanmin(e)) for e in errors), max(float(np.nanmax(e)) for e in errors)
+    room = 0.05 * (high - low) or 1.0
+    return low - room, high + room
+
+
+def example_plot(
+    example: Example, key: str, looks: Mapping[str, Look], limits: tuple[float, float] | None = None
+) -> Plot:
+    """Position and reference, error in mm, command in V of one episode under every controller.
+
+    Args:
+        example: the episode.
+        key: name of the figure.
+        looks: of the controllers.
+        limits: of the error, mm.
+    """
+    names = list(example.position)
+    jumps = example.time[1:][np.abs(np.diff(example.reference)) > JUMP] if example.preview > 0.0 else np.empty(0)
+    ahead = setting(1e3 * example.preview)
+
+    def paint(figure: Figure) -> None:
+        above, middle, below = panels = figure.subplots(3, 1, sharex=True, height_ratios=[2.0, 1.5, 1.2])
+        above.plot(example.time, 1e3 * example.reference, color=INK, linewidth=1.0, label="reference")
+        if len(jumps):
+            seen: dict[str, Any] = {"color": INK, "linewidth": 1.0, "linestyle": ":"}
+            above.plot(
+                example.time - example.preview, 1e3 * example.reference, label=f"preview, {ahead} ms ahead", **seen
+            )
+        for name in names:
+            look = looks[name]
+            above.plot(example.time, 1e3 * example.position[name], label=name, linewidth=1.2, **look.stroke)
+            middle.plot(example.time, 1e3 * (example.reference - example.position[name]), linewidth=1.2, **look.stroke)
+            below.plot(example.time, 10.0 * example.command[name], linewidth=0.9, **look.stroke)
+        for axes in panels:
+            for jump in jumps:
+                axes.axvspan(jump - example.preview, jump, color=PALE, linewidth=0.0, zorder=0.5)
+        middle.axhline(0.0, color=INK, linewidth=0.6)
+        above.set_ylabel("position, mm")
+        middle.set_ylabel("error, mm")
+        below.set(ylabel="command, V", xlabel="time, s", ylim=(-10.8, 10.8), yticks=[-10, 0, 10])
+        below.set_xlim(0.0, float(example.time[-1]))
+        if limits is not None:
+            middle.set_ylim(limits)
+        for axes in (above, middle):
+            axes.yaxis.set_major_locator(MaxNLocator(5))
+        figure.align_ylabels()
+        add_legend(above)
+
+    errors = [
+        f"{name} {number(1e3 * float(np.mean(np.abs(example.reference - example.position[name]))))} mm"
+        for name in names
+    ]
+    note = f"Mean error of this run: {', '.join(errors)}."
+    if len(jumps):
+        note += (
+            f" Dotted: the preview shows the reference {ahead} ms ahead, so the axis may start before the step (grey)."
+        )
+    alt = f"Position, error and valve command over time: {example.title}. {note}"
+    return make_plot(key, example.title[:1].upper() + example.title[1:], note, alt, paint, 4.6)

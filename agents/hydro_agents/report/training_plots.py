@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hydro_agents.report.canvas import GREY, INK, Look, Plot, add_legend, description, looks_of, make_plot, one_panel
-from hydro_agents.report.text import number
 from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.running.text import number
 
 LOG_NAMES = {"time/total_timesteps": "steps", "rollout/mean_reward": "mean_reward"}
 """Columns of stable-baselines3's log with other names in the training curve."""

@@ -9,19 +9,21 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import NO_COMMANDS, Detector, Reading, Windows
+from hydro_agents.detection.detectors import HeadDetector
 from hydro_agents.detection.estimator import EstimatorDetector
+from hydro_agents.detection.head import LeakageHead
+from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
+from hydro_agents.recordings.sampling import Sampled, cut
 from hydro_agents.report.canvas import WIDE, render
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.rigs.diagnosis_alarm import Watched, watch
 from hydro_agents.rigs.diagnosis_page import write_page
 from hydro_agents.rigs.diagnosis_picture import paint
-from hydro_agents.rigs.diagnosis_windows import cut
 from hydro_agents.rigs.verdict import Limits, Verdict, judge
 from hydro_agents.running.folders import output_folder
 from hydro_env import PlantParameters, TaskConfig
@@ -32,6 +34,39 @@ FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
 Progress = Callable[[str, int, int], None]
+
+MOST_GAPS = 20
+"""Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
+
+
+class Watched(NamedTuple):
+    """Result of the alarm."""
+
+    at: float | None  # s, of the alarm; None: there was none
+    rate: float | None  # false alarms per 100 h for which it was set
+    note: str  # why it did not watch; empty if it watched
+
+    def line(self) -> str:
+        """The alarm in one sentence."""
+        if self.note:
+            return f"The alarm did not watch: {self.note}."
+        rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
+        when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
+        return f"The alarm on top of the leakage head{rate} {when}."
+
+
+def watch(samples: Sampled, head: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
+    """Run an alarm over a recording, as if the axis had been switched on at its start."""
+    rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
+    if count < window_of(head, task):
+        return Watched(None, rate, "the recording is shorter than a window of the head")
+    if count > MOST_GAPS * len(samples.place):
+        return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
+    signals = np.full((1, len(samples.signals), count), np.nan)
+    signals[0, :, samples.place] = samples.signals.T
+    looks = looks_at(signals, task, head, settings.interval)
+    raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
+    return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
 
 
 class Diagnosis(NamedTuple):
@@ -52,7 +87,7 @@ class Diagnosis(NamedTuple):
 def diagnose(
     path: Path,
     config: TaskConfig,
-    head: Detector,
+    head: LeakageHead | Detector,
     columns: ColumnMap | None = None,
     window: float = 2.0,
     alarm: AlarmSettings | None = None,
@@ -63,7 +98,7 @@ def diagnose(
     Args:
         path: the recording, CSV.
         config: the task whose rig was recorded.
-        head: the leakage head, which reads beside the estimator.
+        head: the leakage head, or another detector, that reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; the head has its own.
         alarm: settings of an alarm that watches the recording.
@@ -72,12 +107,13 @@ def diagnose(
     Raises:
         ConfigurationError: the recording cannot be read at all.
     """
+    second = HeadDetector(head) if isinstance(head, LeakageHead) else head
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     windows = cut(checked.samples, max(round(window / config.control_period), 2))
     limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
     estimator, reading, watched = None, None, None
-    note = head.refuses(config, windows.samples)
+    note = second.refuses(config, windows.samples)
     if not checked.severe and len(windows):
         fits = 2 * int(windows.commanded.sum())
 
@@ -89,8 +125,8 @@ def diagnose(
         estimator = EstimatorDetector(threads=None).read(windows, config, done)
         if not note:
             chosen = np.flatnonzero(windows.commanded)
-            reading = head.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
-            watched = watch(checked.samples, head, config, alarm) if alarm is not None else None
+            reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
+            watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
     verdict = judge(checked.findings, estimator, reading, limits)
     return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
 

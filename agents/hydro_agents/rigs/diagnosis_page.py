@@ -9,10 +9,10 @@ from hydro_agents.detection.detector import Reading
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.report.canvas import WIDE, Plot, make_plot
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table, number, setting
 from hydro_agents.rigs.diagnosis_picture import paint
 from hydro_agents.rigs.verdict import Kind, combined, named_fault
 from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Table, number, setting
 from hydro_env import PlantParameters
 from hydro_env.units import UNITS
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
-from hydro_agents.rigs.identification_fit import Fit
+from hydro_agents.rigs.fit import Fit
 from hydro_agents.rigs.identification_shown import reading_unit
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value

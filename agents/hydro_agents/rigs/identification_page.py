@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.report.canvas import WIDE, make_plot
 from hydro_agents.report.page import Page, make_page
-from hydro_agents.report.text import Table, listed, number
 from hydro_agents.rigs.found_rig import hull, path_of
 from hydro_agents.rigs.identification_pictures import paint_held_back, paint_intervals
 from hydro_agents.rigs.identification_shown import share_in_words, shown
 from hydro_agents.running.machine import Origin
-from hydro_env.task.sensors import CHANNELS
+from hydro_agents.running.text import Table, listed, number
+from hydro_env.task.sensors import SENSORS
 
 if TYPE_CHECKING:
     from hydro_agents.rigs.identify import Identification
@@ -145,6 +145,6 @@ def combinations_table(found: Identification) -> Table:
 def shares_table(found: Identification) -> Table:
     """Share of the variance explained, by signal."""
     rows = []
-    for name, share in zip(CHANNELS, found.held_back.share.tolist(), strict=True):
+    for name, share in zip(SENSORS, found.held_back.share.tolist(), strict=True):
         rows.append((name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share)))
     return Table("", ("Signal", "Share of variance explained"), rows)

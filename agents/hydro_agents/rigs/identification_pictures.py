@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydro_agents.report.canvas import COLOURS, GREY, row_axis
-from hydro_agents.report.text import number
 from hydro_agents.rigs.diagnosis_picture import thinned
-from hydro_agents.rigs.held_back import HeldBack
 from hydro_agents.rigs.identification_shown import shown
+from hydro_agents.rigs.parts import HeldBack
+from hydro_agents.running.text import number
 
 if TYPE_CHECKING:
     from hydro_agents.rigs.identify import Identification

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
-from hydro_agents.report.text import decimals_for, number
+from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters
 from hydro_env.units import UNITS
 

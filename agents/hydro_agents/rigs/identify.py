@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,18 +14,17 @@ from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.rigs.advice import Advice, advise
+from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
 from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, rig_yaml
-from hydro_agents.rigs.held_back import HeldBack, simulate_held_back
-from hydro_agents.rigs.identification_fit import Combination, Fit, combinations, fit_windows
-from hydro_agents.rigs.identification_motions import Advice, advise
 from hydro_agents.rigs.identification_page import write_page
 from hydro_agents.rigs.identification_shown import share_in_words, shown
-from hydro_agents.rigs.recording_parts import POSITION, Parts, parts_of
+from hydro_agents.rigs.parts import POSITION, HeldBack, Parts, parts_of, simulate_held_back
 from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.task.rig import Rig
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
@@ -34,8 +32,6 @@ JOB = "identify"
 
 LEAST_SHARE = 0.9
 """Smallest share of the position's variance on the held-back part of a model that describes the axis."""
-
-Progress = Callable[[str, int, int], None]
 
 
 class Identification(NamedTuple):
@@ -205,7 +201,7 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": {n: plain(s) for n, s in zip(CHANNELS, found.held_back.share, strict=True)},
+        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, found.held_back.share, strict=True)},
         "held_back_from_s": found.parts.begin,
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import one_of
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import UNITS, in_si
 
 SIGNAL = "V or A"
@@ -67,7 +67,7 @@ QUESTIONS = (
     Question("pressure-noise", "sensors", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),
     Question("pressure-accuracy", "sensors", "1", "0.5 %", "Accuracy class of the pressure sensors, of their range."),
     Question("pressure-resolution", "sensors", "Pa", "0.01 bar", "Smallest step of the pressure readings."),
-    Question("absent", "sensors", "", "spool_position", f"Sensors that the rig lacks: {', '.join(CHANNELS[1:])}."),
+    Question("absent", "sensors", "", "spool_position", f"Sensors that the rig lacks: {', '.join(SENSORS[1:])}."),
 )
 
 
@@ -104,7 +104,7 @@ def parsed(question: Question, text: str) -> float | str:
 
 
 def _known_words(question: Question) -> tuple[str, ...]:
-    return {"line_kind": LINE_KINDS, "absent": CHANNELS[1:]}.get(question.key, ())
+    return {"line_kind": LINE_KINDS, "absent": SENSORS[1:]}.get(question.key, ())
 
 
 def _unit(question: Question, text: str) -> str:

@@ -11,14 +11,16 @@ from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_json, write_whole
 from hydro_env.folders import config_folder as config_folder
 
-if sys.platform != "win32":
-    import fcntl
+MANIFEST_FILE, LOCK_FILE = ".hydro.json", ".hydro.lock"
+_NO_LOCKS = (errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK)
+"""Errors of network file systems that know no locks."""
 
-MANIFEST_FILE = ".hydro.json"
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -101,22 +103,31 @@ def _what_stays(folder: Path, resume: bool | None, files: Sequence[str]) -> str:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    if sys.platform == "win32":  # no lock on this system
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
+    """Hold the lock of a folder: an empty file, which is removed at the end. A killed process leaves it, unlocked."""
+    path, size = folder / LOCK_FILE, 0
+    with suppress(OSError):
+        size = path.stat().st_size
+    if size:
+        raise ConfigurationError(f"{path}: is not the lock of hydro; move it away, or choose another --output")
+    lock = FileLock(path, blocking=False, fallback_to_soft=False)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
-                raise ConfigurationError(
-                    f"{folder}: another hydro command is writing here; wait for it to end, or choose another --output"
-                ) from None
-            # Some network file systems cannot lock a folder.
+        lock.acquire()
+    except Timeout:
+        raise ConfigurationError(
+            f"{folder}: another hydro command is writing here; wait for it to end, or choose another --output"
+        ) from None
+    except OSError as error:
+        if error.errno not in _NO_LOCKS:
+            raise ConfigurationError(f"{folder}: cannot be written: {error.strerror}") from None
+    try:
         yield
     finally:
-        os.close(handle)
+        with suppress(OSError):  # Windows removes no open file
+            path.unlink()
+        lock.release()
+        if sys.platform == "win32":
+            with suppress(OSError):  # the next process has it already
+                path.unlink()
 
 
 def _owners(folder: Path) -> dict[str, str]:

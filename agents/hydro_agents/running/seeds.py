@@ -1,22 +1,90 @@
-"""Seeds of training, validation and test.
+"""The ledger of seeds: who uses which.
 
-A seed fixes plant, reference and noise; disjoint ranges of seeds keep the three sets apart.
+A seed fixes plant, reference and noise. Training, validation and test have a set of seeds each, and every use of them
+has a range of its own in one set: the ranges are disjoint, and no choice depends on a result of test seeds.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
+from hydro_env import ConfigurationError
+
 TRAINING_SEEDS = range(0, 1_000_000)
 VALIDATION_SEEDS = range(1_000_000, 2_000_000)
 TEST_SEEDS = range(2_000_000, 3_000_000)
-"""Only the evaluation uses these; no choice depends on their results."""
+
+SEEDS_PER_FAMILY = 10_000
+"""Seeds of each family of references, in ranges that hold plants by family."""
+
+
+@dataclass(frozen=True, order=True)
+class SeedRange:
+    """Seeds for one purpose."""
+
+    first: int
+    count: int
+    purpose: str
+
+    def take(self, count: int, skip: int = 0) -> range:
+        """``count`` seeds after the first ``skip``.
+
+        Raises:
+            ConfigurationError: the range holds fewer.
+        """
+        if skip + count > self.count:
+            raise ConfigurationError(f"{skip + count} seeds are needed, but there are {self.count} for {self.purpose}")
+        return range(self.first + skip, self.first + skip + count)
+
+    def of_family(self, family: Any, plant: Any) -> Any:
+        """Seeds of the plants with these numbers, of the families with these numbers; integers or arrays of them."""
+        return self.first + SEEDS_PER_FAMILY * family + plant
+
+    def training(self, number: int, count: int) -> range:
+        """The ``count`` seeds of training ``number``: different numbers get different seeds.
+
+        After the last seed, the first ones are reused.
+
+        Raises:
+            ConfigurationError: the range holds fewer.
+        """
+        return self.take(count, (number * count) % max(self.count - count, 1))
+
+
+# Training -------------------------------------------------------------------------------------------------------------
+LEARNING = SeedRange(0, 500_000, "policies, gains and test moves")
+HEAD_TRAINING = SeedRange(500_000, 490_000, "windows of the leakage head")
+ACCURACY = SeedRange(990_001, 9_000, "the errors of the integrator")
+SCALES = SeedRange(999_760, 240, "the scales of a policy's inputs and errors")
+
+# Validation -----------------------------------------------------------------------------------------------------------
+THRESHOLDS = SeedRange(1_000_000, 100_000, "the thresholds of detectors and the settings of searches")
+LADDER = SeedRange(1_100_000, 100_000, "the rungs of a ladder")
+ALARM_CALIBRATION = SeedRange(1_500_000, 100_000, "the calibration of alarms on healthy axes")
+LEARNING_CURVE = SeedRange(1_600_000, 10_000, "the errors of policies while they learn")
+ALARM_CALIBRATION_ONSETS = SeedRange(1_610_000, 90_000, "the calibration of alarms on leaks that begin")
+CONTROLLER_VECTORS = SeedRange(1_700_000, 10_000, "the test vectors of exported controllers")
+HEAD_VECTORS = SeedRange(1_710_000, 10_000, "the test vectors of an exported leakage head")
+LEAK_THRESHOLDS = SeedRange(1_800_000, 100_000, "the thresholds of the leakage protocol")
+TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
+
+# Test -----------------------------------------------------------------------------------------------------------------
+EVALUATION = SeedRange(2_000_000, 80_000, "controllers, best found, leak bound and estimator on the same plants")
+DIAGNOSIS = SeedRange(2_080_000, 20_000, "diagnosed recordings")
+ROBUSTNESS = SeedRange(2_200_000, 100_000, "the robustness protocol")
+LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
+LEAKAGE_ALARMS = SeedRange(2_450_000, 30_000, "the false alarms of the leakage protocol")
+LEAKAGE_ONSETS = SeedRange(2_480_000, 20_000, "the delays of the leakage protocol")
+DETECTION = SeedRange(2_500_000, 200_000, "the episodes that a leakage head watches")
+ALARMS = SeedRange(2_700_000, 100_000, "the false alarms of hydro alarms")
+ALARM_ONSETS = SeedRange(2_800_000, 50_000, "the delays of hydro alarms")
+ALARM_STARTS = SeedRange(2_850_000, 50_000, "leaks from the start under hydro alarms")
+EXPERIMENT_AXES = SeedRange(2_900_000, 50_000, "experiments, and the example of a study")
+ALARM_GROWTH = SeedRange(2_950_000, 50_000, "leaks that grow under hydro alarms")
+
+LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}
+"""All ranges by name."""
 
 SEED_MARK = "#"
 """Separates the name of a controller from the number of its training seed, as in ``PPO#3``."""
-
-
-def first_training_seed(number: int, count: int) -> int:
-    """First of the ``count`` training seeds of training ``number``; different numbers get different seeds.
-
-    After the last training seed, the first ones are reused.
-    """
-    return TRAINING_SEEDS.start + (number * count) % (len(TRAINING_SEEDS) - count)

@@ -1,8 +1,16 @@
-"""Numbers as text, the same in all tables, messages and pages."""
+"""Numbers, lists, durations and tables as text, the same on the console, in files and on all pages."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
+
 import numpy as np
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_DECIMALS = 9
 
@@ -23,3 +31,95 @@ def decimals_for(size: float, digits: int = 3) -> int:
     if size == 0.0 or not np.isfinite(size):
         return 0
     return min(max(digits - 1 - int(np.floor(np.log10(abs(size)))), 0), MOST_DECIMALS)
+
+
+def setting(value: float) -> str:
+    """A setting in its shortest form: 0.01, 4, −30."""
+    return f"{value:g}".replace("-", "−")
+
+
+def span(low: float, high: float, decimals: int = 0) -> str:
+    """A range: 1 to 4."""
+    return f"{number(low, decimals)} to {number(high, decimals)}"
+
+
+def listed(parts: Sequence[str]) -> str:
+    """Parts as a list in a sentence: a, b and c."""
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def duration(seconds: float) -> str:
+    """A duration in seconds, minutes or hours, as text."""
+    if seconds < 60.0:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes} min" if hours else f"{minutes} min {rest} s"
+
+
+def unbroken(text: str) -> str:
+    """The text with every number kept on one line with its unit."""
+    return re.sub(r"(?<=[\d×]) (?=(%|mm|l/min)(?!\w)|\d)", "\u00a0", text)
+
+
+FAMILY_NAMES = {
+    "step": "steps",
+    "point_to_point": "point-to-point moves",
+    "ramp": "ramps",
+    "sine": "sines",
+    "multi_sine": "sums of sines",
+    "start_stop": "start–stop runs",
+    "user": "own reference",
+}
+
+
+def family_name(family: str) -> str:
+    """Readable name of a family of references."""
+    return FAMILY_NAMES.get(family, family)
+
+
+def correction_name(name: str, base: str) -> str:
+    """The name of a policy that corrects another controller: "PPO on flow linearisation", "PPO on PID"."""
+    return f"{name} on {base if base[:2].isupper() else base[:1].lower() + base[1:]}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table on a page, with its colour."""
+
+    text: str
+    meaning: str = ""  # better, worse or silent: a class of the style
+    share: int = 0  # percentage of the meaning's colour
+    title: str = ""  # shown when the pointer is on it
+    strong: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts; the first column names its rows."""
+
+    kind: ClassVar[str] = "table"
+
+    caption: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str | Cell, ...]]
+    groups: tuple[tuple[str, int], ...] = ()  # (title, columns) above the header, after the first column
+    style: str = ""  # dense: many numbers; words: long texts; heat: coloured cells
+    folded: bool | None = None  # default: with more than ten rows
+    breaks: Mapping[int, str] = field(default_factory=dict)  # title above a row, by its number
+
+
+def markdown(header: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = (0,)) -> str:
+    """A table as Markdown: the columns ``left`` hold words, the others numbers, which stand at the right."""
+    ends = "|".join("---" if column in left else "---:" for column in range(len(header)))
+    lines = [" | ".join(cell.replace("|", r"\|") for cell in line) for line in (header, *rows)]
+    return "\n".join([f"| {lines[0]} |", f"|{ends}|", *(f"| {line} |" for line in lines[1:])])
+
+
+def frame_markdown(table: pd.DataFrame, decimals: int = 4) -> str:
+    """A data frame as Markdown; its index is the first column."""
+    rows = [
+        [str(label), *(f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row)]
+        for label, row in table.iterrows()
+    ]
+    return markdown([str(table.index.name or ""), *map(str, table.columns)], rows)

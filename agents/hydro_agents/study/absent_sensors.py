@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from hydro_agents.controllers.base import ClassicalController
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 if TYPE_CHECKING:
     from hydro_agents.study.settings import ControllerEntry, StudySettings
@@ -28,7 +28,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     Raises:
         ConfigurationError: no controller is left.
     """
-    absent = [name for name in CHANNELS if not getattr(study.task.sensors, name).fitted]
+    absent = [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]
     if not absent:
         return study, []
     kept: dict[str, ControllerEntry] = {}

@@ -16,14 +16,14 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from hydro_agents.learning.progress import validation_errors
 from hydro_agents.learning.trainers import Trainer, trainer
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import ERROR, learning_plots
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import side_by_side
-from hydro_agents.running.seeds import SEED_MARK, TEST_SEEDS, VALIDATION_SEEDS
+from hydro_agents.running.seeds import EVALUATION, LADDER, SEED_MARK
 from hydro_agents.running.settings_files import read_settings, read_task
 from hydro_agents.study.ladder_table import ladder_table, rung_scores
 from hydro_agents.study.settings import ControllerEntry, Name
@@ -32,9 +32,6 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_json, read_yaml, validate, write_whole
 from hydro_env.mistakes import did_you_mean, kept, one_of, refuse, unknown
 from hydro_env.task.rig import merged
-
-LADDER_SEEDS = VALIDATION_SEEDS.start + 100_000
-"""First validation seed of the cases."""
 
 JOB_FILE = "job.json"
 TABLES = ("ladder.md", "ladder.csv", "scores.csv")
@@ -139,7 +136,7 @@ class LadderSettings(Group):
 
     def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
         """The cases, and a table with level, family and plant of each; on validation plants or test plants."""
-        return tracking_cases(self.evaluation, TEST_SEEDS.start if test else LADDER_SEEDS)
+        return tracking_cases(self.evaluation, EVALUATION if test else LADDER)
 
 
 class Resolved(NamedTuple):

@@ -11,13 +11,6 @@ import pandas as pd
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.tables import ERROR
 
-COSTS = {
-    "offset": "steady_state_error_sensor_mm" if "steady_state_error_sensor_mm" in METRICS else "steady_state_error_mm",
-    "travel": "valve_travel_per_s",
-    "reversals": "reversals_per_s",
-}
-"""Columns of the table, and the metrics whose means they compare."""
-
 
 def rung_scores(
     name: str, seed: int, corrects: str | None, cases: pd.DataFrame, classical: Mapping[str, pd.DataFrame]
@@ -41,10 +34,10 @@ def rung_scores(
             label = f"{value:g} l/min" if group != "family" else str(value)
             row[label] = errors.mean() / reference.loc[reference[group] == value, ERROR].mean()
     row["worst case"] = float(np.max(cases[ERROR].to_numpy() / reference[ERROR].to_numpy()))
-    for label, metric in COSTS.items():
-        if metric in cases and metric in reference:
-            there = float(reference[metric].mean())
-            row[label] = float(cases[metric].mean()) / there if there > 0.0 else math.nan
+    for metric in METRICS.values():
+        if metric.ratio and metric.name in cases and metric.name in reference:
+            there = float(reference[metric.name].mean())
+            row[metric.ratio] = float(cases[metric.name].mean()) / there if there > 0.0 else math.nan
     row["failed"] = cases["failed"].sum()
     row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else float("nan")
     return pd.DataFrame([row])
@@ -78,10 +71,11 @@ def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> 
         cells = [name, str(seeds or "–"), *(_cell(means[figure], spread[figure], figure) for figure in figures)]
         lines.append(f"| {' | '.join(cells)} |")
     head = f"| rung | seeds | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 2)}\n"
+    costs = ", ".join(metric.word.lower() for metric in METRICS.values() if metric.cost and metric.ratio)
     note = (
         f"Ratios to {reference} on the same cases: mean error over all cases; geo, the geometric mean of the families' "
         "ratios; then each family and each leak. Worst case: largest ratio of a single case. Offset at standstill, "
-        "valve travel and reversals are ratios of means. ±: standard deviation over training seeds.\n\n"
+        f"{costs}: ratios of means. ±: standard deviation over training seeds.\n\n"
     )
     return note + head + "\n".join(lines) + "\n", pd.DataFrame(rows)
 

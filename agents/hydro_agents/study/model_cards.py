@@ -11,6 +11,7 @@ import yaml
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.evaluation.tables import per_plant, ratio_table
 from hydro_agents.running.statistics import Interval, ratio_interval, share_interval
@@ -21,9 +22,6 @@ ENVIRONMENT = "ServoHydraulic-v0"
 LIMITS = """Everything is simulated; no real axis was measured. The results hold for the task of the weights (their JSON
 holds it): its rig, the ranges from which its plants are drawn, its control period and sensors. `hydro evaluate` scores
 the weights on another task."""
-
-PRICES = {"valve_travel_per_s": "valve travel", "reversals_per_s": "reversals of the valve"}
-"""Metrics that a small error may cost, and their words."""
 
 POLICY_USE = """import gymnasium as gym
 import hydro_env  # registers the environment
@@ -150,8 +148,10 @@ def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | N
         main = row["group"] in ("all", "equal_weight")
         yield _metric(f"mean error / {row['against']}'s, {_group(row)}", ratio, main)
     own, base = (cases[cases["controller"] == one] for one in (name, against))
-    for metric, words in PRICES.items():
-        yield _metric(f"{words} / {against}'s, all", ratio_interval(per_plant(own, metric), per_plant(base, metric)))
+    for metric in METRICS.values():
+        if metric.cost and metric.ratio:
+            ratio = ratio_interval(per_plant(own, metric.name), per_plant(base, metric.name))
+            yield _metric(f"{metric.word.lower()} / {against}'s, all", ratio)
     yield _metric("share of runs that failed", share_interval(int(own["failed"].sum()), len(own)))
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 from rich.table import Table
 
-from hydro_agents.learning.validation import validation_errors
-from hydro_agents.report.text import number
+from hydro_agents.learning.progress import validation_errors
 from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import seeds_interval
+from hydro_agents.running.text import number
 from hydro_agents.study.phases import Phases
 from hydro_agents.study.run import TUNED_FILE, is_finished, run_study
 from hydro_agents.study.settings import StudySettings

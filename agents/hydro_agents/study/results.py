@@ -14,15 +14,16 @@ from rich.table import Table
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.leak_price import leak_price
-from hydro_agents.evaluation.opponents import shipped_weights
 from hydro_agents.evaluation.protocol import Evaluation, evaluate
-from hydro_agents.learning.validation import validation_errors
+from hydro_agents.learning.opponents import shipped_weights
+from hydro_agents.learning.progress import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.report import Example, StudyRecord, write_report, write_tables
+from hydro_agents.report.report import StudyRecord, write_report, write_tables
+from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.machine import date_now, machine_description, package_versions
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_agents.study.phases import Phases
 from hydro_agents.study.settings import StudySettings
@@ -35,7 +36,6 @@ REPORT_FILES = (REPORT_FILE, "tables/*.csv", FIGURE_FILES, f"{CARDS}/*.md")
 MOST_COLUMNS = 4
 """Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
 
-EXAMPLE_SEED = TEST_SEEDS.start + 900_000
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
 
 
@@ -109,7 +109,7 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
     """Time traces of two test episodes under every controller, each at every leak level (l/min at 100 bar)."""
     kinds = [(family, level) for family in EXAMPLE_FAMILIES for level in levels]
     cases = Cases(
-        np.full(len(kinds), EXAMPLE_SEED, dtype=np.int64),
+        np.full(len(kinds), EXPERIMENT_AXES.first, dtype=np.int64),
         np.array([level for _, level in kinds]),
         np.array([family for family, _ in kinds]),
     )

@@ -17,12 +17,12 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.gains_file import GAINS_FILE
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.opponents import opponent
 from hydro_agents.evaluation.protocol import Evaluation
+from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.running.seeds import TRIAL_RUN
 from hydro_agents.study.phases import STATE_FILE, Phases
 from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
@@ -148,7 +148,7 @@ def _try_out(study: StudySettings) -> None:
     Raises:
         ConfigurationError: a controller fails; the message names it.
     """
-    cases = Cases(np.array([VALIDATION_SEEDS.stop - 2, VALIDATION_SEEDS.stop - 1]))
+    cases = Cases(np.array(TRIAL_RUN.take(2)))
     for name in [name for name, entry in study.controllers.items() if entry.trainer is None]:
         try:
             run_cases(study.task, study.make(name), cases, states=False)

@@ -13,8 +13,8 @@ from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
 from hydro_agents.detection.head_training import HeadTrainingSettings
-from hydro_agents.evaluation.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.settings_files import read_settings, read_task
 from hydro_agents.study.absent_sensors import without_absent_sensors
@@ -212,7 +212,7 @@ class StudySettings(Group):
 
         Args:
             agents: additional controllers, or replacements of those of the study, as texts for
-                :func:`~hydro_agents.evaluation.opponents.opponent`. Any other trained controller takes the shipped
+                :func:`~hydro_agents.learning.opponents.opponent`. Any other trained controller takes the shipped
                 weights.
 
         Raises:

@@ -1,20 +1,29 @@
-"""The graph of a controller, traced from measured signals to volts, for the writers of C and ONNX."""
+"""A controller as a graph, traced from measured signals to volts, and this graph as C99 and as an ONNX model."""
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.export.c_files import CCode, c_code
+from hydro_agents.export.c_writer import C_TYPES, CWriter
 from hydro_agents.export.graph import Builder, Graph, Node
-from hydro_agents.export.measured import MeasuredController, aligned
-from hydro_agents.export.measured_signals import MeasuredSignals
+from hydro_agents.export.measured import MeasuredController, MeasuredSignals, aligned
+from hydro_agents.export.onnx_writer import OnnxWriter
 from hydro_agents.export.tracing import TraceError, trace
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig, __version__
 
 STARTED, CONTINUED = "started.", "continued."
+
+
+OUTPUTS = ("voltage", "next_state", "lost_signals")
+DOUBLE = np.dtype(np.float64)
+_C_NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 @dataclass(frozen=True)
@@ -169,3 +178,133 @@ def _entries(memory: Any, name: str) -> dict[str, Any]:
     if isinstance(memory, dict):
         return {str(key): value for key, value in memory.items()}
     raise TraceError(f"{name or 'memory'}: {type(memory).__name__} holds no arrays: cannot be exported")
+
+
+def controller_code(controller: ControllerGraph, name: str = "controller") -> CCode:
+    """C sources of a controller; ``name`` begins every symbol, so that one program can hold several.
+
+    Raises:
+        ConfigurationError: the name is not a valid name in C.
+    """
+    if not _C_NAME.fullmatch(name):
+        raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
+    graph, outputs = controller.graph, controller.graph.outputs
+    short = Counter(_field(part.name) for part in controller.memory)
+    fields = {
+        part.name: _field(part.name) if short[_field(part.name)] == 1 else re.sub(r"\W", "_", part.name)
+        for part in controller.memory
+    }
+    writer = CWriter(
+        {"signals": "signals", "start": "start"} | {name: f"memory->{text}" for name, text in fields.items()}
+    )
+    writer.reserve("voltage", "memory", "signals", "start", f"{name}_step")
+    ways = {
+        prefix: [node for name, node in outputs.items() if name.startswith(prefix)] for prefix in (STARTED, CONTINUED)
+    }
+    needed = {prefix: graph.nodes(nodes) for prefix, nodes in ways.items()}
+    both = {id(node) for node in needed[STARTED]} & {id(node) for node in needed[CONTINUED]}
+    shared = [node for name, node in outputs.items() if not name.startswith((STARTED, CONTINUED))]
+    common = graph.nodes([*shared, *(node for node in needed[STARTED] if id(node) in both)])
+    done = {id(node) for node in common}
+
+    texts = {"common": writer.statements(common), "kept": []}
+    begins, made = writer.kept("begins", outputs["begins"])
+    texts["common"] += [f"    {line}" for line in made]
+    if begins != "begins":
+        texts["common"].append(f"    const int begins = {begins};")
+    for part in controller.memory:
+        if part.name in outputs:
+            texts["kept"] += _stored(writer, fields[part.name], outputs[part.name], "    ")
+    texts["kept"].append(f"    memory->lost_signals = (int){writer.element(outputs['lost'], 0)};")
+    for prefix, key in ((STARTED, "started"), (CONTINUED, "continued")):
+        lines = writer.statements([node for node in needed[prefix] if id(node) not in done], " " * 8)
+        lines.append(f"        voltage = {writer.element(outputs[prefix + 'voltage'], 0)};")
+        copies, stores = [], []
+        for part in controller.memory:
+            node = outputs.get(prefix + part.name)
+            if node is not None and not (node.operation == "input" and node.name == part.name):
+                # All values are read before the memory changes.
+                variable, made = writer.kept(f"new_{fields[part.name]}", node)
+                copies += [f"        {line}" for line in made]
+                stores += _copied(fields[part.name], variable, part.size, "        ")
+        texts[key] = [*lines, *copies, *stores]
+    values = {
+        "name": name,
+        "type": memory_type(name),
+        "title": f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})",
+        "version": __version__,
+        "sample_time": controller.signals.config.control_period,
+        "signals": controller.signals.signals,
+        "parts": [
+            {"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory
+        ],
+        "helpers": writer.helpers,
+        "tables": writer.tables,
+        **{key: "\n".join(lines) for key, lines in texts.items()},
+    }
+    return c_code(name, values, "controller")
+
+
+def memory_type(name: str) -> str:
+    """Name in C of the type of a controller's memory."""
+    return "".join(word.capitalize() for word in name.split("_")) + "Memory"
+
+
+def _field(name: str) -> str:
+    """Name in C of a part of the memory."""
+    return re.sub(r"\W", "_", name.removeprefix("controller."))
+
+
+def _stored(writer: CWriter, name: str, node: Node, indent: str) -> list[str]:
+    """Statements that store a result in the memory."""
+    variable, made = writer.kept(f"new_{name}", node)
+    return [*(f"{indent}{line}" for line in made), *_copied(name, variable, node.size, indent)]
+
+
+def _copied(name: str, variable: str, size: int, indent: str) -> list[str]:
+    if size == 1:
+        return [f"{indent}memory->{name} = {variable};"]
+    return [f"{indent}for (int i = 0; i < {size}; ++i) memory->{name}[i] = {variable}[i];"]
+
+
+def controller_model(controller: ControllerGraph) -> Any:
+    """The model; inputs ``signals``, ``state``, ``start``, outputs ``voltage``, ``next_state``, ``lost_signals``.
+
+    The state is one vector: the parts of the memory, one after the other, as ``double``, which represents every
+    ``float`` and truth value exactly.
+
+    Raises:
+        ConfigurationError: the package onnx is not installed.
+        HydroError: the model is wrong.
+    """
+    parts = controller.memory
+    signals, size = len(controller.signals.signals), sum(part.size for part in parts)
+    inputs = {"signals": (signals, DOUBLE), "state": (size, DOUBLE), "start": (1, np.dtype(np.bool_))}
+    writer = OnnxWriter(inputs, OUTPUTS)
+    first = 0
+    for part in parts:
+        tensor = writer.slice_of("state", first, part.size, f"state.{part.name}")
+        writer.given[part.name] = (
+            tensor if part.kind == DOUBLE else writer.cast(tensor, part.kind, f"state.{part.name}")
+        )
+        first += part.size
+    chosen = controller.chosen()
+    pieces = []
+    for part in parts:
+        tensor = writer.tensor(chosen[part.name])
+        pieces.append(tensor if part.kind == DOUBLE else writer.cast(tensor, DOUBLE, f"next.{part.name}"))
+    joined = writer.add("Concat", pieces, "next_memory", axis=0)
+    outputs = {
+        name: (tensor, length, DOUBLE)
+        for name, tensor, length in zip(
+            OUTPUTS,
+            (writer.tensor(chosen["voltage"]), joined, writer.tensor(chosen["lost"])),
+            (1, size, 1),
+            strict=True,
+        )
+    }
+    title = f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})"
+    names = ", ".join(f"{signal.name} ({signal.unit})" for signal in controller.signals.signals)
+    return writer.model(
+        outputs, title, {"signals": names, "sample_time": repr(controller.signals.config.control_period)}
+    )

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import usable_readings
 from hydro_agents.estimation.model import LONG_STEP, Model
+from hydro_agents.estimation.solver import equations_of, prior_belief, without
 from hydro_agents.estimation.unknowns import priors_of
-from hydro_agents.rigs.identification_fit import DETERMINED, Fit, starts_of
-from hydro_agents.rigs.joint_fit import reduce
+from hydro_agents.rigs.fit import DETERMINED, Fit, starts_of
 from hydro_env import HydroError, PlantParameters, TaskConfig
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -119,12 +119,12 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     precision[:, shared[:, None], shared] += fit.information / fit.widening**2
     linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
     measured = linear.readings * model.noise[:, None]
-    for row, channel in enumerate(CHANNELS):  # absent sensors give no information
+    for row, channel in enumerate(SENSORS):  # absent sensors give no information
         if f"{channel}_bias" not in fit.names and config.sensors.enabled:
             measured[:, row] = np.nan
     signals = np.concatenate([measured, commands[:, None]], axis=1)
     known = np.isfinite(usable_readings(signals, config, model))
     jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
-    own = np.arange(len(fit.names), len(priors))
     ones = np.ones((len(commands), jacobian.shape[2]))
-    return reduce(scaled, 0.0 * ones, jacobian, ones, own, shared).information
+    prior = without(prior_belief(model, model.count).precision, shared)
+    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information

@@ -1,4 +1,8 @@
-"""Fits the unknowns of a rig file: most probable values, intervals, and whether the recording determines them."""
+"""Fits the unknowns of a rig file: most probable values, intervals, and whether the recording determines them.
+
+The windows of a recording share the parameters of the rig, and each has its own initial state. They are short: a small
+error of the model cannot grow, and gaps between windows do not matter.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import Estimate, EstimationSettings, estimate, usable_readings
+from hydro_agents.estimation.goodness import misfit_of
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, STARTS
 from hydro_agents.estimation.priors import Prior
+from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
 from hydro_agents.estimation.unknowns import START, priors_of
-from hydro_agents.rigs.joint_fit import Joint, fit_together
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -39,12 +44,17 @@ OUTLIER = 3.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
 local minimum, or there was a disturbance."""
 
-
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
 """Search settings of the single windows; the common fit continues from their results."""
 
 MOST_ATTEMPTS = 2
 """Number of common fits; before a further one, unexplained windows are fitted again."""
+
+ITERATIONS, TOLERANCE = 40, 0.1
+"""Largest number of iterations of a common fit, which ends when a step with little damping lowers its cost by less."""
+
+MOST_DAMPING = 5e5
+"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
 
 
 class Fit(NamedTuple):
@@ -120,7 +130,7 @@ def fit_windows(
         if progress is not None:
             progress(phase, done, total)
 
-    measured = np.asarray(np.isfinite(signals[:, : len(CHANNELS)]).any(axis=(0, 2)))
+    measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
     told("windows", 0, len(signals))
     alone = estimate(signals, config, list(priors), settings=ROUGHLY)
@@ -142,6 +152,57 @@ def fit_windows(
     told("common fit", 1, 1)
     model, joint, misfit = min(fits, key=lambda one: float(np.median(one[2])))
     return _summary(model, joint, priors, misfit)
+
+
+class Joint(NamedTuple):
+    """A common fit of B windows with P unknowns, of which p are shared; all unknowns are scaled by their priors."""
+
+    scaled: Array  # (B, P), most probable values; the shared ones are the same in each row
+    shared: NDArray[np.int64]  # (p,), indices of the shared unknowns
+    information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
+    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
+    misfit: Array  # (B,), as in hydro_agents.estimation.estimate.Estimate
+
+    @property
+    def precision(self) -> Array:
+        """Inverse covariance of the shared unknowns, (p, p), including the priors."""
+        total: Array = self.information.sum(axis=0) + np.eye(len(self.shared))
+        return total
+
+
+def fit_together(
+    model: Model, measured: Array, first: Array, progress: Callable[[int, int], None] | None = None
+) -> Joint:
+    """The most probable shared parameters and start states of several windows.
+
+    Args:
+        model: of the B windows.
+        measured: readings over their noise, (B, channels, T); NaN is left out.
+        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
+        progress: called with the number of iterations and its limit.
+    """
+    shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS], np.int64)
+    window, belief = np.arange(model.count), prior_belief(model, model.count)
+    scaled, _, directions = fit(
+        model,
+        measured,
+        window,
+        first,
+        belief,
+        model.samples,
+        ITERATIONS,
+        TOLERANCE,
+        give_up=MOST_DAMPING,
+        shared=shared,
+        progress=progress,
+    )
+    known = np.isfinite(measured)
+    linear = model.linearise(scaled, None, directions)
+    residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
+    weight, prior = channel_weights(residual, known), without(belief.precision, shared)
+    equations = equations_of(residual, jacobian, weight, scaled, prior, shared)
+    misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
+    return Joint(scaled, shared, equations.information, equations.score, misfit)
 
 
 def _common_fit(

@@ -1,10 +1,11 @@
-"""The pictures of the page: detection, false alarms, confusions, sizes, reliability, coverage, masking."""
+"""Figures about leak detection: shares of windows, sizes, reliability, coverage, masking."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.leak_protocol import HEALTHY
@@ -20,9 +21,9 @@ from hydro_agents.report.canvas import (
     row_axis,
     ticks,
 )
-from hydro_agents.report.leak_record import Record, percent_of
-from hydro_agents.report.text import setting
+from hydro_agents.report.content import Content, interval
 from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import setting
 
 Find = Callable[[str, str], Interval]
 """A share in percent with its interval, by detector and condition."""
@@ -31,11 +32,11 @@ SPREAD = 0.24
 """Distance of the detectors within one row."""
 
 
-def detection_plot(record: Record) -> list[Plot]:
+def detection_plot(content: Content) -> list[Plot]:
     """Share found at 1 % false alarms over the size of the leak."""
-    table = record.table("detection")
-    table = table[(table["condition"] == record.base) & (table["level"] > HEALTHY)].sort_values("level")
-    parts = {name: table[table["detector"] == name] for name in record.detectors}
+    table = content.table("detection")
+    table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
+    parts = {name: table[table["detector"] == name] for name in content.detectors}
     parts = {name: part for name, part in parts.items() if len(part)}
     if not parts:
         return []
@@ -43,7 +44,7 @@ def detection_plot(record: Record) -> list[Plot]:
 
     def paint(axes: Axes) -> None:
         for name, part in parts.items():
-            look = record.looks[name]
+            look = content.looks[name]
             value, low, high = (100.0 * part[f"at_1_percent{end}"].to_numpy() for end in ("", "_low", "_high"))
             lengths = np.maximum(np.array([value - low, high - value]), 0.0)
             axes.errorbar(part["level"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke)
@@ -52,8 +53,8 @@ def detection_plot(record: Record) -> list[Plot]:
 
     title = "Smallest leak that is found"
     note = (
-        f"{record.label(record.base).capitalize()}, one window each; threshold at 1 % false alarms on validation axes. "
-        "Bars: 95 % interval."
+        f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
+        "axes. Bars: 95 % interval."
     )
     rows = {
         name: [
@@ -65,7 +66,7 @@ def detection_plot(record: Record) -> list[Plot]:
 
 
 def _rows_plot(
-    record: Record,
+    content: Content,
     key: str,
     title: str,
     note: str,
@@ -77,19 +78,19 @@ def _rows_plot(
     names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
     """Conditions from top to bottom, a point with its interval for each detector; ``names``: their texts."""
-    found = {name: {where: find(name, where) for where in conditions} for name in record.detectors}
+    found = {name: {where: find(name, where) for where in conditions} for name in content.detectors}
     shown = [where for where in conditions if any(not np.isnan(each[where].value) for each in found.values())]
     if not shown:
         return []
-    texts = {where: (names or {}).get(where, record.label(where)) for where in shown}
+    texts = {where: (names or {}).get(where, content.label(where)) for where in shown}
 
     def paint(axes: Axes) -> None:
         for value, style in lines.items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        for index, name in enumerate(record.detectors):
-            look = record.looks[name]
+        for index, name in enumerate(content.detectors):
+            look = content.looks[name]
             values = np.array([found[name][where] for where in shown])
-            places = np.arange(len(shown)) + dodge(len(record.detectors), index, SPREAD)
+            places = np.arange(len(shown)) + dodge(len(content.detectors), index, SPREAD)
             lengths = np.nan_to_num(np.maximum([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]], 0.0))
             if not np.isnan(values[:, 0]).all():
                 axes.errorbar(
@@ -114,26 +115,26 @@ def _rows_plot(
     return [one_panel(key, title, note, description(title, rows, " %"), paint, height)]
 
 
-def motion_plots(record: Record) -> list[Plot]:
+def motion_plots(content: Content) -> list[Plot]:
     """Detection and false alarms under other motions and controllers."""
-    conditions = [record.base, *record.in_groups("motion", "controller")]
+    conditions = [content.base, *content.in_groups("motion", "controller")]
     found = _rows_plot(
-        record,
+        content,
         "motion-found",
         "0.3 l/min under other motions and controllers",
         "Share of windows in which a leak of 0.3 l/min is reported, with the threshold that the detector uses.",
         conditions,
-        lambda detector, condition: record.share(detector, condition, 0.3),
+        lambda detector, condition: content.share(detector, condition, 0.3),
         "windows in which it is reported, %",
         {},
     )
     false = _rows_plot(
-        record,
+        content,
         "motion-false",
         "False alarms under other motions and controllers",
         "Share of windows of healthy axes in which a leak is reported; lines: 2 and 5 %.",
         conditions,
-        lambda detector, condition: record.share(detector, condition, HEALTHY),
+        lambda detector, condition: content.share(detector, condition, HEALTHY),
         "healthy windows reported as leaking, %",
         {2.0: "--", 5.0: ":"},
         None,
@@ -141,47 +142,47 @@ def motion_plots(record: Record) -> list[Plot]:
     return found + false
 
 
-def fault_plots(record: Record) -> list[Plot]:
+def fault_plots(content: Content) -> list[Plot]:
     """Faults and changed plants that are mistaken for a leak, and detection of a leak together with them."""
-    conditions = record.in_groups("fault", "plant", "rig")
+    conditions = content.in_groups("fault", "plant", "rig")
     taken = _rows_plot(
-        record,
+        content,
         "fault-taken",
         "Faults and changes mistaken for a leak past the piston",
         "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %.",
         conditions,
-        lambda detector, condition: record.share(detector, condition, HEALTHY),
+        lambda detector, condition: content.share(detector, condition, HEALTHY),
         "healthy windows reported as leaking, %",
         {10.0: "--"},
     )
     beside = _rows_plot(
-        record,
+        content,
         "fault-beside",
         "A leak of 0.3 l/min together with the same faults",
         "Share of windows in which the leak is reported in spite of the fault.",
         conditions,
-        lambda detector, condition: record.share(detector, condition, 0.3),
+        lambda detector, condition: content.share(detector, condition, 0.3),
         "windows in which it is reported, %",
         {},
     )
     return taken + beside
 
 
-def coverage_plots(record: Record) -> list[Plot]:
+def coverage_plots(content: Content) -> list[Plot]:
     """Coverage of the 90 % intervals at 0.3 l/min: by law, motion and controller, and beside faults."""
 
     def find(detector: str, condition: str) -> Interval:
-        return percent_of(record.cell("sizes", detector, condition, 0.3), "coverage")
+        return interval(content.cell("sizes", detector, condition, 0.3), "coverage", 100.0)
 
     sides = {
-        "laws, motions, controllers": record.in_groups("levels", "law", "motion", "controller"),
-        "other faults and plants": record.in_groups("fault", "plant", "rig"),
+        "laws, motions, controllers": content.in_groups("levels", "law", "motion", "controller"),
+        "other faults and plants": content.in_groups("fault", "plant", "rig"),
     }
     return [
         plot
         for number, (side, conditions) in enumerate(sides.items())
         for plot in _rows_plot(
-            record,
+            content,
             f"coverage-{number}",
             f"Do 90 % intervals contain the true size? {side.capitalize()}",
             "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %.",
@@ -193,11 +194,11 @@ def coverage_plots(record: Record) -> list[Plot]:
     ]
 
 
-def size_plot(record: Record) -> list[Plot]:
+def size_plot(content: Content) -> list[Plot]:
     """Size error over the leak, with the Cramér–Rao bound."""
-    table = record.table("sizes")
-    table = table[(table["condition"] == record.base) & (table["level"] > HEALTHY)].sort_values("level")
-    parts = {name: table[(table["detector"] == name) & table["rms_log10"].notna()] for name in record.detectors}
+    table = content.table("sizes")
+    table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
+    parts = {name: table[(table["detector"] == name) & table["rms_log10"].notna()] for name in content.detectors}
     parts = {name: part for name, part in parts.items() if len(part)}
     if not parts:
         return []
@@ -209,9 +210,9 @@ def size_plot(record: Record) -> list[Plot]:
             axes.plot(
                 part["level"],
                 part["rms_log10"],
-                marker=record.looks[name].marker,
+                marker=content.looks[name].marker,
                 label=name,
-                **record.looks[name].stroke,
+                **content.looks[name].stroke,
             )
         if len(bound):
             axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
@@ -227,18 +228,18 @@ def size_plot(record: Record) -> list[Plot]:
     return [one_panel("size", title, note, description(title, rows, ""), paint)]
 
 
-def reliability_plot(record: Record) -> list[Plot]:
+def reliability_plot(content: Content) -> list[Plot]:
     """Probability of the detector against the frequency of leaks."""
-    table = record.table("reliability")
+    table = content.table("reliability")
     if table.empty:
         return []
-    table = table[table["condition"] == record.base]
+    table = table[table["condition"] == content.base]
     parts = {str(name): part for name, part in table.groupby("detector", sort=False)}
 
     def paint(axes: Axes) -> None:
         axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
         for name, part in parts.items():
-            look = record.looks[name]
+            look = content.looks[name]
             value, low, high = (100.0 * part[f"frequency{end}"].to_numpy() for end in ("", "_low", "_high"))
             lengths = np.maximum(np.array([value - low, high - value]), 0.0)
             axes.errorbar(
@@ -258,20 +259,26 @@ def reliability_plot(record: Record) -> list[Plot]:
     return [one_panel("reliability", title, note, description(title, rows, " %"), paint)]
 
 
-def masking_plot(record: Record) -> list[Plot]:
+def masking_rows(content: Content) -> pd.DataFrame:
+    """Rows of the table ``masking`` for windows of the same length as in the base condition."""
+    table, durations = content.table("masking"), content.conditions["duration_s"]
+    return table[table["condition"].map(durations) == durations[content.base]]
+
+
+def masking_plot(content: Content) -> list[Plot]:
     """Detection of a small leak by controller; the controller with the smallest error comes first."""
-    table = record.masking()
+    table = masking_rows(content)
     if table.empty:
         return []
     errors = table.groupby("condition")["error_mm"].mean().sort_values()
     acting = table.drop_duplicates("condition").set_index("condition")["acting"]
     return _rows_plot(
-        record,
+        content,
         "masking",
         "0.1 l/min found, by controller",
         "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms.",
         [str(condition) for condition in errors.index],
-        lambda detector, condition: record.share(detector, condition, 0.1, "at_1_percent"),
+        lambda detector, condition: content.share(detector, condition, 0.1, "at_1_percent"),
         "windows in which it is found, %",
         {},
         names={str(condition): f"{acting[condition]} ({error:.2g} mm)" for condition, error in errors.items()},

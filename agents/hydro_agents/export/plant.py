@@ -1,8 +1,8 @@
-"""The plant as an FMU: FMI 2.0 co-simulation, with its C sources and the binary of this platform.
+"""The plant and its integrator as C99, without any library but ``math.h``, and as an FMU: FMI 2.0 co-simulation.
 
-Inputs: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and forces, and
-    the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and Co-Simulation*,
-    version 2.0.
+Inputs of the FMU: voltage of the valve, external force, leakage past the piston, faults. Outputs: states, flows and
+    forces, and the readings of ideal sensors. Standard: *Functional Mock-up Interface for Model Exchange and
+    Co-Simulation*, version 2.0.
 """
 
 from __future__ import annotations
@@ -18,13 +18,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args, get_type_hints
 
-from hydro_agents.export.compiler import compile_c
-from hydro_agents.export.plant_code import plant_code, render
+from hydro_agents.export.c_files import CCode, c_code, compile_c, render, write_files
+from hydro_agents.export.expressions import DOUBLE
+from hydro_agents.export.translator import Translator
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
+from hydro_env.plant import kernel
 from hydro_env.plant.analysis import leak_at_test_pressure
-from hydro_env.plant.equations import Derived
-from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PlantParameters, to_vector
-from hydro_env.plant.states import STATE_NAMES, STATE_UNITS
+from hydro_env.plant.equations import (
+    Coefficients,
+    Derived,
+    coefficients,
+    command_changed,
+    derivatives,
+    derived_quantities,
+    hold_limits,
+    time_to_kink,
+)
+from hydro_env.plant.equilibrium import equilibrium_state
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Physical, PlantParameters, to_vector
+from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
 from hydro_env.task.settings import settings_of
 from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
 
@@ -33,6 +45,42 @@ SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
 REPLACED_BY_INPUTS = ("leakage.internal_resistance",)
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
+
+
+def plant_code(parameters: PlantParameters | None = None) -> CCode:
+    """Generate the plant with the parameters of a rig as its defaults; ``None`` is the paper's.
+
+    Raises:
+        TranslationError: the plant uses a construct without translation.
+    """
+    translator = Translator()
+    state, constants, physical = (translator.struct(kind) for kind in (State, Coefficients, Physical))
+    translator.function(coefficients, [physical], "coefficients_of")
+    translator.function(derivatives, [state, constants, DOUBLE])
+    translator.function(command_changed, [state, constants, DOUBLE])
+    translator.function(hold_limits, [state, constants])
+    translator.function(time_to_kink, [state, state, constants])
+    translator.function(derived_quantities, [state, constants])
+    translator.function(equilibrium_state, [DOUBLE, physical, constants])
+    private = [text for text in translator.structs if not text.endswith((" State;\n", " Derived;\n"))]
+    values = {
+        "version": __version__,
+        "states": list(zip(State._fields, STATE_UNITS, strict=True)),
+        "parameters": list(zip(PARAMETER_PATHS, to_vector(parameters or PlantParameters()).tolist(), strict=True)),
+        "coefficients": len(Coefficients._fields),
+        "coefficient_names": Coefficients._fields,
+        "first_weight": Coefficients._fields.index("position_weight"),
+        "shared": [text for text in translator.structs if text not in private],
+        "structs": private,
+        "functions": translator.functions,
+        "stages": kernel.STAGES,
+        "error": kernel.ERROR,
+        "kernel": {
+            name: getattr(kernel, name) for name in ("FIRST_STEP", "MAXIMUM_STEP", "TOLERANCE", "SHORTEST_STEP")
+        },
+        "most_steps": kernel.MOST_STEPS_PER_PERIOD,
+    }
+    return c_code("plant", values)
 
 
 @dataclass(frozen=True)
@@ -172,8 +220,7 @@ def compile_library(sources: dict[str, str]) -> bytes:
         HydroError: there is no compiler, or it failed; the message is its first line.
     """
     with tempfile.TemporaryDirectory() as folder:
-        for name, text in sources.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
+        write_files(sources, Path(folder))
         units = [name for name in sources if name.endswith(".c")]
         compile_c(Path(folder), ["-shared", "-fPIC", "-fvisibility=hidden", "-o", "library", *units])
         return (Path(folder) / "library").read_bytes()

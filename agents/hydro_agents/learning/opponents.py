@@ -1,15 +1,13 @@
-"""Participants of an evaluation: controllers by name, file or object, checked against the task."""
+"""Controllers by name, file or object, checked against the task: what a command or an evaluation is asked to run."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
 from hydro_agents.controllers.gains_file import GAINS_FILE, controller_from_gains
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.detection.head import LeakageHead
-from hydro_agents.export.exported import ExportedController
+from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder
@@ -20,9 +18,11 @@ from hydro_env.mistakes import unknown
 from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
-HEAD_FILE = "leakage_head"
 SHIPPED_WEIGHTS = {"ppo": "policy"}
 """Names of the files in the folder of shipped weights, by kind."""
+
+EXPORTED = "hydro_agents.export.exported:ExportedController"
+"""The class that runs a folder of ``hydro export``; by name, because that room imports this one."""
 
 
 def shipped(kind: str, config: TaskConfig) -> Controller:
@@ -40,7 +40,7 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
 
 
 def shipped_weights(kind: str, config: TaskConfig) -> Path:
-    """The weights of a kind that ship: those made for the task's rig if there are such."""
+    """The shipped weights of a kind: those for the task's rig if they exist, else those for the paper's rig."""
     usual = pretrained_folder() / SHIPPED_WEIGHTS[kind]
     own = usual.with_name(f"{usual.name}_{shipped_rig(config)}")
     return own if weight_files(own)[0].is_file() else usual
@@ -91,7 +91,7 @@ def opponent(
         elif what.endswith(".yaml"):
             controller = controller_from_gains(what, config)
         elif Path(what).is_dir():
-            controller = ExportedController.load(what)
+            controller = imported(EXPORTED).load(what)
         elif _ATTRIBUTE.fullmatch(what):
             controller = make_controller(what, config)
         elif trainer is None and "/" not in what and not any(file.is_file() for file in weight_files(what)):
@@ -120,39 +120,3 @@ def trained_for(controller: Controller) -> PlantParameters | None:
     """The nominal rig of the task of a policy's training or of an export; ``None`` for any other controller."""
     task = getattr(getattr(controller, "features", None), "config", getattr(controller, "made_for", None))
     return task.plant if isinstance(task, TaskConfig) else None
-
-
-def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
-    """Check that weights fit a task: the observations must be the same as in training.
-
-    Raises:
-        ConfigurationError: names, scales or control period differ.
-    """
-    if layout != ObservationLayout.of(config):
-        raise ConfigurationError(
-            "was trained on other observations (names, scales or control period) than those of this task"
-        )
-
-
-def check_head(head: LeakageHead, config: TaskConfig, name: str) -> None:
-    """Check that a leakage head can watch the episodes of a task.
-
-    Raises:
-        ConfigurationError: its observations differ, or its window is longer than an episode.
-    """
-    try:
-        check_layout(head.settings.layout, config)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{name}: {error}") from None
-    if head.settings.window > config.steps:
-        raise ConfigurationError(
-            f"{name}: reads at least {head.settings.window} observations, an episode has {config.steps}"
-        )
-
-
-def load_head(path: Path | None, config: TaskConfig) -> LeakageHead:
-    """Weights of a leakage head, the shipped ones by default, checked against the task."""
-    path = path or pretrained_folder() / HEAD_FILE
-    head = LeakageHead.load(path)
-    check_head(head, config, str(path))
-    return head

@@ -1,33 +1,57 @@
-"""The folder of an exported leakage head: C code, network, test vectors and contract, checked before it is written."""
+"""The leakage head for other machines: C99 from measured signals to the estimate, its network as ONNX, all checked.
+
+Repair of gaps, flow balance and features are translated from the compiled functions of :mod:`hydro_agents.detection`;
+the network is traced from its NumPy code.
+"""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
-import subprocess
-import tempfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from hydro_agents.detection.features import FEATURES, SIGNALS, features_of
-from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.export.compiler import c_compiler, compile_c
-from hydro_agents.export.contract import FILE, ContractSignal, sealed
-from hydro_agents.export.exported import onnx_session
+from hydro_agents.detection.balance import fit, fit_balance
+from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of, repair
+from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
+from hydro_agents.detection.stuck import bounds_of, find_stuck
+from hydro_agents.export.c_files import CCode, c_code, compared, csv_text, render
+from hydro_agents.export.c_writer import CWriter
+from hydro_agents.export.exported import FILE, ContractSignal, onnx_session, sealed
+from hydro_agents.export.expressions import DOUBLE, array
 from hydro_agents.export.graph import Graph
-from hydro_agents.export.head_code import FIELDS, MEANINGS, HeadCode, head_code, head_graph
+from hydro_agents.export.measured import SENSOR_MEANINGS
 from hydro_agents.export.onnx_writer import OnnxWriter
-from hydro_agents.export.plant_code import render
-from hydro_agents.running.seeds import VALIDATION_SEEDS
+from hydro_agents.export.tracing import trace
+from hydro_agents.export.translator import Translator
+from hydro_agents.running.seeds import HEAD_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
+from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
+
+NAME = "leakage_head"
+MEANINGS = {
+    **{name: (CHANNEL_UNITS[name], SENSOR_MEANINGS[name]) for name in SENSORS},
+    "previous_command": ("1", "received by the valve in the last control period, as a fraction of full voltage"),
+}
+FIELDS = {
+    "probability": "of a leak past the piston, 0 to 1",
+    "flow_lpm": "its size, l/min at 100 bar",
+    "low_lpm": "90 % interval of the size",
+    "high_lpm": "90 % interval of the size",
+    "external_leak": "probability of a leak past the rod seal",
+    "valve_fault": "probability of a fault of the valve",
+    "sensor_fault": "probability of a fault of a sensor",
+    "return_line": "probability of raised tank pressure",
+    "outside": "1: the answer is not valid, because the window is unlike the training; else 0",
+}
+FORGET = 4
+"""Multiples of window times interval after which the C code restarts its sample counter."""
+
 
 NETWORK_FILE = "leakage_head_network.onnx"
 FILES = (
@@ -44,7 +68,6 @@ FILES = (
 LARGEST_DIFFERENCE = 2e-5
 """Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
 
-SEED = VALIDATION_SEEDS.start + 710_000
 LEAKS = (0.01, 0.5, 2.0)
 """l/min at 100 bar, in the episodes of the test vectors."""
 
@@ -60,6 +83,75 @@ RULES = {
     "outside": "1: the window is unlike the training, or a sensor is stuck; the answer is not valid",
     "flag": "a leak is flagged at a probability of 'threshold' or more: 1 % false alarms on validation plants",
 }
+
+
+def head_graph(head: LeakageHead) -> Graph:
+    """From ``features`` to ``answer``, the fields of a :class:`~hydro_agents.detection.head.LeakageEstimate`."""
+    features = np.zeros((1, len(FEATURES)), dtype=np.float32)
+    return trace(lambda features: {"answer": head.judge(features)}, {"features": features})
+
+
+def head_code(head: LeakageHead) -> CCode:
+    """C sources of a head, for windows of its shortest length.
+
+    Raises:
+        TranslationError, TraceError: a function uses a construct without translation.
+    """
+    window, sheet = head.settings.window, head.sheet._asdict()
+    translator = Translator()
+    kinds = [
+        (array(*np.shape(values), element="const double") if np.ndim(values) else DOUBLE, name)
+        for name, values in sheet.items()
+    ]
+    of_sheet = translator.record("Sheet", kinds)
+    signals, lost = array(1, len(SIGNALS), window), array(1, len(SENSORS))
+    shapes = {name: np.shape(part) for name, part in _fitted(head)._asdict().items()}
+    fitted = [array(*shape) for shape in shapes.values()]
+    translator.function(repair, [signals, of_sheet, signals, lost])
+    translator.function(fit, [signals, of_sheet, *fitted])
+    translator.function(describe, [signals, lost, of_sheet, *fitted, array(1, len(FEATURES))])
+
+    bounds = bounds_of(head.settings.task)
+    translator.function(find_stuck, [signals, array(*bounds.shape, element="const double"), lost])
+
+    graph = head_graph(head)
+    writer = CWriter({"features": "features"}, prefix="network_")
+    writer.reserve("features", "answer")
+    network = writer.statements(graph.nodes())
+    answer, copied = writer.kept("answers", graph.outputs["answer"])
+    network += [f"    {line}" for line in copied]
+    network.append(f"    for (int i = 0; i < {len(FIELDS)}; ++i) answer[i] = {answer}[i];")
+    config = head.settings.task
+    names, _, scales, limits = observation_layout(config)
+    values: dict[str, Any] = {
+        "version": __version__,
+        "period": config.control_period,
+        "window": window,
+        "interval": head.interval,
+        "threshold": head.settings.threshold,
+        "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
+        "sensors": len(SENSORS),
+        "fields": [(name, FIELDS[name]) for name in LeakageEstimate._fields],
+        "features": len(FEATURES),
+        "structs": translator.structs,
+        "functions": translator.functions,
+        "sheet": {name: np.ravel(part).tolist() if np.ndim(part) else float(part) for name, part in sheet.items()},
+        "scale": [float(scales[names.index(name)]) for name in SIGNALS],
+        "limit": [float(limits[names.index(name)]) for name in SIGNALS],
+        "beside_stuck_sensor": BESIDE_STUCK_SENSOR,
+        "bounds": bounds.ravel().tolist(),
+        "fitted": [(name, int(np.prod(shape))) for name, shape in shapes.items()],
+        "helpers": writer.helpers,
+        "tables": writer.tables,
+        "network": "\n".join(network),
+        "forget": FORGET,
+    }
+    return c_code(NAME, values)
+
+
+def _fitted(head: LeakageHead) -> Any:
+    """A fit of one window, for the shapes of its parts."""
+    return fit_balance(np.zeros((1, len(SIGNALS), head.settings.window)), head.sheet)
 
 
 class HeadContract(Group):
@@ -113,13 +205,12 @@ def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], li
         "signals": [(name, *MEANINGS[name]) for name in SIGNALS],
     }
     texts = {
-        "leakage_head.c": code.source,
-        "leakage_head.h": code.header,
+        **code.files,
         "test_leakage_head.c": render("test_leakage_head.c.j2", values),
         "vectors.csv": _csv(samples, answers),
         "README.md": render("leakage_head_readme.md.j2", values),
     }
-    in_onnx, in_c = check_network(head, model, samples), check_c(code, texts)
+    in_onnx, in_c = check_network(head, model, samples), compared(NAME, texts)
     files = {NETWORK_FILE: model, **{name: text.encode() for name, text in texts.items()}}
     files[FILE] = _contract(head, {NETWORK_FILE: in_onnx, "leakage_head.c": in_c}, command, files).text().encode()
     largest = f"largest difference {in_onnx['largest_difference']:.2g}"
@@ -145,10 +236,8 @@ def test_vectors(head: LeakageHead) -> tuple[NDArray[np.float64], NDArray[np.flo
     config, count = head.settings.task, len(LEAKS)
     length = head.settings.window + (ESTIMATES - 1) * head.interval
     env = ServoHydraulicVectorEnv(count, _long_enough(config, length), info=False)
-    observation, _ = env.reset(
-        seed=[SEED + number for number in range(count)], options={"leakage_flow_lpm": list(LEAKS)}
-    )
-    generator, state, command = np.random.default_rng(SEED), None, np.zeros(count)
+    observation, _ = env.reset(seed=list(HEAD_VECTORS.take(count)), options={"leakage_flow_lpm": list(LEAKS)})
+    generator, state, command = np.random.default_rng(HEAD_VECTORS.first), None, np.zeros(count)
     samples, answers = np.empty((length, count, len(SIGNALS))), np.empty((length, count, len(FIELDS)))
     for k in range(length):
         observed = observation.copy()
@@ -172,13 +261,9 @@ def _long_enough(config: TaskConfig, samples: int) -> TaskConfig:
 
 def _csv(samples: NDArray[np.float64], answers: NDArray[np.float64]) -> str:
     """As CSV; every number reads back exactly."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(["start", *SIGNALS, *FIELDS])
-    for episode, expected in zip(samples, answers, strict=True):
-        for k, (signals, answer) in enumerate(zip(episode, expected, strict=True)):
-            writer.writerow([int(k == 0), *(repr(float(value)) for value in (*signals, *answer))])
-    return file.getvalue()
+    episodes = (zip(signals, expected, strict=True) for signals, expected in zip(samples, answers, strict=True))
+    rows = ((k == 0, (*now, *answer)) for episode in episodes for k, (now, answer) in enumerate(episode))
+    return csv_text([*SIGNALS, *FIELDS], rows)
 
 
 def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64]) -> dict[str, Any]:
@@ -201,27 +286,6 @@ def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64])
     if not largest <= LARGEST_DIFFERENCE:
         raise HydroError(f"leakage head: the ONNX model differs by {largest:.2g} from Python: cannot be exported")
     return {"windows": len(windows), "largest_difference": largest}
-
-
-def check_c(code: HeadCode, texts: Mapping[str, str]) -> str:
-    """Result of the test program, compiled on this machine.
-
-    Raises:
-        HydroError: the code cannot be compiled, or gives other values.
-    """
-    if c_compiler() is None:
-        return "not compiled: this machine has no C compiler"
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        code.write(folder)
-        for file in ("test_leakage_head.c", "vectors.csv"):
-            (folder / file).write_text(texts[file], encoding="utf-8")
-        compile_c(folder, ["-Wall", "-Wextra", "-Werror", "-o", "test", "test_leakage_head.c", "leakage_head.c"])
-        result = subprocess.run([str(folder / "test")], cwd=folder, capture_output=True, text=True, check=False)
-    said = " ".join((result.stdout + result.stderr).split())
-    if result.returncode != 0:
-        raise HydroError(f"the C code differs from the leakage head in Python: {said}")
-    return said
 
 
 def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files: Mapping[str, bytes]) -> HeadContract:

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
+from hydro_agents.estimation.estimate import estimate
+from hydro_agents.estimation.model import Model, noise_of
+from hydro_agents.estimation.unknowns import priors_of
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding, Weight
-from hydro_agents.recordings.sampling import Sampled
-from hydro_agents.rigs.diagnosis_windows import cut
-from hydro_env import ConfigurationError
-from hydro_env.task.sensors import CHANNELS
+from hydro_agents.recordings.sampling import Sampled, cut
+from hydro_agents.rigs.fit import starts_of
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.plant.parameters import to_vector
+from hydro_env.task.sensors import SENSORS
 
 Floats = NDArray[np.float64]
 
-WINDOW, FEWEST_WINDOWS = 2.0, 5
-"""s, length of a window; a recording that is too short for five windows has shorter ones."""
+WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
+"""Length of a window, and number of windows; a recording that is too short for five windows has shorter ones."""
 
 SHORTEST_WINDOW = 0.4
 """s; shorter windows give too little information, because their start is unknown."""
@@ -30,8 +35,7 @@ MOST_WINDOWS = 12
 """More windows would take longer and add little; from each section of the recording, the one with most motion is
 used."""
 
-LONGEST_HELD_BACK = 10.0
-"""s"""
+LONGEST_HELD_BACK = 10.0  # s
 
 LONGEST_FILL = 3
 """Largest number of successive missing commands that are interpolated; their readings stay missing."""
@@ -39,7 +43,13 @@ LONGEST_FILL = 3
 FULL_COMMAND, MOST_SATURATED = 0.99, 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
-POSITION = CHANNELS.index("position")
+START_FROM = 0.2
+"""s; the initial state comes from this first part; afterwards the simulation uses only the commands."""
+
+LEAST_MOTION = 20.0
+"""Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
+
+POSITION = SENSORS.index("position")
 
 
 class Parts(NamedTuple):
@@ -133,3 +143,52 @@ def _held_back(windows: Windows) -> tuple[float, Floats]:
     stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
     return float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1)
+
+
+class HeldBack(NamedTuple):
+    """The held-back part, measured and simulated."""
+
+    begin: float  # s
+    time: Floats  # (T,), s, from its begin
+    measured: Floats  # (channels, T), SI
+    simulated: Floats  # (channels, T), SI, biases included
+    share: Floats  # (channels,), share of variance explained; NaN for an absent channel, or one without motion
+
+
+def simulate_held_back(
+    signals: Floats, begin: float, config: TaskConfig, plant: PlantParameters, biases: Sequence[float]
+) -> HeldBack:
+    """Simulate a plant on the held-back part; only the initial state comes from its readings, in the first 0.2 s.
+
+    Args:
+        signals: (5, T), SI, in the order of SIGNALS.
+        begin: of the part in the recording, s.
+        config: the task.
+        plant: the identified plant.
+        biases: of each channel, SI.
+    """
+    bias = np.asarray(biases)[:, None]
+    measured = signals[: len(SENSORS)]
+    unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
+    physical = to_vector(plant)[None]
+    count = max(round(START_FROM / config.control_period), 10)
+    names = starts_of(config)
+    found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical)
+    model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical)
+    read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
+    simulated = read[0] * model.noise[:, None] + bias
+    time = config.control_period * np.arange(signals.shape[1], dtype=np.float64)
+    motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
+    share = np.array([_share(*pair) for pair in zip(measured, simulated, strict=True)])
+    share[motion < LEAST_MOTION * noise_of(config)] = np.nan
+    return HeldBack(begin, time, measured, simulated, share)
+
+
+def _share(measured: Floats, simulated: Floats) -> float:
+    """Share of the variance that the simulation explains: 1 − mean square error over variance; −∞ after a failure."""
+    known = np.isfinite(measured)
+    if not known.any():
+        return float("nan")
+    error = measured[known] - simulated[known]
+    share = 1.0 - float(np.mean(error**2)) / max(float(measured[known].var()), 1e-300)
+    return share if np.isfinite(share) else float("-inf")

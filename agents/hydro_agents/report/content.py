@@ -1,0 +1,185 @@
+"""Content of a page: tables by the names of their CSV files, what else a page shows, and names for readers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.evaluation.detection import LeakBounds
+from hydro_agents.report.canvas import Look, looks_of
+from hydro_agents.running.statistics import Interval
+from hydro_agents.running.text import correction_name, decimals_for, number
+from hydro_env import TaskConfig
+
+Kind = TypeVar("Kind")
+
+ALL = "all"
+"""Name of the row over all conditions."""
+
+NAME_COLUMNS = ("controller", "against")
+"""Columns that hold names of controllers."""
+
+CORRECTS = "corrects "
+"""Beginning of a note about the inputs of a controller that corrects another one."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What the sections of a page show.
+
+    Example:
+        >>> content = Content({"cases": pd.DataFrame({"controller": ["PID", "PPO"], "mean_error_mm": [0.5, 0.4]})})
+        >>> content.controllers, content.baseline, content.has("leak_price")
+        (['PID', 'PPO'], 'PID', False)
+    """
+
+    tables: Mapping[str, pd.DataFrame]  # by the names of their CSV files
+    task: TaskConfig = field(default_factory=TaskConfig)
+    others: Mapping[str, Any] = field(default_factory=dict)  # by name: traces, errors, the text of a configuration
+
+    def has(self, name: str) -> bool:
+        """Whether there is a table or another part of this name that is not empty."""
+        part = self.tables.get(name, self.others.get(name))
+        return part is not None and (not hasattr(part, "__len__") or len(part) > 0)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table, empty if there is none."""
+        return self.tables.get(name, pd.DataFrame())
+
+    def other(self, name: str, default: Kind) -> Kind:
+        """A part that is no table, of the type of ``default``, which stands for a missing one."""
+        part = self.others.get(name, default)
+        assert isinstance(part, type(default)), f"{name} is a {type(part).__name__}"
+        return part
+
+    @cached_property
+    def facts(self) -> dict[str, str]:
+        """Keys and values of the run: title, baseline, file, hash, versions, date, command."""
+        table = self.table("protocol")
+        return {} if table.empty else dict(zip(table["key"].astype(str), table["value"].astype(str), strict=True))
+
+    @property
+    def bounds(self) -> LeakBounds:
+        """Leaks that count as healthy and as faulty in the task."""
+        return LeakBounds.of(self.task)
+
+    # Participants -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def controllers(self) -> list[str]:
+        """Controllers with results, the baseline first."""
+        table = self.table("summary" if self.has("summary") else "cases")
+        names = [] if table.empty else [str(name) for name in table["controller"].unique()]
+        base = self.facts.get("baseline", names[0] if names else "")
+        return [name for name in (base, *(other for other in names if other != base)) if name]
+
+    @property
+    def baseline(self) -> str:
+        """The controller to which the others are compared."""
+        return self.controllers[0]
+
+    @cached_property
+    def detectors(self) -> list[str]:
+        """Detectors with readings."""
+        return [str(name) for name in self.table("detection").get("detector", pd.Series(dtype=str)).unique()]
+
+    @cached_property
+    def looks(self) -> dict[Any, Look]:
+        """Colour, marker and line of each controller, or of each detector, in all figures."""
+        return looks_of(self.controllers or self.detectors)
+
+    @cached_property
+    def corrects(self) -> dict[str, str]:
+        """Controllers that correct another one, and its name."""
+        table = self.table("sees")
+        notes = {} if table.empty else dict(zip(table["controller"], table["note"].fillna(""), strict=True))
+        found = {str(who): str(note).removeprefix(CORRECTS) for who, note in notes.items() if note.startswith(CORRECTS)}
+        return found | self.other("corrects", {})
+
+    def with_full_names(self) -> Content:
+        """The same with names that tell what a policy corrects: "PPO on flow linearisation" instead of "PPO"."""
+        names = {name: correction_name(name, base) for name, base in self.corrects.items()}
+        if not names:
+            return self
+        columns = {"protocol": ("value",)}  # one of the facts is the baseline
+        tables = {
+            key: table.assign(**{c: table[c].replace(names) for c in columns.get(key, NAME_COLUMNS) if c in table})
+            for key, table in self.tables.items()
+        }
+        others = dict(self.others) | {
+            key: [each.renamed(names) for each in part]
+            for key, part in self.others.items()
+            if isinstance(part, Sequence) and not isinstance(part, str) and all(hasattr(x, "renamed") for x in part)
+        }
+        others["corrects"] = {names[name]: base for name, base in self.corrects.items()}
+        return replace(self, tables=tables, others=others)
+
+    # Conditions -------------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def conditions(self) -> pd.DataFrame:
+        """One row per condition, by its name."""
+        table = self.table("conditions")
+        return table if table.empty else table.set_index("condition")
+
+    @property
+    def base(self) -> str:
+        """The condition with all leaks: the first of the group ``levels``."""
+        return str(self.other("base", "") or next(iter(self.in_groups("levels")), ""))
+
+    def label(self, condition: str) -> str:
+        """Short text of a condition."""
+        labels = self.conditions.get("label", pd.Series(dtype=str)).fillna("")
+        return str(labels.get(condition) or condition)
+
+    def in_groups(self, *groups: str) -> list[str]:
+        """Names of the conditions of some groups, in order of the protocol."""
+        table = self.table("conditions")
+        return [] if table.empty else [str(name) for name in table.loc[table["group"].isin(groups), "condition"]]
+
+    # Rows -------------------------------------------------------------------------------------------------------------
+
+    def row(self, table: str, **wanted: Any) -> dict[str, Any]:
+        """The first row of a table with some values; empty if there is none."""
+        rows = self.table(table)
+        for column, value in wanted.items():
+            rows = rows[rows[column] == value] if len(rows) else rows
+        return {str(key): value for key, value in rows.iloc[0].to_dict().items()} if len(rows) else {}
+
+    def against(self, controller: str, condition: str = ALL) -> dict[str, Any]:
+        """The row of the comparison with the baseline; empty if there is none."""
+        return self.row("comparison", controller=controller, condition=condition)
+
+    def cell(self, table: str, detector: str, condition: str, level: float) -> dict[str, Any]:
+        """The row of a detector under a condition at a leak; empty if there is none."""
+        return self.row(table, detector=detector, condition=condition, level=level)
+
+    def share(self, detector: str, condition: str, level: float, column: str = "flagged") -> Interval:
+        """A share of the table ``detection`` in percent, with its interval; NaN if there is none."""
+        return interval(self.cell("detection", detector, condition, level), column, 100.0)
+
+
+def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:
+    """A column with its interval (``_low``, ``_high``); NaN if there is none."""
+    return Interval(*(factor * float(row.get(column + end, np.nan)) for end in ("", "_low", "_high")))
+
+
+def interval_text(value: Interval, unit: str = "", decimals: int | None = None) -> str:
+    """Value, unit, and interval in brackets if there is one."""
+    if decimals is None:
+        decimals = decimals_for(value.value)
+    middle, low, high = (number(part, decimals) for part in value)
+    unit = f" {unit}" if unit else ""
+    return f"{middle}{unit}" if np.isnan(value.low) else f"{middle}{unit} ({low} to {high})"
+
+
+def percent(share: Interval) -> str:
+    """A share as percent, with its interval."""
+    if np.isnan(share.value):
+        return "–"
+    return interval_text(Interval(*(100.0 * part for part in share)), "%", 1)

@@ -1,0 +1,232 @@
+"""Pages are lists of sections; a section is a registered function from the content of a page to blocks.
+
+.. code-block:: python
+
+    @section("Cost of a leak", needs=("leak_price",))
+    def leak_price(content: Content) -> list[Block]:
+        return [Text("At steady state, with any controller."), *price_plots(content.table("leak_price"))]
+
+A page leaves out a section whose needed tables are missing or empty, and one without blocks. The name of the function
+names the section in lists and files; a section without a title belongs into the head of the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import ClassVar, NamedTuple, TypeAlias
+
+from hydro_agents.report.canvas import Plot
+from hydro_agents.report.content import Content
+from hydro_agents.report.page import Page, make_page
+from hydro_agents.running.machine import Origin
+from hydro_agents.running.text import Cell, Table
+from hydro_env import ConfigurationError
+from hydro_env.mistakes import unknown
+
+TEMPLATE = Path(__file__).parent / "page.html.j2"
+MODULES = tuple(f"hydro_agents.report.{name}" for name in ("shared", "robustness", "experiments", "leakage"))
+"""Modules whose sections any list may name."""
+
+
+class Finding(NamedTuple):
+    """A summary, and the numbers."""
+
+    lead: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; a ``markupsafe.Markup`` may hold HTML, any other text is escaped."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    style: str = ""  # soft, caution, verdict, or verdict with good, worse or doubtful
+
+
+@dataclass(frozen=True)
+class Points:
+    """A list of sentences."""
+
+    kind: ClassVar[str] = "points"
+    lines: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Cards:
+    """Findings side by side."""
+
+    kind: ClassVar[str] = "cards"
+    lines: Sequence[Finding]
+
+
+@dataclass(frozen=True)
+class Key:
+    """Coloured cells in a row, which explain the colours of a table."""
+
+    kind: ClassVar[str] = "key"
+    cells: Sequence[Cell]
+
+
+@dataclass(frozen=True)
+class Code:
+    """A text with fixed line breaks, such as a file of settings."""
+
+    kind: ClassVar[str] = "code"
+    text: str
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Blocks below a line that opens and closes them."""
+
+    kind: ClassVar[str] = "fold"
+    summary: str
+    blocks: Sequence[Block]
+    opened: bool = False
+    style: str = ""  # caution
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Blocks by a value; a slider shows those of one value."""
+
+    kind: ClassVar[str] = "choice"
+    label: str
+    unit: str
+    blocks: Mapping[str, Sequence[Block]]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Figures side by side, as many as the page has room for."""
+
+    kind: ClassVar[str] = "grid"
+    plots: Sequence[Plot]
+
+
+Block: TypeAlias = Text | Points | Cards | Key | Code | Fold | Choice | Grid | Plot | Table
+
+
+class Section(NamedTuple):
+    """A part of a page."""
+
+    name: str
+    title: str  # empty: a part of the head of the page
+    needs: tuple[str, ...]  # tables, and other parts of the content
+    blocks: Callable[[Content], Sequence[Block]]
+    heading: bool  # whether the page shows the title above it
+
+
+SECTIONS: dict[str, Section] = {}
+"""All sections that were imported, by name."""
+
+
+def section(
+    title: str, needs: Sequence[str] = (), heading: bool = True
+) -> Callable[[Callable[[Content], Sequence[Block]]], Callable[[Content], Sequence[Block]]]:
+    """Register a function as a section under its own name.
+
+    Args:
+        title: for the list of contents and the heading; empty for a part of the head of the page.
+        needs: names of tables or other parts of the content without which the section is left out.
+        heading: whether the page shows the title above it.
+    """
+
+    def registered(blocks: Callable[[Content], Sequence[Block]]) -> Callable[[Content], Sequence[Block]]:
+        name = blocks.__name__
+        assert name not in SECTIONS or SECTIONS[name].blocks.__module__ == blocks.__module__, f"two sections {name}"
+        SECTIONS[name] = Section(name, title, tuple(needs), blocks, heading)
+        return blocks
+
+    return registered
+
+
+def sections_named(names: Iterable[str], where: str = "sections") -> list[Section]:
+    """The sections of a list, in its order.
+
+    Args:
+        names: of registered sections.
+        where: file and field of the list, for the message.
+
+    Raises:
+        ConfigurationError: a name is unknown, or occurs twice.
+    """
+    for module in MODULES:
+        import_module(module)
+    names = list(names)
+    for name in names:
+        if name not in SECTIONS:
+            raise ConfigurationError(f"{where}: {unknown(name, sorted(SECTIONS), 'section')}")
+        if names.count(name) > 1:
+            raise ConfigurationError(f"{where}: section '{name}' occurs {names.count(name)} times")
+    return [SECTIONS[name] for name in names]
+
+
+def render_page(
+    title: str, names: Iterable[str], content: Content, origin: Origin | None = None, sources: str = ""
+) -> Page:
+    """The page of some sections.
+
+    Args:
+        title: of the page.
+        names: of its sections, in order.
+        content: what they show.
+        origin: command, date and version; default: those of the facts.
+        sources: sentence about the files that hold the numbers; default: the tables beside the page.
+
+    Raises:
+        ConfigurationError: a section is unknown.
+    """
+    parts = [
+        (part, blocks)
+        for part in sections_named(names)
+        if all(map(content.has, part.needs)) and (blocks := arranged(part.blocks(content)))
+    ]
+    return make_page(
+        TEMPLATE,
+        origin or Origin.of(content.facts),
+        title=title,
+        head=[block for part, blocks in parts if not part.title for block in blocks],
+        sections=[(part, blocks) for part, blocks in parts if part.title],
+        choices=any(isinstance(block, Choice) for _, blocks in parts for block in blocks),
+        plots=[plot for _, blocks in parts for plot in plots_of(blocks)],
+        sources=sources,
+    )
+
+
+def arranged(blocks: Sequence[Block]) -> list[Block]:
+    """The blocks with neighbouring figures in a grid; wide ones stand alone."""
+    found: list[Block] = []
+    for block in blocks:
+        if isinstance(block, Plot) and not block.wide:
+            last = found[-1] if found else None
+            if isinstance(last, Grid):
+                found[-1] = Grid((*last.plots, block))
+            else:
+                found.append(Grid((block,)))
+        elif isinstance(block, Fold):
+            found.append(replace(block, blocks=arranged(block.blocks)))
+        elif isinstance(block, Choice):
+            found.append(replace(block, blocks={value: arranged(part) for value, part in block.blocks.items()}))
+        else:
+            found.append(block)
+    return found
+
+
+def plots_of(blocks: Iterable[Block]) -> list[Plot]:
+    """All figures in some blocks."""
+    found: list[Plot] = []
+    for block in blocks:
+        if isinstance(block, Plot):
+            found.append(block)
+        elif isinstance(block, Grid):
+            found += block.plots
+        elif isinstance(block, Fold):
+            found += plots_of(block.blocks)
+        elif isinstance(block, Choice):
+            found += [plot for part in block.blocks.values() for plot in plots_of(part)]
+    return found

@@ -1,0 +1,200 @@
+"""Sections and blocks of several pages: who took part, what did not run, the cost of a leak, facts of the run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+
+from hydro_agents.report.canvas import COLOURS, Plot, description, log_leak_axis, looks_of, one_panel
+from hydro_agents.report.content import Content
+from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
+from hydro_agents.running.text import Table, duration, listed, number, setting
+
+RESERVES = {
+    "speed out": "speed_out_mm_s",
+    "speed back": "speed_back_mm_s",
+    "force out": "force_out_n",
+    "force back": "force_back_n",
+}
+"""Reserves at full command, and their columns."""
+
+PRICES = {
+    "holding_power_w": ("Power to hold, W", 1.0, 1),
+    "holding_command": ("Command to hold, % of full", 100.0, 1),
+    "speed_out_mm_s": ("Speed out, mm/s", 1.0, 0),
+    "speed_back_mm_s": ("Speed back, mm/s", 1.0, 0),
+    "force_out_n": ("Force out, N", 1.0, 0),
+    "force_back_n": ("Force back, N", 1.0, 0),
+}
+"""Columns of the cost of a leak: name, factor and decimals."""
+
+CONDITION_COLUMNS = {
+    "label": "Condition",
+    "description": "Description",
+    "acting": "Operated by",
+    "motion": "Motion",
+    "begins": "Window begins",
+    "duration_s": "s",
+    "trained": "Head trained on it",
+    "changes": "Changes",
+    "cases": "Cases",
+}
+
+NOT_RUN = "not applicable"
+
+
+@section("")
+def introduction(content: Content) -> list[Block]:
+    """Controllers, baseline, and what a policy corrects."""
+    detects = ", and detection of the leak" if content.has("detection_summary") else ""
+    sentences = [
+        f"Positioning of a hydraulic servo axis while its piston seal leaks{detects}.",
+        f"Controllers: {', '.join(content.controllers)}; baseline: {content.baseline}.",
+        *(
+            f"{name} is a policy that adds a correction to the command of {base}."
+            for name, base in content.corrects.items()
+            if name in content.controllers
+        ),
+        "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured.",
+    ]
+    return [Text(" ".join(sentences), "soft")]
+
+
+def problems(content: Content) -> list[Block]:
+    """What failed or did not apply: one line for each failure, and for each participant that did not run everywhere."""
+    errors: dict[str, str] = content.other("errors", {})
+    status = content.table("status")
+    lines = [f"Left out: {message}" for message in errors.values()]
+    if len(status):
+        who = next(name for name in ("controller", "detector") if name in status)
+        for row in status[status["status"] == "failed"].to_dict("records"):
+            lines.append(f"{row[who]} failed under {content.label(str(row['condition']))}: {row['message']}")
+        for name, frame in status[status["status"] == NOT_RUN].groupby(who, sort=False):
+            where = ", ".join(content.label(str(condition)) for condition in frame["condition"])
+            lines.append(f"{name} did not run under {where}: {frame['message'].iloc[0]}.")
+    return [Fold("Some parts did not run", [Points(lines)], bool(errors), "caution")] if lines else []
+
+
+# Cost of a leak -----------------------------------------------------------------------------------------------------
+
+
+@section("What the leak costs even if the axis holds its position", needs=("leak_price",))
+def leak_price(content: Content) -> list[Block]:
+    """Power, reserve and energy over the leak."""
+    return [
+        Text(
+            "Feedback hides the leak, but not its cost: the supply delivers the lost oil, which is missing at full "
+            "command. Power and reserve: steady state of the nominal rig, the same for any controller."
+        ),
+        *price_plots(content.table("leak_price")),
+        price_table(content.table("leak_price")),
+        *energy_table(content),
+    ]
+
+
+def price_plots(table: pd.DataFrame) -> list[Plot]:
+    """Holding power, and reserve of speed and force, over the leak.
+
+    Args:
+        table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
+    """
+    leaks = [float(leak) for leak in table["leakage_flow_lpm"]]
+    looks = looks_of(RESERVES)
+    shares = {name: 100.0 * table[column] / float(table[column].iloc[0]) for name, column in RESERVES.items()}
+    marks = [leak for leak in leaks if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
+
+    def paint_power(axes: Axes) -> None:
+        axes.plot(leaks, table["holding_power_w"], color=COLOURS[0], marker="o")
+        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * float(table["holding_power_w"].max())))
+        log_leak_axis(axes, marks)
+
+    def paint_left(axes: Axes) -> None:
+        for name, look in looks.items():
+            axes.plot(leaks, shares[name], label=name, marker=look.marker, **look.stroke)
+        axes.set(ylabel="reserve, % of the tight seal", ylim=(0.0, 105.0))
+        log_leak_axis(axes, marks)
+
+    def rows(values: pd.Series) -> list[tuple[str, float]]:
+        return [(f"{setting(leak)} l/min", value) for leak, value in zip(leaks, values, strict=True)]
+
+    power = f"Power to hold {number(float(table['place_mm'].iloc[0]), 0)} mm"
+    reserve = "Reserve of speed and force"
+    at_full = "At full command: steady speed at this place, and the largest load that the axis can hold."
+    alt = description(power, {"power": rows(table["holding_power_w"])}, " W")
+    kept = description(reserve, {name: rows(share) for name, share in shares.items()}, " %")
+    return [
+        one_panel("price-power", power, "Flow through the valve times supply pressure.", alt, paint_power),
+        one_panel("price-left", reserve, at_full, kept, paint_left),
+    ]
+
+
+def price_table(table: pd.DataFrame) -> Table:
+    """Holding power, and reserve of speed and force, at each leak."""
+    rows = [
+        (setting(row["leakage_flow_lpm"]), *(number(by * row[key], places) for key, (_, by, places) in PRICES.items()))
+        for row in table.to_dict("records")
+    ]
+    header = ("Leak, l/min", *(name for name, *_ in PRICES.values()))
+    return Table("Cost of a leak at steady state", header, rows, style="dense")
+
+
+def energy_table(content: Content) -> list[Table]:
+    """Energy that a run takes from the supply at each leak, under every controller."""
+    leaks, summary = content.in_groups("leak"), content.table("summary")
+    if not leaks:
+        return []
+    energy = summary[summary["metric"] == "supply_energy_j"].set_index(["controller", "condition"])["mean"]
+    rows = [
+        (name, *(number(float(energy.get((name, leak), np.nan)), 0) for leak in leaks))
+        for name in content.controllers
+        if any((name, leak) in energy.index for leak in leaks)
+    ]
+    header = ("Controller", *map(content.label, leaks))
+    return [Table("Energy from the supply, J per run, by leak", header, rows, style="dense")] if rows else []
+
+
+def price_sentence(table: pd.DataFrame, leak: float) -> str:
+    """The cost of one leak, as a sentence; empty if the table does not contain the leak."""
+    rows = table[table["leakage_flow_lpm"] == leak] if len(table) else table
+    if rows.empty:
+        return ""
+    row, tight = rows.iloc[0], table.iloc[0]
+    left = [f"{name} {number(100.0 * row[column] / tight[column], 0)} %" for name, column in RESERVES.items()]
+    held = float(row["holding_power_w"])
+    power = f"takes {number(held)} W" if np.isfinite(held) else "is impossible"
+    return (
+        f"With any controller, holding {number(float(row['place_mm']), 0)} mm {power} from the supply. Reserve at full "
+        f"command, relative to the tightest seal: {listed(left)}."
+    )
+
+
+# Method -------------------------------------------------------------------------------------------------------------
+
+
+@section("This run", needs=("protocol",))
+def run(content: Content) -> list[Block]:
+    """Facts, durations, conditions and settings of the run."""
+    blocks: list[Block] = [Table("Facts of this run", ("Fact", "Value"), list(content.facts.items()), style="words")]
+    timings: dict[str, float] = content.other("timings", {})
+    if timings:
+        rows = [(phase, duration(seconds)) for phase, seconds in timings.items()]
+        blocks.append(Table("Time taken", ("Phase", "Time"), rows))
+    if content.has("conditions"):
+        blocks.append(Fold("All conditions", [conditions_table(content.table("conditions"))]))
+    if content.has("configuration"):
+        blocks.append(Fold("Configuration", [Code(content.other("configuration", ""))]))
+    return blocks
+
+
+def conditions_table(table: pd.DataFrame) -> Table:
+    """Changes of each condition."""
+    columns = [name for name in CONDITION_COLUMNS if name in table and (table[name].fillna("").astype(str) != "").any()]
+    rows = [tuple(_text(row[name]) for name in columns) for row in table[columns].fillna("").to_dict("records")]
+    return Table("", tuple(CONDITION_COLUMNS[name] for name in columns), rows, style="words")
+
+
+def _text(value: object) -> str:
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    return setting(float(value)) if isinstance(value, float) else str(value)
