@@ -255,16 +255,17 @@ def try_agents() -> None:
 
 def try_evaluation() -> None:
     from hydro_agents.evaluation.participants import participants
-    from hydro_agents.evaluation.robustness_protocol import Protocol
-    from hydro_agents.evaluation.robustness_running import run_protocol
-    from hydro_agents.evaluation.robustness_tables import make_tables
+    from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+    from hydro_agents.evaluation.runner import run as run_protocol
     from hydro_agents.report.content import Content
     from hydro_agents.report.robustness import absolute_table, ranking_table
 
     # The metric: in the table of cases, in the comparisons, and on the page.
-    protocol = Protocol(task={"episode_duration": 0.3}, plants=3, families=["step"], conditions={"plain": {}})
+    task = {"episode_duration": 0.3}
+    conditions = {"plain": {}}
+    protocol = RobustnessProtocol(task=task, plants=3, families=["step"], parts=["tracking"], conditions=conditions)
     chosen = participants({"PID": "pid", "Flow linearisation": "flow_linearising"}, protocol)
-    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1)).by_name()
+    tables = run_protocol(protocol, chosen, jobs=1).tables()
     assert tables["cases"]["saturated_share"].between(0.01, 0.99).any()
     for name in ("comparison", "families", "ranking"):
         assert "saturation_ratio" in tables[name]

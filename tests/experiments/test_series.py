@@ -1,13 +1,17 @@
 """All experiments on several controllers: independent jobs, and a broken controller among them."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
+from joblib import parallel_config
 from proportional import Proportional
-from published import assert_published
+from published import TABLES, assert_published
 
-from hydro_agents.evaluation.experiments import EXPERIMENTS, run_experiments
-from hydro_agents.running.seeds import VALIDATION_SEEDS
-from hydro_env import TaskConfig
+from hydro_agents.evaluation import experiments
+from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS, RobustnessProtocol
+from hydro_agents.evaluation.runner import run
 
 
 class Broken:
@@ -17,17 +21,20 @@ class Broken:
         return np.full((len(observation), 1), np.nan), None
 
 
-def test_a_broken_controller_loses_its_own_rows_only():
-    config, seen = TaskConfig(), []
-    controllers = {"broken": Broken(), "P": Proportional(100.0, config)}
-    first = VALIDATION_SEEDS.start
-    tables, errors = run_experiments(config, controllers, 1, first, progress=lambda *args: seen.append(args))
-    assert set(errors) == {"broken"}
-    assert errors["broken"].startswith("broken: frequency: ")
+def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
+    for name, experiment in experiments.EXPERIMENTS.items():
+        monkeypatch.setitem(experiments.EXPERIMENTS, name, partial(experiment, plants=1))
+    protocol = RobustnessProtocol(parts=EXPERIMENTS, conditions={"plain": {}})
+    good = Proportional(100.0, protocol.task)
+    results = run(protocol, Participants({"P#0": good, "P#1": good, "broken": Broken()}), jobs=1)
+    assert {error.partition(":")[0] for error in results.errors} == {
+        f"broken under {name}" for name in EXPERIMENTS if name != "leak_price"
+    }
+    tables = {name: results.table(name) for name in TABLES["experiments"]}
     assert_published("experiments", tables)
-    assert all(set(tables[name]["controller"]) == {"P"} for name in EXPERIMENTS)
-    assert seen[-1][1:] == (2 * len(EXPERIMENTS), 2 * len(EXPERIMENTS))
+    assert all(set(table["controller"]) == {"P"} for name, table in tables.items() if name != "leak_price")
 
-    alone, _ = run_experiments(config, {"P": controllers["P"]}, 1, first, jobs=2)
+    with parallel_config(backend="threading", n_jobs=2):
+        alone = run(protocol, Participants({"P": good}))
     for name, table in tables.items():
-        pd.testing.assert_frame_equal(alone[name], table, check_exact=True)
+        pd.testing.assert_frame_equal(alone.table(name), table, check_exact=True)

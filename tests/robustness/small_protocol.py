@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hydro_agents.evaluation.robustness_protocol import Protocol
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 
 TASK = {"episode_duration": 0.3}
 SMALL = {
@@ -19,7 +19,7 @@ SMALL = {
 
 
 def small(**changes):
-    return Protocol(**{**SMALL, **changes})
+    return RobustnessProtocol(**{**SMALL, **changes})
 
 
 class Proportional:

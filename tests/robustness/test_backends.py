@@ -9,7 +9,7 @@ from joblib import parallel_config
 from small_protocol import small
 
 from hydro_agents.evaluation.participants import participants
-from hydro_agents.evaluation.robustness_running import run_protocol
+from hydro_agents.evaluation.runner import run
 
 # Processes of either backend start without this one's search path.
 SEARCHED = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
@@ -19,16 +19,16 @@ CONDITIONS = {"plain": {}, "late": {"task": {"command_latency": 0.004}}}
 @pytest.fixture
 def alone():
     protocol = small(conditions=CONDITIONS)
-    return protocol, run_protocol(protocol, participants({"PID": "pid"}, protocol), jobs=1)
+    return protocol, run(protocol, participants({"PID": "pid"}, protocol), jobs=1)
 
 
 def runs_as(alone, folder):
     protocol, expected = alone
-    run = run_protocol(protocol, participants({"PID": "pid"}, protocol), folder)
-    pd.testing.assert_frame_equal(run.cases, expected.cases, check_exact=True)
-    again = run_protocol(protocol, participants({"PID": "pid"}, protocol), folder)
+    results = run(protocol, participants({"PID": "pid"}, protocol), folder)
+    pd.testing.assert_frame_equal(results.part("tracking"), expected.part("tracking"), check_exact=True)
+    again = run(protocol, participants({"PID": "pid"}, protocol), folder)
     assert again.reused == len(list((folder / "jobs").iterdir())) > 2
-    pd.testing.assert_frame_equal(again.cases, expected.cases, check_exact=True)
+    pd.testing.assert_frame_equal(again.part("tracking"), expected.part("tracking"), check_exact=True)
 
 
 def test_ray(alone, tmp_path):

@@ -6,8 +6,9 @@ import yaml
 from command_line import ROOT
 from small_protocol import SMALL, small
 
+from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
-from hydro_agents.evaluation.robustness_protocol import Protocol, file_sha256, protocol_named
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
 from hydro_agents.running.seeds import ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 
@@ -117,7 +118,7 @@ def test_a_file_names_its_task_rigs_and_gains_by_path(tmp_path):
     (tmp_path / "gains.yaml").write_text("proportional: 12.0\n")
     entry = {"controllers": {"PID": {"kind": "pid", "settings": "gains.yaml"}}, "rig": "symmetric_eha"}
     (tmp_path / "own.yaml").write_text(yaml.safe_dump({**SMALL, "task": "task.yaml", "conditions": {"rig": entry}}))
-    protocol = Protocol.from_yaml(tmp_path / "own.yaml")
+    protocol = RobustnessProtocol.from_yaml(tmp_path / "own.yaml")
     assert protocol.task.episode_duration == 0.5
     assert protocol.conditions["rig"].controllers["PID"].settings == {"proportional": 12.0}
     assert protocol.task_in("rig").plant.load.mass == 20.0
@@ -128,10 +129,10 @@ def test_the_digest_follows_everything_that_the_files_name(tmp_path):
     entry = {"controllers": {"PID": {"kind": "pid", "settings": "gains.yaml"}}}
     path.write_text(yaml.safe_dump({**SMALL, "conditions": {"plain": entry}}))
     gains.write_text("proportional: 12.0\n")
-    first, whole = Protocol.from_yaml(path).sha256, file_sha256(path)
-    assert Protocol.from_yaml(path).sha256 == first
+    first, whole = RobustnessProtocol.from_yaml(path).sha256, file_sha256(path)
+    assert RobustnessProtocol.from_yaml(path).sha256 == first
     gains.write_text("proportional: 13.0\n")
-    assert Protocol.from_yaml(path).sha256 != first
+    assert RobustnessProtocol.from_yaml(path).sha256 != first
     assert file_sha256(path) == whole
 
 
@@ -139,7 +140,7 @@ def test_a_sweep_makes_one_condition_per_parameter_and_factor(tmp_path):
     path = tmp_path / "own.yaml"
     sweep = {"plants": 4, "leak_levels": [1.0], "factors": {"load.mass": [0.5, 2.0], "fluid.bulk_modulus": [0.8]}}
     path.write_text(yaml.safe_dump({**SMALL, "sweep": sweep}, sort_keys=False))
-    protocol = Protocol.from_yaml(path)
+    protocol = RobustnessProtocol.from_yaml(path)
     assert list(protocol.conditions) == ["plain", "late", "mass_x0.5", "mass_x2", "bulk_modulus_x0.8"]
     heavy = protocol.conditions["mass_x2"]
     assert (heavy.group, heavy.plants, heavy.leak_levels) == ("parameter", 4, (1.0,))
@@ -178,7 +179,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, changes, message):
     path = tmp_path / "own.yaml"
     path.write_text(yaml.safe_dump({**SMALL, **changes}))
     with pytest.raises(ConfigurationError, match=message) as raised:
-        Protocol.from_yaml(path)
+        RobustnessProtocol.from_yaml(path)
     assert "\n" not in str(raised.value)
     assert "own.yaml" in str(raised.value)
 

@@ -3,22 +3,12 @@
 import numpy as np
 import pandas as pd
 import pytest
+from published import assert_published
 from small_protocol import Proportional, small
 
-from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants
-from hydro_agents.evaluation.robustness_running import run_protocol
-from hydro_agents.evaluation.robustness_tables import (
-    Tables,
-    comparison_table,
-    families_table,
-    make_tables,
-    profile_table,
-    ranking_table,
-    summary_table,
-    worst_table,
-)
+from hydro_agents.evaluation.runner import STATUS, Results, run
 
 FAMILIES, LEAKS, PLANTS = ("step", "sine"), (0.03, 4.0), 6
 BASE = {"step": 0.5, "sine": 0.1}
@@ -54,6 +44,15 @@ def rows(controller, factor, condition="plain", group="leak", seed=0, scatter=0.
     return pd.DataFrame(table)
 
 
+def results_of(cases, bound=None):
+    """Results with made-up cases, one failure, and two limit cycles."""
+    status = [(name, "plain", "done", "") for name in cases["controller"].unique()]
+    status = pd.DataFrame([*status, ("good#1", "late", "failed", "why")], columns=STATUS)
+    cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
+    parts = {"tracking": cases, "standstill": cycles} | ({} if bound is None else {"best_found": bound})
+    return Results(small(worst=3), Participants({}), parts, status)
+
+
 def joined(*frames):
     return pd.concat(frames, ignore_index=True)
 
@@ -66,7 +65,7 @@ def cases():
 
 
 def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
-    table = comparison_table(Grid(cases)).set_index("condition")
+    table = results_of(cases).table("comparison").set_index("condition")
     for name in ("ratio", "equal_weight", "iqm_ratio", "worst_ratio"):
         assert table.loc["plain", name] == pytest.approx(0.5)
         assert table.loc["late", name] == pytest.approx(0.8)
@@ -83,7 +82,7 @@ def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
 
 def test_the_gap_is_a_share_of_the_way_to_the_best_found(cases):
     bound = rows("best", 0.25)
-    table = comparison_table(Grid(cases, bound)).set_index("condition")
+    table = results_of(cases, bound).table("comparison").set_index("condition")
     assert table.loc["plain", "gap"] == pytest.approx((1.0 - 0.5) / (1.0 - 0.25))
     assert np.isnan(table.loc["late", "gap"])
     assert table.loc["all", "gap"] == pytest.approx(2.0 / 3.0)  # over the cases of the bound alone
@@ -91,37 +90,24 @@ def test_the_gap_is_a_share_of_the_way_to_the_best_found(cases):
 
 def test_families_of_the_leak_conditions(cases):
     mixed = joined(cases, rows("PID", 1.0, "odd", "force"), rows("good", 9.0, "odd", "force"))
-    table = families_table(Grid(mixed), mixed)
+    table = results_of(mixed).table("families")
     assert table["family"].tolist() == ["step", "sine"]
     np.testing.assert_allclose(table["ratio"], 0.5)
 
 
 def test_a_controller_absent_from_a_condition_is_compared_where_it_ran(cases):
     partial = joined(cases, rows("part", 0.5))
-    comparison = comparison_table(Grid(partial))
+    comparison = results_of(partial).table("comparison")
     own = comparison[comparison["controller"] == "part"].set_index("condition")
     assert list(own.index) == ["all", "plain"]
     assert own.loc["all", "ratio"] == pytest.approx(0.5)
     assert own.loc["all", "cases"] == 24
-    ranking = ranking_table(Grid(partial), comparison, fake_run(partial))
+    ranking = results_of(partial).table("ranking")
     assert ranking.set_index("controller").loc["part", "conditions"] == 1
 
 
-def fake_run(cases):
-    from hydro_agents.evaluation.robustness_running import ProtocolRun
-
-    names = cases["controller"].unique()
-    status = pd.DataFrame(
-        [(name, "plain", "done", "") for name in names] + [("good#1", "late", "failed", "why")],
-        columns=["controller", "condition", "status", "message"],
-    )
-    cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
-    return ProtocolRun(cases, cycles, None, status, 0)
-
-
 def test_the_ranking_puts_the_best_first_with_its_price(cases):
-    grid = Grid(cases)
-    table = ranking_table(grid, comparison_table(grid), fake_run(cases))
+    table = results_of(cases).table("ranking")
     assert table["controller"].tolist() == ["good", "PID"]
     assert table["rank"].tolist() == [1, 2]
     good, pid = table.iloc[0], table.iloc[1]
@@ -133,20 +119,20 @@ def test_the_ranking_puts_the_best_first_with_its_price(cases):
 
 def test_training_seeds_count_as_one_controller():
     cases = joined(rows("PID", 1.0), rows("P", 0.5, seed=0), rows("P", 1.5, seed=1))
-    grid = Grid(cases)
-    row = comparison_table(grid).set_index("condition").loc["plain"]
+    results = results_of(cases)
+    row = results.table("comparison").set_index("condition").loc["plain"]
     assert row["ratio"] == pytest.approx(1.0)
     assert row["share_better"] == row["probability_of_improvement"] == 0.5
     assert row["ratio_low"] == pytest.approx(0.5)  # a resampling may draw the same seed twice
     assert row["ratio_high"] == pytest.approx(1.5)
-    summary = summary_table(grid, cases)
+    summary = results.table("summary")
     own = summary[(summary["controller"] == "P") & (summary["metric"] == "mean_error_mm")]
     assert set(own["training_seeds"]) == {2}
     assert set(own["cases"]) == {48}
 
 
 def test_the_summary_names_the_worst_case(cases):
-    table = summary_table(Grid(cases), cases)
+    table = results_of(cases).table("summary")
     row = table[(table["controller"] == "PID") & (table["metric"] == "mean_error_mm")].set_index("condition").loc["all"]
     assert row["worst"] == pytest.approx(0.5 * 2.5 * 1.4)
     assert (row["worst_family"], row["worst_leakage_flow_lpm"], row["worst_seed"]) == ("step", 4.0, 5)
@@ -157,7 +143,7 @@ def test_the_summary_names_the_worst_case(cases):
 
 
 def test_profiles_rise_from_the_share_of_wins_to_one(cases):
-    table = profile_table(Grid(cases)).set_index(["controller", "against", "tau"])["share"].sort_index()
+    table = results_of(cases).table("profiles").set_index(["controller", "against", "tau"])["share"].sort_index()
     assert table["good", "best"].tolist() == [1.0] * 41
     pid = table["PID", "best"]
     assert pid.iloc[0] == 0.0
@@ -171,13 +157,13 @@ def test_profiles_rise_from_the_share_of_wins_to_one(cases):
 
 def test_profiles_count_the_conditions_that_all_share(cases):
     partial = joined(cases, rows("part", 0.25))
-    table = profile_table(Grid(partial)).set_index(["controller", "against", "tau"])["share"].sort_index()
+    table = results_of(partial).table("profiles").set_index(["controller", "against", "tau"])["share"].sort_index()
     assert table["good", "best"].iloc[0] == 0.0  # 'late', where it is the best, does not count
 
 
 def test_worst_cases_can_be_found_again():
     cases = joined(rows("PID", 1.0), rows("odd", 0.9, scatter=0.5, seed=0))
-    table = worst_table(cases, "PID", 3)
+    table = results_of(cases).table("worst_cases")
     own = table[table["controller"] == "odd"]
     assert own["rank"].tolist() == [1, 2, 3]
     assert own["ratio"].is_monotonic_decreasing
@@ -193,9 +179,9 @@ def test_worst_cases_can_be_found_again():
 def test_all_tables_of_a_run_are_written(tmp_path):
     protocol = small(standstill_plants=3)
     chosen = Participants({"P": Proportional(), "Q": Proportional(20.0)})
-    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1), [("date", "today")])
-    tables.write(tmp_path)
-    assert {file.stem for file in tmp_path.iterdir()} == set(Tables.__dataclass_fields__) - {"bound"}
+    results = run(protocol, chosen, jobs=1, facts=[("date", "today")])
+    results.write(tmp_path)
+    assert_published("robustness", tmp_path, absent=("bound",))
     facts = pd.read_csv(tmp_path / "protocol.csv").set_index("key")["value"]
     assert facts["sha256"] == protocol.sha256
     assert (facts["baseline"], facts["date"]) == ("P", "today")
@@ -203,14 +189,13 @@ def test_all_tables_of_a_run_are_written(tmp_path):
         "{}",
         '{"task": {"command_latency": 0.004}}',
     ]
-    assert set(tables.worst_cases["controller"]) == {"P", "Q"}
-    assert (tables.worst_cases.groupby("controller").size() == 2).all()
+    assert set(results.table("worst_cases")["controller"]) == {"P", "Q"}
+    assert (results.table("worst_cases").groupby("controller").size() == 2).all()
 
 
 def test_one_controller_has_no_comparison():
     protocol = small(conditions={"plain": {}})
-    chosen = Participants({"P": Proportional()})
-    tables = make_tables(protocol, chosen, run_protocol(protocol, chosen, jobs=1))
-    assert tables.comparison.empty
-    assert tables.families.empty
-    assert tables.ranking["controller"].tolist() == ["P"]
+    results = run(protocol, Participants({"P": Proportional()}), jobs=1)
+    assert results.table("comparison").empty
+    assert results.table("families").empty
+    assert results.table("ranking")["controller"].tolist() == ["P"]

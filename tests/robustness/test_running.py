@@ -8,12 +8,11 @@ from joblib import parallel_config
 from small_protocol import Broken, Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants, fingerprint, participants, sees, split_name
-from hydro_agents.evaluation.robustness_jobs import Job
-from hydro_agents.evaluation.robustness_running import DONE, FAILED, NOT_APPLICABLE, replay, run_protocol
-from hydro_agents.evaluation.robustness_tables import make_tables
+from hydro_agents.evaluation.participants import Participants, participants, sees, split_name
+from hydro_agents.evaluation.runner import DONE, FAILED, NOT_APPLICABLE, run
+from hydro_agents.evaluation.tracking import replay, tracked
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.jobs import JOBS_FOLDER, load_result, save_result
+from hydro_agents.running.jobs import JOBS_FOLDER, Job, fingerprint, load_result, save_result
 from hydro_env import ConfigurationError, TaskConfig
 
 ROOM = {"standstill_leak_levels": [1.0], "standstill_plants": 3}
@@ -26,30 +25,32 @@ def two():
 @pytest.fixture(scope="module")
 def alone():
     """A protocol whose jobs ran one after another in this process."""
-    return run_protocol(small(**ROOM), two(), jobs=1)
+    return run(small(**ROOM), two(), jobs=1)
 
 
-def assert_same(run, other):
-    pd.testing.assert_frame_equal(run.cases, other.cases, check_exact=True)
-    pd.testing.assert_frame_equal(run.limit_cycles, other.limit_cycles, check_exact=True)
-    pd.testing.assert_frame_equal(run.status, other.status)
+def assert_same(results, other):
+    pd.testing.assert_frame_equal(results.part("tracking"), other.part("tracking"), check_exact=True)
+    pd.testing.assert_frame_equal(results.part("standstill"), other.part("standstill"), check_exact=True)
+    pd.testing.assert_frame_equal(results.status, other.status)
 
 
 def test_every_case_has_its_row(alone):
-    assert len(alone.cases) == 2 * 2 * 12
-    assert set(METRICS) <= set(alone.cases.columns)
+    assert len(alone.part("tracking")) == 2 * 2 * 12
+    assert set(METRICS) <= set(alone.part("tracking").columns)
     assert (alone.status["status"] == DONE).all()
-    assert len(alone.limit_cycles) == 2 * 2 * 3
+    assert len(alone.part("standstill")) == 2 * 2 * 3
     direct = run_cases(small().task, Proportional(), small().cases_in("plain")[0])
     error = 1e3 * np.abs(direct.reference.astype(np.float64) - direct.position).mean(axis=1)
-    own = alone.cases[(alone.cases["controller"] == "P") & (alone.cases["condition"] == "plain")]
+    own = alone.part("tracking")[
+        (alone.part("tracking")["controller"] == "P") & (alone.part("tracking")["condition"] == "plain")
+    ]
     np.testing.assert_allclose(own["mean_error_mm"], error, rtol=1e-12)
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])
 def test_jobs_side_by_side_give_the_same_bits(alone, backend):
     with parallel_config(backend=backend, n_jobs=2):
-        assert_same(run_protocol(small(**ROOM), two()), alone)
+        assert_same(run(small(**ROOM), two()), alone)
 
 
 def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path):
@@ -61,58 +62,56 @@ def test_an_interrupted_run_keeps_its_finished_jobs_and_goes_on(alone, tmp_path)
             raise InterruptedError
 
     with pytest.raises(InterruptedError):
-        run_protocol(small(**ROOM), two(), tmp_path, jobs=1, progress=stop)
+        run(small(**ROOM), two(), tmp_path, jobs=1, progress=stop)
     assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
     counts = []
-    run = run_protocol(small(**ROOM), two(), tmp_path, jobs=1, progress=lambda *report: counts.append(report))
-    assert run.reused == 3
+    results = run(small(**ROOM), two(), tmp_path, jobs=1, progress=lambda *report: counts.append(report))
+    assert results.reused == 3
     assert counts[0][1] == 3
     assert counts[-1][1] == counts[-1][2]
-    assert_same(run, alone)
-    again = run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
+    assert_same(results, alone)
+    again = run(small(**ROOM), two(), tmp_path, jobs=1)
     assert again.reused == counts[-1][2]
     assert_same(again, alone)
 
 
 def test_damaged_results_are_computed_again(alone, tmp_path):
-    run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
+    run(small(**ROOM), two(), tmp_path, jobs=1)
     files = sorted((tmp_path / JOBS_FOLDER).iterdir())
     files[0].write_bytes(b"")
     files[1].write_bytes(files[1].read_bytes()[:-40])
     np.savez(files[2].with_suffix(""), mean_error_mm=np.array([object()], dtype=object))
-    with np.load(files[3]) as stored:
-        np.savez(files[3].with_suffix(""), **{name: stored[name][:1] for name in stored.files})
-    run = run_protocol(small(**ROOM), two(), tmp_path, jobs=1)
-    assert run.reused == len(files) - 4
-    assert_same(run, alone)
+    results = run(small(**ROOM), two(), tmp_path, jobs=1)
+    assert results.reused == len(files) - 3
+    assert_same(results, alone)
 
 
 def test_another_controller_of_the_same_name_takes_no_old_results(tmp_path):
-    first = run_protocol(small(), Participants({"P": Proportional()}), tmp_path, jobs=1)
-    other = run_protocol(small(), Participants({"P": Proportional(20.0)}), tmp_path, jobs=1)
+    first = run(small(), Participants({"P": Proportional()}), tmp_path, jobs=1)
+    other = run(small(), Participants({"P": Proportional(20.0)}), tmp_path, jobs=1)
     assert other.reused == 0
-    assert not first.cases["mean_error_mm"].equals(other.cases["mean_error_mm"])
+    assert not first.part("tracking")["mean_error_mm"].equals(other.part("tracking")["mean_error_mm"])
 
 
 def test_a_result_is_read_as_it_was_written(tmp_path):
     protocol = small()
     cases, table = protocol.cases_in("plain")
     families = table["family"].to_numpy().astype(str)
-    job = Job("P", "plain", Proportional(), protocol.task, cases, families, digest="d")
+    job = Job(tracked, Proportional(), (protocol.task, cases, families), digest="d")
     result = job.run()
     save_result(tmp_path / job.file, result)
-    stored = load_result(tmp_path / job.file, job)
+    stored = load_result(tmp_path / job.file)
     assert list(stored.metrics) == list(METRICS)
     for name, values in result.metrics.items():
         np.testing.assert_array_equal(stored.metrics[name], values)
-    assert load_result(tmp_path / "none.npz", job) is None
+    assert load_result(tmp_path / "none.npz") is None
 
 
 def test_conditions_that_change_nothing_at_standstill_share_their_search(tmp_path):
     conditions = {"few": {"families": ["step"]}, "more": {"families": ["sine"]}}
-    run = run_protocol(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
-    assert len(run.limit_cycles) == 2 * 3
-    by_condition = [rows["amplitude_um"].tolist() for _, rows in run.limit_cycles.groupby("condition")]
+    results = run(small(**ROOM, conditions=conditions), Participants({"P": Proportional()}), tmp_path, jobs=1)
+    assert len(results.part("standstill")) == 2 * 3
+    by_condition = [rows["amplitude_um"].tolist() for _, rows in results.part("standstill").groupby("condition")]
     assert by_condition[0] == by_condition[1]
     files = list((tmp_path / JOBS_FOLDER).iterdir())
     assert len(files) == 2 * 2 + 1  # two jobs for each condition, one search
@@ -125,30 +124,31 @@ def strong(config, cases):
 
 def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
     protocol = small(bound_conditions=["late"], bound_plants=2)
-    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)})
-    run = run_protocol(protocol, chosen, jobs=1, best_found=strong)
-    assert set(run.bound["condition"]) == {"late"}
-    assert len(run.bound) == 2 * 2 * 2
-    tables = make_tables(protocol, chosen, run)
-    row = tables.comparison.set_index("condition").loc["late"]
-    own = run.cases[(run.cases["condition"] == "late") & (run.cases["plant"] < 2)]
+    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)}, best_found=strong)
+    results = run(protocol, chosen, jobs=1)
+    assert set(results.part("best_found")["condition"]) == {"late"}
+    assert len(results.part("best_found")) == 2 * 2 * 2
+    row = results.table("comparison").set_index("condition").loc["late"]
+    own = results.part("tracking")[
+        (results.part("tracking")["condition"] == "late") & (results.part("tracking")["plant"] < 2)
+    ]
     means = own.groupby("controller")["mean_error_mm"].mean()
-    best = run.bound["mean_error_mm"].mean()
+    best = results.part("best_found")["mean_error_mm"].mean()
     assert row["gap"] == pytest.approx((means["P"] - means["Q"]) / (means["P"] - best))
-    assert "best found" not in set(tables.ranking["controller"])
-    assert len(tables.bound) == 8
+    assert "best found" not in set(results.table("ranking")["controller"])
+    assert len(results.table("bound")) == 8
 
 
 # Failures ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_controller_that_returns_nan_loses_its_results_alone():
-    run = run_protocol(small(), Participants({"P": Proportional(), "mine": Broken()}), jobs=1)
-    assert set(run.cases["controller"]) == {"P"}
-    assert run.status.set_index(["controller", "condition"]).loc[("mine", "plain"), "status"] == FAILED
-    assert run.errors[0].startswith("mine under plain: seed 22")
-    assert "predict returned nan" in run.errors[0]
-    assert all("\n" not in error for error in run.errors)
+    results = run(small(), Participants({"P": Proportional(), "mine": Broken()}), jobs=1)
+    assert set(results.part("tracking")["controller"]) == {"P"}
+    assert results.status.set_index(["controller", "condition"]).loc[("mine", "plain"), "status"] == FAILED
+    assert results.errors[0].startswith("mine under plain: seed 22")
+    assert "predict returned nan" in results.errors[0]
+    assert all("\n" not in error for error in results.errors)
 
 
 def test_a_controller_that_fails_under_one_condition_keeps_the_others():
@@ -159,25 +159,25 @@ def test_a_controller_that_fails_under_one_condition_keeps_the_others():
             return super().predict(observation, state)
 
     conditions = {"plain": {}, "few": {"plants": 4, "leak_levels": [0.03], "families": ["step", "sine"]}}
-    run = run_protocol(
-        small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}), jobs=1
-    )
-    assert set(run.cases.loc[run.cases["controller"] == "fussy", "condition"]) == {"plain"}
-    assert len(run.errors) == 1
-    assert "fussy under few" in run.errors[0]
-    assert "RuntimeError: two axes are too few" in run.errors[0]
+    results = run(small(conditions=conditions, chunk=6), Participants({"P": Proportional(), "fussy": Fussy()}), jobs=1)
+    assert set(results.part("tracking").loc[results.part("tracking")["controller"] == "fussy", "condition"]) == {
+        "plain"
+    }
+    assert len(results.errors) == 1
+    assert "fussy under few" in results.errors[0]
+    assert "RuntimeError: two axes are too few" in results.errors[0]
 
 
 def test_when_nobody_runs_the_first_reason_is_told():
     with pytest.raises(ControllerError, match=r"no controller ran under any condition.*returned nan"):
-        run_protocol(small(), Participants({"mine": Broken()}), jobs=1)
+        run(small(), Participants({"mine": Broken()}), jobs=1)
 
 
 def test_a_condition_that_cannot_begin_is_told_and_the_others_stay():
     conditions = {"plain": {}, "bent": {"parameters": {"load.external_force": 9e4}}}
-    run = run_protocol(small(conditions=conditions), Participants({"P": Proportional()}), jobs=1)
-    assert set(run.cases["condition"]) == {"plain"}
-    assert "P under bent: the condition cannot begin:" in run.errors[0]
+    results = run(small(conditions=conditions), Participants({"P": Proportional()}), jobs=1)
+    assert set(results.part("tracking")["condition"]) == {"plain"}
+    assert "P under bent: the condition cannot begin:" in results.errors[0]
 
 
 # Who runs where ------------------------------------------------------------------------------------------------------
@@ -191,14 +191,14 @@ def test_other_periods_and_rigs_need_controllers_of_their_own():
     }
     protocol = small(conditions=conditions)
     chosen = participants({"PID": "pid"}, protocol)
-    run = run_protocol(protocol, chosen, jobs=1)
-    status = run.status.set_index("condition")
+    results = run(protocol, chosen, jobs=1)
+    status = results.status.set_index("condition")
     assert status.loc["plain", "status"] == DONE
     assert status.loc["slow", "status"] == status.loc["rig", "status"] == NOT_APPLICABLE
     assert "10 ms" in status.loc["slow", "message"]
-    assert not run.errors
+    assert not results.errors
     tuned = participants({"PID": "pid"}, protocol, {"PID@slow": "pid"})
-    assert set(run_protocol(protocol, tuned, jobs=1).cases["condition"]) == {"plain", "slow"}
+    assert set(run(protocol, tuned, jobs=1).part("tracking")["condition"]) == {"plain", "slow"}
     choice = {"PID": {"kind": "pid", "settings": {"proportional": 15.0}}}
     named = small(conditions={"plain": {}, "slow": {**conditions["slow"], "controllers": choice}})
     ready = participants({"PID": "pid"}, named)
@@ -232,14 +232,14 @@ def test_names_hold_training_seeds():
 
 def test_training_seeds_are_rows_of_one_controller():
     chosen = Participants({"P#0": Proportional(), "P#1": Proportional(25.0)})
-    run = run_protocol(small(), chosen, jobs=1)
-    assert set(run.cases["controller"]) == {"P"}
-    assert set(run.cases["training_seed"]) == {0, 1}
+    results = run(small(), chosen, jobs=1)
+    assert set(results.part("tracking")["controller"]) == {"P"}
+    assert set(results.part("tracking")["training_seed"]) == {0, 1}
 
 
 def test_a_case_can_be_replayed(alone):
     protocol, chosen = small(**ROOM), two()
-    row = alone.cases[alone.cases["condition"] == "late"].iloc[-1].to_dict()
+    row = alone.part("tracking")[alone.part("tracking")["condition"] == "late"].iloc[-1].to_dict()
     rollout = replay(protocol, chosen, row)
     assert rollout.position.shape == (1, protocol.task.steps)
     error = 1e3 * np.abs(rollout.reference.astype(np.float64) - rollout.position).mean()

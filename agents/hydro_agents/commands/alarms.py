@@ -53,7 +53,7 @@ def alarms(
     per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
     shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
     """
-    from hydro_agents.detection.alarm_job import SIZES, run_job, work_of
+    from hydro_agents.detection.alarm_job import SIZES, run_job
     from hydro_agents.detection.alarm_store import PATTERN, Bench
     from hydro_agents.detection.detectors import HEAD_FILE, DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
@@ -84,7 +84,6 @@ def alarms(
         ProgressDisplay() as display,
     ):
         bench = Bench(config, controllers, watching, name, folder, together=16 if detector == "estimator" else 128)
-        display.expect(work_of(job))
         settings, tables = run_job(bench, job, display.update)
         settings.save(folder / "alarm.yaml")
         parts = [f"`{command_line()}`"]

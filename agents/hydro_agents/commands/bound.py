@@ -37,8 +37,6 @@ def bound(
     import pandas as pd
 
     from hydro_agents.evaluation.bound_comparison import (
-        NOMINAL,
-        TRUTH,
         ComparisonSettings,
         compare,
         convergence,
@@ -70,7 +68,6 @@ def bound(
             controllers, unfit = study.model_copy(update={"task": config}).fitting(named_agents(agent))
             for reason in unfit:
                 display.say(f"left out: {reason}")
-            display.expect({NOMINAL: 1.0, TRUTH: 1.0})
             frame = compare(config, controllers, settings, display.update)
             parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
             price = "Valve travel, full strokes per second:"

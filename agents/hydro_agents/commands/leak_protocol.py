@@ -12,11 +12,11 @@ from hydro_agents.commands.robustness import PROTOCOL_FILE, Place
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detectors import make_detector
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
 from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
 from hydro_agents.evaluation.leak_running import run_leak_protocol
 from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
-from hydro_agents.evaluation.robustness_protocol import file_sha256
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_page import write_leak_report
 from hydro_agents.report.leakage import PAGE_FILE, level_text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from rich.box import SIMPLE
 from rich.table import Table
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import best_found
+from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.participants import (
     CONDITION_MARK,
     Participants,
@@ -20,9 +19,9 @@ from hydro_agents.evaluation.participants import (
     shipped_controllers,
     split_name,
 )
-from hydro_agents.evaluation.robustness_protocol import Protocol, file_sha256, protocol_named
-from hydro_agents.evaluation.robustness_running import NOT_APPLICABLE, replay, run_protocol
-from hydro_agents.evaluation.robustness_tables import Tables, make_tables
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
+from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
+from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.robustness import PAGE_FILE
 from hydro_agents.report.robustness_page import write_robustness_report
@@ -81,9 +80,6 @@ def evaluate_protocol(
     writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
     with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
-        best = partial(best_found, settings={"threads": 1})  # as many jobs as cores run side by side
-        jobs = jobs or default_jobs()
-        run = run_protocol(protocol, chosen, output, jobs, display.update, best)
         facts = {
             "file": str(file),
             "file_sha256": file_sha256(file),
@@ -92,30 +88,21 @@ def evaluate_protocol(
             "machine": machine_description(),
             **package_versions(),
         }
-        tables = make_tables(protocol, chosen, run, list(facts.items()))
-        tables.write(output / "tables")
+        results = run(protocol, chosen, output, jobs or default_jobs(), display.update, list(facts.items()))
+        results.write(output / "tables")
         display.update("page", 0, 1)
-        write_robustness_report(
-            output,
-            tables.by_name(),
-            protocol.task,
-            {name: controller for name, controller in chosen.controllers.items() if name in run.working},
-            lambda row: replay(protocol, chosen, row),
-            experiments=protocol.experiments,
-            jobs=jobs,
-            progress=display.update,
-        )
+        write_robustness_report(output, results.tables(), protocol.task, lambda row: replay(protocol, chosen, row))
         display.update("page", 1, 1)
-    _print_ranking(tables, display)
+    _print_ranking(results, display)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / PAGE_FILE).resolve()}")
-    if run.errors:
-        more = f" (and {len(run.errors) - 1} more, see tables/status.csv)" if len(run.errors) > 1 else ""
-        raise ConfigurationError(f"{run.errors[0]}{more}; {output} holds the other results")
+    if errors := results.errors:
+        more = f" (and {len(errors) - 1} more, see tables/status.csv)" if len(errors) > 1 else ""
+        raise ConfigurationError(f"{errors[0]}{more}; {output} holds the other results")
 
 
-def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
+def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study_file: Path | None) -> Participants:
     """The controllers of the protocol; an agent replaces the one of the same name, with all its training seeds."""
     special = {name: what for name, what in agents.items() if CONDITION_MARK in name}
     general = {name: what for name, what in agents.items() if name not in special}
@@ -129,15 +116,14 @@ def _participants(protocol: Protocol, agents: Mapping[str, str], study_file: Pat
     return participants(controllers, protocol, special)
 
 
-def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
+def _print_ranking(results: Results, display: ProgressDisplay) -> None:
     """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
-    baseline = str(tables.protocol.set_index("key").loc["baseline", "value"])
-    title = f"Ratios to {baseline}; conditions and families weighted equally"
+    title = f"Ratios to {results.grid.controllers[0]}; conditions and families weighted equally"
     table = Table(title=title, box=SIMPLE, pad_edge=False, collapse_padding=True)
     table.add_column("controller")
     for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for _, row in tables.ranking.iterrows():
+    for _, row in results.table("ranking").iterrows():
         table.add_row(
             str(row["controller"]),
             f"{row['equal_weight']:.3f}",
@@ -147,7 +133,7 @@ def _print_ranking(tables: Tables, display: ProgressDisplay) -> None:
             f"{row['limit_cycles']}/{row['standstills']}",
         )
     display.console.lines(table)
-    absent = tables.status[tables.status["status"] == NOT_APPLICABLE]
+    absent = results.status[results.status["status"] == NOT_APPLICABLE]
     for condition, rows in absent.groupby("condition", sort=False):
         display.console.lines(
             f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}"

@@ -104,16 +104,6 @@ class _Simulated:
         return [OnsetLooks(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
 
 
-def work_of(job: AlarmJob) -> dict[str, float]:
-    """Work of each phase of :func:`run_job`: seconds that all its axes are at work."""
-    healthy = job.axes_of_healthy * job.shift
-    leaks = len(LEVELS) * len(Activity)
-    work = {"validation_healthy": healthy, "validation_onsets": job.axes * (job.past + leaks * job.after)}
-    work["test_onsets"] = job.axes * (job.past + (leaks + len(FAULTS)) * job.after)
-    work |= {f"test_start_{level:g}": job.axes * job.past for level in LEVELS}
-    return {**work, "test_growth": job.axes * 2.0 * job.past, "test_healthy": healthy}
-
-
 def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:
     """Calibrate an alarm and test it.
 

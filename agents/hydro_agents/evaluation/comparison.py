@@ -29,7 +29,7 @@ class Grid:
     """Cases as arrays (S, U, K): training seeds, plants (of all families), situations (condition and leak).
 
     Args:
-        cases: rows of :class:`~hydro_agents.evaluation.robustness_running.ProtocolRun`.
+        cases: rows of the part ``tracking`` of :class:`~hydro_agents.evaluation.runner.Results`.
         bound: cases of the best found, with ``condition``, ``family``, ``leakage_flow_lpm``, ``plant`` and the error;
             ``None`` without one.
     """

@@ -1,81 +1,65 @@
-"""All experiments on a list of controllers, as tables by name."""
+"""Parts about the task alone: frequency response, stiffness, standstill under noise, and the cost of a leak."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pandas as pd
-from joblib import Parallel, delayed
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.frequency import frequency_response
 from hydro_agents.evaluation.leak_price import leak_price
+from hydro_agents.evaluation.participants import Participants, split_name
+from hydro_agents.evaluation.parts import Cell
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.standstill import standstill
 from hydro_agents.evaluation.stiffness import force_sine, force_step
-from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.jobs import side_by_side
-from hydro_agents.running.seeds import EXPERIMENT_AXES
+from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import TaskConfig
 
 EXPERIMENTS: dict[str, Callable[..., pd.DataFrame]] = {
     "frequency": frequency_response,
     "force_step": force_step,
     "force_sine": force_sine,
-    "standstill": standstill,
+    "hold": standstill,
 }
-"""Experiments with a controller in the loop: (config, controllers, plants=, first_seed=) to a table."""
+"""Experiments with a controller in the loop: (config, controllers) to a table."""
 
 
-def run_experiments(
-    config: TaskConfig,
-    controllers: Mapping[str, Controller],
-    plants: int | None = None,
-    first_seed: int = EXPERIMENT_AXES.first,
-    jobs: int = 1,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
-    """Run every experiment on every controller.
+def _cells(experiment: str, protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+    """An experiment on every controller; of several training seeds the first one takes part."""
+    controllers: dict[str, Controller] = {}
+    for name, controller in chosen.controllers.items():
+        controllers.setdefault(split_name(name)[0], controller)
+    for name, controller in controllers.items():
+        job = Job(measured, controller, (experiment, protocol.task), fingerprint(controller))
+        yield Cell(name, known={"controller": name}, jobs=(job,))
 
-    Each pair of controller and experiment is independent: the rows of a controller do not depend on the others.
 
-    Args:
-        config: the task.
-        controllers: by name.
-        plants: number of plants; default: that of each experiment.
-        first_seed: seed of the first plant.
-        jobs: number of pairs that run side by side through joblib; does not change results.
-        progress: called with the name of the phase, the number of finished pairs, and their total.
+frequency, force_steps, force_sines, hold = (partial(_cells, name) for name in EXPERIMENTS)
 
-    Returns:
-        Tables by name (those of :data:`EXPERIMENTS`, and ``leak_price``), and the message of each controller that
-        raised an exception or returned commands that are not finite; only its rows are missing.
+
+def measured(controller: Controller, experiment: str, config: TaskConfig) -> Columns:
+    """The table of an experiment on one controller.
+
+    Raises:
+        ControllerError: the controller raises an exception or returns no finite commands.
     """
-    size: dict[str, Any] = {"first_seed": first_seed} | ({} if plants is None else {"plants": plants})
-    pairs = [(experiment, name) for experiment in EXPERIMENTS for name in controllers]
-    calls = [delayed(_run)(experiment, config, name, controllers[name], size) for experiment, name in pairs]
-    parts: dict[str, list[pd.DataFrame]] = {name: [] for name in EXPERIMENTS}
-    errors: dict[str, str] = {}
-    if progress is not None:
-        progress("experiments", 0, len(pairs))
-    with closing(side_by_side(Parallel(n_jobs=jobs, return_as="generator"), calls)) as answers:
-        for done, ((experiment, name), (table, error)) in enumerate(zip(pairs, answers, strict=True), 1):
-            if error:
-                errors.setdefault(name, f"{name}: {experiment}: {error}")
-            else:
-                parts[experiment].append(table)
-            if progress is not None:
-                progress("experiments", done, len(pairs))
-    tables = {name: pd.concat(frames, ignore_index=True) for name, frames in parts.items() if frames}
-    return {**tables, "leak_price": leak_price(config)}, errors
+    return _columns(EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller"))
 
 
-def _run(
-    experiment: str, config: TaskConfig, name: str, controller: Controller, size: Mapping[str, Any]
-) -> tuple[pd.DataFrame, str]:
-    """The rows of one controller, or the message of its failure."""
-    try:
-        return EXPERIMENTS[experiment](config, {name: controller}, **size), ""
-    except ControllerError as error:
-        return pd.DataFrame(), str(error)
+def price(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+    """What a leak costs even if the axis holds its position; no controller takes part."""
+    del chosen
+    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
+
+
+def leak_costs(_: Any, config: TaskConfig) -> Columns:
+    """The table of the cost of a leak."""
+    return _columns(leak_price(config))
+
+
+def _columns(table: pd.DataFrame) -> Columns:
+    return {str(name): table[name].to_numpy() for name in table}

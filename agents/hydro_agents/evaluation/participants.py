@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import joblib
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.robustness_protocol import ControllerChoice, Protocol
+from hydro_agents.evaluation.robustness_protocol import ControllerChoice, RobustnessProtocol
 from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
-from hydro_agents.running.cases import check_predict
+from hydro_agents.running.cases import Cases, Rollout, check_predict
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
@@ -69,8 +67,9 @@ class Participants:
 
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
+    best_found: Callable[[TaskConfig, Cases], Rollout] | None = None  # the search of the bound; default: the project's
 
-    def of(self, name: str, condition: str, protocol: Protocol) -> Controller | str:
+    def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
 
         Without a controller for this condition, the general one runs if the observations are those that it knows.
@@ -89,7 +88,7 @@ class Participants:
 
 def participants(
     controllers: Mapping[str, Controller | str | Path],
-    protocol: Protocol,
+    protocol: RobustnessProtocol,
     special: Mapping[str, Controller | str | Path] | None = None,
 ) -> Participants:
     """Make the controllers of a protocol.
@@ -149,23 +148,6 @@ def split_name(name: str) -> tuple[str, int]:
     if not controller or (mark and not seed.isdecimal()):
         raise ConfigurationError(f"controller '{name}': must be NAME, or NAME#0, NAME#1, … for training seeds")
     return controller, int(seed) if mark else 0
-
-
-def fingerprint(controller: Any) -> str:
-    """Digest of a controller's numbers and of the file of its class; empty if it cannot be pickled.
-
-    Finished work of a controller with another digest is not reused.
-    """
-    try:
-        digest = str(joblib.hash(controller))
-    except Exception:  # a user's object may raise anything
-        return ""
-    try:
-        made_in = controller if inspect.isfunction(controller) else type(controller)
-        source = Path(inspect.getfile(made_in)).read_bytes()
-    except (OSError, TypeError):
-        source = b""
-    return str(joblib.hash((digest, source)))
 
 
 def sees(name: str, controller: Controller, task: TaskConfig) -> Sees:

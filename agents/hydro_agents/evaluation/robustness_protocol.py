@@ -1,32 +1,32 @@
-"""The protocol as data: named conditions, each a set of changes of the task, of the leak and of the plant."""
+"""Robustness protocols: controllers on paired cases under conditions, each a set of changes of task, leak and plant."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
+from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY
-from hydro_agents.running.settings_files import read_settings, read_task
-from hydro_agents.running.surroundings import Factor, Surroundings
+from hydro_agents.running.settings_files import read_settings
+from hydro_agents.running.surroundings import Factor
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_text, read_yaml, validate
+from hydro_env.files import Group, validate
 from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, refuse
-from hydro_env.task.configuration import LEAKAGE_LIMIT, Family, task_config
+from hydro_env.mistakes import kept
+from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.rig import merged
 
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
-Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
+EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")
+"""Parts about the task alone."""
 
 
 class ControllerChoice(Group):
@@ -39,12 +39,9 @@ class ControllerChoice(Group):
     )
 
 
-class Condition(Surroundings):
-    """One condition: its differences from the task of the protocol, which the controllers do not know."""
+class RobustnessCondition(Condition):
+    """One condition; the controllers do not know it."""
 
-    group: str = Field("other", description="conditions that belong together in tables and pictures")
-    label: str = Field("", description="short text for axes; default: the name")
-    description: str = ""
     leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
     families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
     plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
@@ -53,7 +50,7 @@ class Condition(Surroundings):
     )
 
     @model_validator(mode="after")
-    def _possible(self) -> Condition:
+    def _possible(self) -> RobustnessCondition:
         check_grid(self.leak_levels or (), self.families or ())
         return self
 
@@ -97,11 +94,11 @@ class Sweep(Group):
         }
 
 
-class Protocol(Group):
-    """A robustness protocol; ``configs/protocols`` holds some."""
+class RobustnessProtocol(Protocol[RobustnessCondition]):
+    """A robustness protocol; ``configs/protocols`` holds some. The key ``sweep`` of a file adds conditions."""
 
+    kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
-    task: TaskConfig = Field(default_factory=TaskConfig)
     leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
     families: tuple[Family, ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
@@ -115,95 +112,47 @@ class Protocol(Group):
     bound_plants: int = Field(2, ge=1, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
     experiments: bool = Field(True, description="also frequency response, stiffness, standstill, price of the leak")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
-    conditions: dict[Name, Condition] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _possible(self) -> Protocol:
+    def _possible(self) -> RobustnessProtocol:
         check_grid(self.leak_levels, self.families)
         check_grid(self.standstill_leak_levels, ())
-        for name in self.bound_conditions:
-            if name not in self.conditions:
-                raise ValueError(f"bound_conditions: '{name}' is not a condition{did_you_mean(name, self.conditions)}")
+        self.check_conditions("bound_conditions", self.bound_conditions)
         if "all" in self.conditions:
             raise ValueError("conditions: 'all' is the name of their mean")
         return self
 
+    def asked(self) -> tuple[str, ...]:
+        """The parts that the other keys ask for."""
+        wanted = {
+            "standstill": self.standstill_plants > 0,
+            "best_found": bool(self.bound_conditions),
+            **dict.fromkeys(EXPERIMENTS, self.experiments),
+        }
+        return ("tracking", *(name for name, asked in wanted.items() if asked))
+
     @classmethod
-    def from_yaml(cls, path: str | Path) -> Protocol:
-        """Read a protocol; its key ``sweep`` adds the conditions of a :class:`Sweep`.
-
-        Task, rigs and settings of controllers may be paths of YAML files, relative to it.
-
-        Raises:
-            ConfigurationError: unreadable file, unknown key, impossible value, or a condition without a possible task.
-        """
-        values = read_yaml(path)
-        folder = Path(path).parent
-        errors: list[ConfigurationError] = []
-        with kept(errors):
-            if "task" in values:
-                values["task"] = read_task(values.pop("task"), Path(path))
+    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
+        """Add the conditions of a sweep; read the settings of controllers, and find their weights."""
         conditions = values.get("conditions")
         if "sweep" in values and isinstance(conditions, dict):
-            swept = validate(Sweep, values.pop("sweep"), f"{path}: sweep").conditions()
+            swept = validate(Sweep, values.pop("sweep"), f"{file}: sweep").conditions()
             twice = next((name for name in swept if name in conditions), None)
             if twice is not None:
-                raise ConfigurationError(f"{path}: conditions.{twice}: is also in sweep")
+                raise ConfigurationError(f"{file}: conditions.{twice}: is also in sweep")
             values["conditions"] = conditions = {**conditions, **swept}
         for condition in conditions.values() if isinstance(conditions, dict) else ():
-            if not isinstance(condition, dict):
-                continue
+            chosen = condition.get("controllers") if isinstance(condition, dict) else None
             with kept(errors):
-                if isinstance(condition.get("rig"), str):
-                    condition["rig"] = str(config_file("rigs", condition.pop("rig"), folder))
-            chosen = condition.get("controllers")
-            with kept(errors):
-                read_settings(chosen, Path(path))
+                read_settings(chosen, file)
             for choice in chosen.values() if isinstance(chosen, dict) else ():
                 if isinstance(choice, dict) and isinstance(choice.get("weights"), str):
                     shipped = pretrained_folder() / choice["weights"]
-                    own = folder / choice["weights"]
+                    own = file.parent / choice["weights"]
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
-        with kept(errors):
-            protocol = validate(cls, values, str(path))
-        refuse(errors, str(path))
-        try:
-            _ = protocol.tasks
-        except ConfigurationError as error:
-            raise type(error)(f"{path}: {error}") from None
-        return protocol
 
-    def moved(self, task: str | None, rig: str | Path | None) -> Protocol:
-        """The protocol with another task, or on another rig.
-
-        Raises:
-            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
-        """
-        base = task_config(self.task if task is None else task, rig=rig)
-        protocol = validate(Protocol, {**self.model_dump(), "task": base}, "protocol")
-        _ = protocol.tasks
-        return protocol
-
-    @cached_property
-    def tasks(self) -> dict[str, TaskConfig]:
-        """The task under each condition.
-
-        Raises:
-            ConfigurationError: the changed task is impossible; the message names the condition.
-        """
-        tasks: dict[str, TaskConfig] = {}
-        errors: list[ConfigurationError] = []
-        for name in self.conditions:
-            with kept(errors):
-                tasks[name] = self._task(name)
-        refuse(errors, "conditions")
-        return tasks
-
-    def task_in(self, name: str) -> TaskConfig:
-        """The task under a condition."""
-        return self.tasks[name]
-
-    def _task(self, name: str) -> TaskConfig:
+    def changed_task(self, name: str) -> TaskConfig:
+        """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
         condition = self.conditions[name]
         if condition.families == ("user",):
             alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
@@ -242,12 +191,6 @@ class Protocol(Group):
         levels = table["leakage_flow_lpm"].to_numpy(dtype=np.float64)
         return Cases(table["seed"].to_numpy(np.int64), levels, drawn, self.parameters_in(name))
 
-    @cached_property
-    def sha256(self) -> str:
-        """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
-
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, description, changes (JSON), control period, number of cases."""
         unchanged = {"group", "label", "description", "controllers"}
@@ -278,21 +221,11 @@ def _grid(levels: Sequence[float], families: Sequence[str], plants: int) -> pd.D
     return pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant", "seed"])
 
 
-def protocol_named(name: str) -> tuple[Protocol, Path]:
+def protocol_named(name: str) -> tuple[RobustnessProtocol, Path]:
     """A protocol by its name in ``configs/protocols`` or by the path of a YAML file, and that file.
 
     Raises:
         ConfigurationError: the protocol does not exist or is wrong.
     """
     file = config_file("protocols", name)
-    return Protocol.from_yaml(file), file
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a text file, as ``sha256sum`` prints it for a file of UTF-8 text.
-
-    Raises:
-        ConfigurationError: the file cannot be read.
-    """
-    read_text(path)
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return RobustnessProtocol.from_yaml(file), file

@@ -1,104 +1,60 @@
-"""The tables of a protocol: summary, comparison with the baseline, ranking, profiles, worst cases."""
+"""The tables of a robustness protocol: summary, comparison with the baseline, ranking, profiles, worst cases."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.metrics import COMPARED, METRICS
-from hydro_agents.evaluation.participants import Participants, sees_table
-from hydro_agents.evaluation.robustness_protocol import Protocol
-from hydro_agents.evaluation.robustness_running import FAILED, ProtocolRun
+from hydro_agents.evaluation.participants import sees_table
+from hydro_agents.evaluation.runner import FAILED, Results, table
 from hydro_agents.evaluation.tables import ERROR
 from hydro_agents.running.resampling import interquartile_means, interval, means
-from hydro_env.files import write_whole
+from hydro_agents.running.seeds import SEED_MARK
 
+KIND = "robustness"
 ALL = "all"
 LEAK_GROUP = "leak"
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
-@dataclass(frozen=True)
-class Tables:
-    """Every table of a protocol; docs/robustness.md describes their columns."""
-
-    cases: pd.DataFrame
-    limit_cycles: pd.DataFrame
-    bound: pd.DataFrame
-    conditions: pd.DataFrame
-    summary: pd.DataFrame
-    comparison: pd.DataFrame
-    families: pd.DataFrame
-    ranking: pd.DataFrame
-    profiles: pd.DataFrame
-    worst_cases: pd.DataFrame
-    sees: pd.DataFrame
-    status: pd.DataFrame
-    protocol: pd.DataFrame
-
-    def write(self, folder: Path) -> None:
-        """Write every table that is not empty as CSV.
-
-        Raises:
-            ConfigurationError: a file cannot be written.
-        """
-        for name, table in self.by_name().items():
-            if not table.empty:
-                write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
-
-    def by_name(self) -> dict[str, pd.DataFrame]:
-        """The tables by the names of their files."""
-        return {part.name: getattr(self, part.name) for part in fields(self)}
+@table("conditions", KIND)
+def conditions(results: Results) -> pd.DataFrame:
+    """One row per condition, see :meth:`RobustnessProtocol.table`."""
+    made: pd.DataFrame = results.protocol.table()
+    return made
 
 
-def make_tables(
-    protocol: Protocol,
-    chosen: Participants,
-    run: ProtocolRun,
-    facts: Sequence[tuple[str, str]] = (),
-) -> Tables:
-    """All tables of a run.
+@table("sees", KIND)
+def inputs(results: Results) -> pd.DataFrame:
+    """The inputs of every controller."""
+    return sees_table(results.participants, results.protocol.task)
 
-    Args:
-        protocol: the protocol.
-        chosen: its controllers; the first one that ran is the baseline.
-        run: its results.
-        facts: more rows of the table ``protocol``: key and value.
-    """
-    grid = Grid(run.cases, run.bound)
-    comparison, families = comparison_table(grid), families_table(grid, run.cases)
+
+@table("status", KIND)
+def status(results: Results) -> pd.DataFrame:
+    """What became of every controller under every condition."""
+    return results.status
+
+
+@table("protocol", KIND)
+def facts(results: Results) -> pd.DataFrame:
+    """Keys and values: what ran, when, and where."""
+    protocol, seeds = results.protocol, results.part("tracking")["seed"]
     own = [
         ("protocol", protocol.title),
         ("sha256", protocol.sha256),
-        ("baseline", grid.controllers[0]),
+        ("baseline", results.grid.controllers[0]),
         ("conditions", str(len(protocol.conditions))),
-        ("seeds", f"{run.cases['seed'].min()} to {run.cases['seed'].max()}"),
+        ("seeds", f"{seeds.min()} to {seeds.max()}"),
     ]
-    return Tables(
-        cases=run.cases,
-        limit_cycles=run.limit_cycles,
-        bound=run.bound if run.bound is not None else pd.DataFrame(),
-        conditions=protocol.table(),
-        summary=summary_table(grid, run.cases),
-        comparison=comparison,
-        families=families,
-        ranking=ranking_table(grid, comparison, run),
-        profiles=profile_table(grid),
-        worst_cases=worst_table(run.cases, grid.controllers[0], protocol.worst),
-        sees=sees_table(chosen, protocol.task),
-        status=run.status,
-        protocol=pd.DataFrame([*own, *facts], columns=["key", "value"]),
-    )
+    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
 
 
-def summary_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
+@table("summary", KIND)
+def summary(results: Results) -> pd.DataFrame:
     """Every metric per controller and condition: mean and interquartile mean with intervals, and the worst case."""
-    rows = []
+    grid, cases, rows = results.grid, results.part("tracking"), []
     for controller in grid.controllers:
         own = cases[cases["controller"] == controller]
         for metric, about in METRICS.items():
@@ -133,10 +89,11 @@ def summary_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def comparison_table(grid: Grid) -> pd.DataFrame:
+@table("comparison", KIND)
+def comparison(results: Results) -> pd.DataFrame:
     """Each controller against the first, over all conditions and under each."""
+    grid, rows = results.grid, []
     everybody = np.ones(len(grid.family), dtype=np.bool_)
-    rows = []
     for controller in grid.controllers[1:]:
         for condition in (ALL, *dict.fromkeys(grid.condition.tolist())):
             situations = (grid.condition == condition) | (condition == ALL)
@@ -146,11 +103,13 @@ def comparison_table(grid: Grid) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def families_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
+@table("families", KIND)
+def families(results: Results) -> pd.DataFrame:
     """Each controller against the first, per family of references, over the conditions of the group ``leak``.
 
     Without such a group it is over all conditions.
     """
+    grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
     situations = np.isin(grid.condition, leaks) if len(leaks) else np.ones(len(grid.condition), dtype=np.bool_)
     return pd.DataFrame(
@@ -167,10 +126,13 @@ def families_table(grid: Grid, cases: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.DataFrame:
+@table("ranking", KIND)
+def ranking(results: Results) -> pd.DataFrame:
     """Controllers in the order of their equally weighted ratio, with their costs."""
-    baseline = grid.controllers[0]
-    by_condition = run.cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
+    grid, compared = results.grid, results.table("comparison")
+    cases, cycles, baseline = results.part("tracking"), results.part("standstill"), grid.controllers[0]
+    statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
+    by_condition = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
     best = by_condition.idxmin(axis=1)
     copied = ("equal_weight", "equal_weight_low", "equal_weight_high", "worst_ratio", *COMPARED, "gap")
     rows = []
@@ -178,12 +140,12 @@ def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.
         if controller == baseline:
             shared = {name: 0.0 if name == "gap" else 1.0 for name in (*copied, "mean_ratio")}
         else:
-            found = comparison[(comparison["controller"] == controller) & (comparison["condition"] == ALL)]
+            found = compared[(compared["controller"] == controller) & (compared["condition"] == ALL)]
             row = found.iloc[0].to_dict() if len(found) else {}
             shared = {name: row.get(name, np.nan) for name in copied} | {"mean_ratio": row.get("ratio", np.nan)}
-        own = run.cases[run.cases["controller"] == controller]
-        still = run.limit_cycles[run.limit_cycles["controller"] == controller] if len(run.limit_cycles) else None
-        statuses = run.status[run.status["controller"].str.partition("#")[0] == controller]
+        own = cases[cases["controller"] == controller]
+        still = cycles[cycles["controller"] == controller] if len(cycles) else None
+        mine = statuses[statuses["controller"].str.partition(SEED_MARK)[0] == controller]
         rows.append(
             {
                 "controller": controller,
@@ -191,23 +153,25 @@ def ranking_table(grid: Grid, comparison: pd.DataFrame, run: ProtocolRun) -> pd.
                 "best_in": int((best == controller).sum()),
                 "conditions": int(own["condition"].nunique()),
                 "failures": int(own["failed"].sum()),
-                "failed_conditions": int((statuses["status"] == FAILED).sum()),
+                "failed_conditions": int((mine["status"] == FAILED).sum()),
                 "limit_cycles": int(still["limit_cycle"].sum()) if still is not None else 0,
                 "standstills": len(still) if still is not None else 0,
                 "training_seeds": int(own["training_seed"].nunique()),
             }
         )
-    table = pd.DataFrame(rows).sort_values("equal_weight", kind="stable", ignore_index=True)
-    table.insert(0, "rank", np.arange(1, len(table) + 1))
-    return table
+    ranked = pd.DataFrame(rows).sort_values("equal_weight", kind="stable", ignore_index=True)
+    ranked.insert(0, "rank", np.arange(1, len(ranked) + 1))
+    return ranked
 
 
-def profile_table(grid: Grid) -> pd.DataFrame:
+@table("profiles", KIND)
+def profiles(results: Results) -> pd.DataFrame:
     """Share of cases with an error of at most τ times that of the best controller in the case, or of the baseline.
 
     It includes only conditions under which every controller ran. Dolan & Moré (2002); intervals as Agarwal et al.
     (2021).
     """
+    grid = results.grid
     errors = {name: grid.values(name, ERROR) for name in grid.controllers}
     expected = np.array([np.nanmean(np.where(np.isnan(v), np.inf, v), axis=0) for v in errors.values()])
     shared = np.isfinite(expected).all(axis=0)
@@ -232,8 +196,10 @@ def profile_table(grid: Grid) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def worst_table(cases: pd.DataFrame, baseline: str, count: int) -> pd.DataFrame:
+@table("worst_cases", KIND)
+def worst_cases(results: Results) -> pd.DataFrame:
     """The cases with the largest ratio of errors to the baseline; for the baseline, those with its largest errors."""
+    cases, baseline, count = results.part("tracking"), results.grid.controllers[0], results.protocol.worst
     where = ["condition", "family", "leakage_flow_lpm", "plant", "seed"]
     base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
     joined = cases.join(base, on=where)

@@ -1,4 +1,4 @@
-"""Progress of long work on the console: bars on a terminal, occasional lines elsewhere, and the time that is left."""
+"""Progress of long work on the console: bars on a terminal, occasional lines elsewhere, and the remaining time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
@@ -16,19 +17,12 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, Tex
 from rich.table import Column
 from rich.text import Text
 
-from hydro_agents.running.pace import Pace, in_words
-
 SECONDS_BETWEEN_LINES = 10.0
 SECONDS_OF_SILENCE = 20.0
-"""Off a terminal a line that says that the work goes on follows after this time and the one before."""
+"""Off a terminal a line says that the work goes on when nothing has been printed for so long."""
 
-MEASURED_SECONDS = 5.0
-"""The expected duration is told when work has been measured for so long."""
-
-SHORTEST_TOLD = 30.0
-"""A shorter duration in s is not told in a line of its own."""
-
-IN_ALL = "in all"
+LONG_PIECE = 45.0
+"""s; if the first piece of work takes longer, the rate includes it."""
 
 
 class PlainConsole(Console):
@@ -57,12 +51,53 @@ def discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+@dataclass
+class _Phase:
+    """Progress of a phase, and the time that it still needs at its rate so far."""
+
+    total: int
+    done: int
+    start: int  # `done` at the first update: a resumed phase does not begin at 0
+    began: float  # s, time of the first update
+    changed: float  # s, time of the latest change of `done`
+    note: str = ""
+    line: float | None = None  # s, time of the latest line about it
+    base: tuple[float, int] | None = None  # time and `done` from which the rate counts
+
+    def update(self, done: int, total: int, now: float, note: str) -> None:
+        self.total, self.note = total, note
+        if done != self.done:
+            self.done, self.changed = done, now
+            if self.base is None and done > self.start:
+                # Imports and compilation come before the first piece; in a long piece they do not matter.
+                self.base = (self.began, self.start) if now - self.began > LONG_PIECE else (now, done)
+
+    def left(self, now: float) -> float | None:
+        """Seconds that are left; ``None`` as long as the rate is unknown."""
+        if self.done >= self.total:
+            return 0.0
+        if self.base is None or self.done <= self.base[1]:
+            return None
+        per_piece = (self.changed - self.base[0]) / (self.done - self.base[1])
+        return max(per_piece * (self.total - self.done) - (now - self.changed), 0.0)
+
+
+def in_words(seconds: float) -> str:
+    """An estimated time in round numbers: 5 s, 40 s, 3 min, 1 h 20 min."""
+    if seconds < 57.5:
+        return f"{max(5 * round(seconds / 5.0), 5)} s"
+    minutes = round(seconds / 60.0)
+    if minutes < 60:
+        return f"{minutes} min"
+    minutes = 5 * round(minutes / 5)
+    return f"{minutes // 60} h" + (f" {minutes % 60} min" if minutes % 60 else "")
+
+
 class ProgressDisplay:
-    """Progress of one or more phases, with the time that is left; use as a context manager.
+    """Progress of one or more phases, each with its remaining time; use as a context manager.
 
     On a terminal each phase is a bar. Elsewhere (a log, CI, a terminal that cannot move its cursor) a line appears at
-    most every ten seconds, and at least every thirty. The time comes from the rate of the work itself
-    (:mod:`hydro_agents.running.pace`).
+    most every ten seconds, and at least every thirty. The remaining time comes from the rate of the phase itself.
 
     Args:
         console: where to show it; default: standard output.
@@ -73,14 +108,9 @@ class ProgressDisplay:
         self.console = console or PlainConsole()
         self._clock = clock
         self._began = clock()
-        self._pace = Pace()
-        self._told: set[str] = set()  # names whose expected duration was told
-        self._notes: dict[str, str] = {}
-        self._states: dict[str, tuple[int, int]] = {}
-        self._starts: dict[str, float] = {}
+        self._phases: dict[str, _Phase] = {}
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
-        self._last_line: dict[str, float] = {}
         self._latest = ""  # phase
         self._printed = self._began  # time of the latest line
         self._lock = threading.RLock()
@@ -103,29 +133,17 @@ class ProgressDisplay:
         if self._bars is not None:
             self._bars.stop()
 
-    def expect(self, work: Mapping[str, float]) -> None:
-        """Say beforehand what is to be done: then the time that is left in all can be estimated.
-
-        Args:
-            work: relative work of each phase by its name, in any unit; phases that a resumed job skips are left out.
-        """
-        self._pace = Pace(work)
-        if self._bars is not None and len(work) > 1:
-            self._tasks[IN_ALL] = self._bars.add_task(IN_ALL, total=1.0, note="")
-
     def update(self, phase: str, done: int, total: int, note: str = "") -> None:
         """Show the progress of a phase; call it with ``done = 0`` before the work, to show the phase at once."""
         with self._lock:
             now, self._latest = self._clock(), phase
-            self._pace.update(phase, done, total, now)
-            self._starts.setdefault(phase, now)
-            self._states[phase], self._notes[phase] = (done, total), note
-            self._tell_duration(phase, now)
+            known = self._phases.setdefault(phase, _Phase(total, done, done, now, now))
+            known.update(done, total, now, note)
             if self._bars is not None:
-                self._show_bars(self._bars, phase)
-                return
-            first = phase not in self._last_line
-            if first or done >= total or now - self._last_line[phase] >= SECONDS_BETWEEN_LINES:
+                if phase not in self._tasks:
+                    self._tasks[phase] = self._bars.add_task(phase, note="")
+                self._bars.update(self._tasks[phase], completed=done, total=total, note=note)
+            elif known.line is None or done >= total or now - known.line >= SECONDS_BETWEEN_LINES:
                 self._show_line(phase, now)
 
     def remind(self) -> None:
@@ -148,46 +166,21 @@ class ProgressDisplay:
         while not self._ended.wait(SECONDS_BETWEEN_LINES):
             self.remind()
 
-    def _tell_duration(self, phase: str, now: float) -> None:
-        """Tell once how long the work will take, as soon as its rate has been measured for some seconds."""
-        name, left = phase, self._pace.left(phase, now)
-        began = self._starts[phase]
-        if phase in self._pace.work:
-            name, left, began = IN_ALL, self._pace.left_in_all(now), self._began
-        if name in self._told or left is None or self._pace.measured(phase) < MEASURED_SECONDS:
-            return
-        self._told.add(name)
-        expected = now - began + left
-        if left > SHORTEST_TOLD:
-            self.console.lines(f"{name}: about {in_words(expected)} on this machine, as measured just now")
-
-    def _show_bars(self, bars: Progress, phase: str) -> None:
-        if phase not in self._tasks:
-            self._tasks[phase] = bars.add_task(phase, note="")
-        done, total = self._states[phase]
-        bars.update(self._tasks[phase], completed=done, total=total, note=self._notes[phase])
-        if IN_ALL in self._tasks:
-            bars.update(self._tasks[IN_ALL], completed=self._pace.done_in_all())
-
     def _time_left(self, name: str) -> str:
-        now = self._clock()
-        if name == IN_ALL:
-            return _left(self._pace.left_in_all(now))
-        left, passed = self._pace.left(name, now), now - self._starts[name]
+        phase, now = self._phases[name], self._clock()
+        left, passed = phase.left(now), now - phase.began
         return f"{in_words(passed)} so far" if left is None and passed >= SECONDS_OF_SILENCE else _left(left)
 
-    def _show_line(self, phase: str, now: float) -> None:
+    def _show_line(self, name: str, now: float) -> None:
         """Print how far a phase is: as much as fits into one line, the most important first."""
-        self._last_line[phase] = self._printed = now
-        done, total = self._states[phase]
-        line = f"{phase}: {100 * done / total:3.0f} %" if total > 1 else f"{phase}: {'done' if done else 'begun'}"
-        own, in_all = self._pace.left(phase, now), self._pace.left_in_all(now)
-        own = own if done < total else 0.0
-        passed = now - self._starts[phase]
-        work = f"at work for {in_words(passed)}" if own is None and passed >= SECONDS_OF_SILENCE else ""
-        rest = f"in all {_left(in_all)}" if in_all and phase in self._pace.work else ""
+        phase = self._phases[name]
+        phase.line = self._printed = now
+        done, total = phase.done, phase.total
+        line = f"{name}: {100 * done / total:3.0f} %" if total > 1 else f"{name}: {'done' if done else 'begun'}"
+        left, passed = phase.left(now), now - phase.began
+        work = f"at work for {in_words(passed)}" if left is None and passed >= SECONDS_OF_SILENCE else ""
         count = f"{done:,} of {total:,}" if total > 1 else ""
-        for part in (_left(own) or work, rest, self._notes[phase], count):
+        for part in (_left(left) or work, phase.note, count):
             if part and len(line) + 2 + len(part) <= self.console.width:
                 line += f", {part}"
         self.console.lines(line[: self.console.width], soft_wrap=True)
@@ -198,7 +191,7 @@ def _left(seconds: float | None) -> str:
 
 
 class _TimeLeft(ProgressColumn):
-    """The time that is left now; it also falls between two updates."""
+    """The remaining time; it also falls between two updates."""
 
     def __init__(self, left: Callable[[str], str]) -> None:
         super().__init__(Column(no_wrap=True, min_width=11))

@@ -1,37 +1,49 @@
-"""Independent jobs of a study: they run side by side through joblib, and each finished result is one file.
+"""Independent jobs: they run side by side through joblib, and each finished result is one file.
 
-A job is a pure function of its fields: neither the order of the jobs nor the place where they run changes a bit of the
+A job is a function of its arguments: neither the order of the jobs nor the place where they run changes a bit of the
 results. ``joblib.parallel_config`` sets the backend; by default each job has its own process.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
+import json
 import os
 import random
 import sys
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache, cached_property
 from multiprocessing import parent_process
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, signal
 from threading import current_thread, main_thread
-from typing import Any, Protocol
+from typing import Any
 
+import joblib
 import numpy as np
 from joblib import Parallel, delayed, effective_n_jobs
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
+from hydro_env import ConfigurationError
 from hydro_env.compiling import SOURCES
 from hydro_env.files import write_whole
 
 JOBS_FOLDER = "jobs"
+CODE = ("controllers", "running", "learning", "estimation", "detection", "evaluation")
+"""Rooms whose code may change the result of a job."""
+
 _JOBS_PER_ROUND = 4
+
+Columns = dict[str, NDArray[Any]]
+"""Numbers by name, arrays of any shape."""
 
 Report = Callable[[str, int, int], None]
 """Called with the name of the phase, the number of finished jobs, and their total."""
@@ -39,38 +51,78 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class JobResult:
-    """Columns of a job's cases, each (N,); or the reason for their absence."""
+    """What a job found, or the reason why it found nothing."""
 
-    metrics: dict[str, NDArray[np.float64]]
+    metrics: Columns
     error: str = ""
 
 
-class Job(Protocol):
-    """A piece of work that can run independently."""
+@dataclass(frozen=True)
+class Job:
+    """A call ``work(participant, *arguments)`` that gives columns of numbers.
 
-    @property
-    def digest(self) -> str:
-        """Digest of the controllers or detectors in the job; empty: its result is not reused."""
-        ...
+    The same job gives the same numbers on every machine and beside any other job.
 
-    @property
+    Example:
+        >>> from hydro_agents.running.jobs import Job, run_jobs
+        >>> jobs = {f"{number}": Job(np.add, number, (np.arange(3),), digest="a number") for number in range(4)}
+
+    Args:
+        work: a function of a module; a :class:`ConfigurationError` that it raises becomes the result.
+        participant: what is measured: a controller, a detector, or nothing.
+        arguments: settings (pydantic), arrays, numbers, texts, and tuples, mappings and dataclasses of these. The
+            name of the result's file follows from their values.
+        digest: of the participant (:func:`fingerprint`); empty: the result is not kept for another run.
+    """
+
+    work: Callable[..., Columns]
+    participant: Any = None
+    arguments: tuple[Any, ...] = ()
+    digest: str = ""
+
+    @cached_property
     def file(self) -> str:
-        """Name of the result file; it differs for every job and version of the code."""
-        ...
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the columns of its result."""
-        ...
-
-    @property
-    def count(self) -> int:
-        """Number of its cases N."""
-        ...
+        """Name of the result file; it differs for every work, participant, argument and version of the code."""
+        name = f"{self.work.__module__}.{self.work.__qualname__}"
+        text = json.dumps([digest_of_code(*CODE), name, self.digest, _plain(self.arguments)])
+        return f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npz"
 
     def run(self) -> JobResult:
-        """Run the job; an error of its controller or detector becomes the result."""
-        ...
+        """Do the work; the message of a configuration error becomes the result."""
+        try:
+            return JobResult(self.work(self.participant, *self.arguments))
+        except ConfigurationError as error:
+            return JobResult({}, str(error))
+
+
+def _plain(value: Any) -> Any:
+    """An argument of a job as lists, mappings, numbers and texts."""
+    if isinstance(value, BaseModel):
+        return value.model_dump(mode="json")
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def fingerprint(participant: Any) -> str:
+    """Digest of an object's numbers and of the file of its class; empty if it cannot be pickled.
+
+    Finished work of a participant with another digest is not reused.
+    """
+    try:
+        digest = str(joblib.hash(participant))
+    except Exception:  # a user's object may raise anything
+        return ""
+    try:
+        made_in = participant if inspect.isfunction(participant) else type(participant)
+        source = Path(inspect.getfile(made_in)).read_bytes()
+    except (OSError, TypeError):
+        source = b""
+    return str(joblib.hash((digest, source)))
 
 
 def run_jobs(
@@ -94,7 +146,7 @@ def run_jobs(
     """
     results: dict[str, JobResult] = {}
     for key, job in listed.items() if folder is not None else ():
-        found = load_result(folder / JOBS_FOLDER / job.file, job) if folder is not None and job.digest else None
+        found = load_result(folder / JOBS_FOLDER / job.file) if folder is not None and job.digest else None
         if found is not None:
             results[key] = found
     reused = len(results)
@@ -127,17 +179,13 @@ def save_result(path: Path, result: JobResult) -> None:
     write_whole(path, content.getvalue())
 
 
-def load_result(path: Path, job: Job) -> JobResult | None:
+def load_result(path: Path) -> JobResult | None:
     """Read the result of a job; ``None`` if there is none, or the file is damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            metrics = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return JobResult({name: stored[name] for name in stored.files})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
-    whole = set(metrics) == set(job.columns) and all(
-        values.shape == (job.count,) and values.dtype == np.float64 for values in metrics.values()
-    )
-    return JobResult({name: metrics[name] for name in job.columns}) if whole else None
 
 
 @cache

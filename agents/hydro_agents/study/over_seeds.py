@@ -17,10 +17,9 @@ from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.running.text import number
 from hydro_agents.study.phases import Phases
-from hydro_agents.study.run import TUNED_FILE, is_finished, run_study
+from hydro_agents.study.run import HEAD_PHASE, TUNED_FILE, is_finished, run_study
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import read_curve
-from hydro_agents.study.work import HEAD_PHASE
 from hydro_env.files import write_whole
 
 TABLE, CURVES, CURVE_FILE = "tables/over_seeds.csv", "tables/learning_curves.csv", "learning_curve.svg"

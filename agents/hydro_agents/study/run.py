@@ -39,11 +39,11 @@ from hydro_agents.study.training import (
     train_leakage_head,
     tune_controller,
 )
-from hydro_agents.study.work import HEAD_PHASE, work_of
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, write_yaml
 
 CONFIG_FILE = "study.yaml"
+HEAD_PHASE = "train leakage head"
 TUNED_FILE = "tuned_study.yaml"
 """The study with the tuned gains, for `hydro evaluate --config` and `hydro train --config`."""
 
@@ -74,7 +74,6 @@ def run_study(
         _write_settings(study, folder, seed)
         _try_out(study)
         phases = Phases(folder)
-        display.expect(work_of(study, phases.done))
         controllers: dict[str, Controller] = {}
         curves = []
         for name, entry in study.controllers.items():

@@ -1,0 +1,161 @@
+"""A protocol as data: named conditions, the parts that are measured under them, and the sections of its page.
+
+:class:`Protocol` has what every protocol has. Each kind of file adds its own keys:
+:class:`~hydro_agents.evaluation.robustness_protocol.RobustnessProtocol` for controllers and
+:class:`~hydro_agents.evaluation.leak_protocol.LeakProtocol` for detectors of leaks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Generic, Self, TypeVar
+
+from pydantic import Field, StringConstraints, model_validator
+
+from hydro_agents.evaluation.parts import PARTS
+from hydro_agents.running.settings_files import read_task
+from hydro_agents.running.surroundings import Surroundings
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_text, read_yaml, validate
+from hydro_env.folders import config_file
+from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.task.configuration import task_config
+
+Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
+
+
+class Condition(Surroundings):
+    """One condition: its differences from the task of the protocol, which the participants do not know."""
+
+    group: str = Field("other", description="conditions that belong together in tables and pictures")
+    label: str = Field("", description="short text for axes; default: the name")
+    description: str = ""
+
+
+AnyCondition = TypeVar("AnyCondition", bound=Condition)
+
+
+class Protocol(Group, Generic[AnyCondition]):
+    """What every protocol has; ``configs/protocols`` holds some."""
+
+    kind: str
+    title: str
+    task: TaskConfig = Field(default_factory=TaskConfig)
+    parts: tuple[str, ...] = Field((), description="what is measured; default: what the other keys ask for")
+    sections: tuple[str, ...] = Field((), description="of the page, in order; default: those of the kind")
+    conditions: dict[Name, AnyCondition] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _known_parts(self) -> Self:
+        own = [name for name, part in PARTS.items() if self.kind in part.kinds]
+        for name in self.parts:
+            if name not in own:
+                raise ValueError(f"parts: {unknown(name, own, 'part')}")
+        return self
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The parts that the protocol measures."""
+        return self.parts or self.asked()
+
+    def asked(self) -> tuple[str, ...]:
+        """The parts that the other keys ask for; each kind has its own."""
+        raise NotImplementedError
+
+    @classmethod
+    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
+        """Replace what a kind of protocol names by its content, such as files beside its own; errors are collected."""
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> Self:
+        """Read a protocol; its task and rigs may be names, or paths relative to the file.
+
+        Raises:
+            ConfigurationError: unreadable file, unknown key, impossible value, or a condition without a possible task.
+        """
+        values, file = read_yaml(path), Path(path)
+        errors: list[ConfigurationError] = []
+        with kept(errors):
+            if "task" in values:
+                values["task"] = read_task(values.pop("task"), file)
+        cls.prepare(values, file, errors)
+        conditions = values.get("conditions")
+        for condition in conditions.values() if isinstance(conditions, dict) else ():
+            with kept(errors):
+                if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
+                    condition["rig"] = str(config_file("rigs", condition.pop("rig"), file.parent))
+        with kept(errors):
+            protocol = validate(cls, values, str(path))
+        refuse(errors, str(path))
+        try:
+            _ = protocol.tasks
+        except ConfigurationError as error:
+            raise type(error)(f"{path}: {error}") from None
+        return protocol
+
+    def moved(self, task: str | None, rig: str | Path | None) -> Self:
+        """The protocol with another task, or on another rig.
+
+        Raises:
+            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
+        """
+        base = task_config(self.task if task is None else task, rig=rig)
+        protocol = validate(type(self), {**self.model_dump(), "task": base}, "protocol")
+        _ = protocol.tasks
+        return protocol
+
+    @cached_property
+    def tasks(self) -> dict[str, TaskConfig]:
+        """The task under each condition.
+
+        Raises:
+            ConfigurationError: the changed task is impossible; the message names the condition.
+        """
+        tasks: dict[str, TaskConfig] = {}
+        errors: list[ConfigurationError] = []
+        for name in self.conditions:
+            with kept(errors):
+                tasks[name] = self.changed_task(name)
+        refuse(errors, "conditions")
+        return tasks
+
+    def task_in(self, name: str) -> TaskConfig:
+        """The task under a condition."""
+        return self.tasks[name]
+
+    def changed_task(self, name: str) -> TaskConfig:
+        """The task of the protocol with the changes of a condition.
+
+        Raises:
+            ConfigurationError: the changed task is impossible.
+        """
+        return self.conditions[name].task_on(self.task, f"conditions.{name}")
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def check_conditions(self, key: str, names: tuple[str, ...]) -> None:
+        """Check that a key names conditions of the protocol.
+
+        Raises:
+            ValueError: a name is not a condition.
+        """
+        for name in names:
+            if name not in self.conditions:
+                raise ValueError(f"{key}: '{name}' is not a condition{did_you_mean(name, self.conditions)}")
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a text file, as ``sha256sum`` prints it for a file of UTF-8 text.
+
+    Raises:
+        ConfigurationError: the file cannot be read.
+    """
+    read_text(path)
+    return hashlib.sha256(path.read_bytes()).hexdigest()

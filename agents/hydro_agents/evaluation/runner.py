@@ -1,0 +1,175 @@
+"""Runs a protocol: the jobs of all its parts side by side, and the tables of their results.
+
+A table is a function of the results, registered by its name and the kinds of protocols that publish it::
+
+    @table("ranking", "robustness")
+    def ranking(results: Results) -> pd.DataFrame: ...
+
+The rows of each part are a table too (:data:`~hydro_agents.evaluation.parts.PARTS`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.conditions import Protocol
+from hydro_agents.evaluation.parts import PARTS, Cell, cells_of
+from hydro_agents.running.cases import ControllerError
+from hydro_agents.running.jobs import Job, Report, run_jobs
+from hydro_env.files import write_whole
+
+DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
+STATUS = ["controller", "condition", "status", "message"]
+
+
+@dataclass
+class Results:
+    """Results of a protocol: the rows of each part, and every table that follows from them."""
+
+    protocol: Any  # of its kind, whose tables know its keys
+    participants: Any
+    rows: Mapping[str, pd.DataFrame]  # by part; a part without results is absent
+    status: pd.DataFrame  # participant (with training seed), condition, status, message
+    reused: int = 0  # jobs with results from an earlier run
+    facts: Sequence[tuple[str, str]] = ()  # more rows of the table ``protocol``: key and value
+    _made: dict[str, pd.DataFrame] = field(default_factory=dict)
+
+    def part(self, name: str) -> pd.DataFrame:
+        """Rows of a part, empty if there are none."""
+        return self.rows.get(name, pd.DataFrame())
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The cases of the controllers as arrays, with those of the best found."""
+        bound = self.part("best_found")
+        return Grid(self.part("tracking"), None if bound.empty else bound)
+
+    def table(self, name: str) -> pd.DataFrame:
+        """A table by the name of its CSV file; it is made once."""
+        if name not in self._made:
+            self._made[name] = tables_of(self.protocol.kind)[name](self)
+        return self._made[name]
+
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """Every table of this kind of protocol by the name of its CSV file; without those that are empty."""
+        found = {name: self.table(name) for name in tables_of(self.protocol.kind)}
+        return {name: table for name, table in found.items() if not table.empty}
+
+    def write(self, folder: Path) -> None:
+        """Write the tables as CSV.
+
+        Raises:
+            ConfigurationError: a file cannot be written.
+        """
+        for name, table in self.tables().items():
+            write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
+
+    @property
+    def working(self) -> set[str]:
+        """Names, with training seeds, of the participants that failed nowhere."""
+        failed = set(self.status.loc[self.status["status"] == FAILED, "controller"])
+        return set(self.status["controller"]) - failed
+
+    @property
+    def errors(self) -> list[str]:
+        """One line per failure."""
+        failed = self.status[self.status["status"] == FAILED]
+        return [f"{row['controller']} under {row['condition']}: {row['message']}" for _, row in failed.iterrows()]
+
+
+TableFunction = Callable[[Results], pd.DataFrame]
+_TABLES: dict[str, dict[str, TableFunction]] = {}
+_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables"}
+"""Modules that register the tables of a kind of protocol."""
+
+
+def table(name: str, *kinds: str) -> Callable[[TableFunction], TableFunction]:
+    """Register a function of the results as a table of some kinds of protocols."""
+
+    def register(function: TableFunction) -> TableFunction:
+        for kind in kinds:
+            _TABLES.setdefault(kind, {})[name] = function
+        return function
+
+    return register
+
+
+def tables_of(kind: str) -> dict[str, TableFunction]:
+    """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
+    import_module(_MODULES[kind])
+    rows = {part.table: _rows_of(name) for name, part in PARTS.items() if kind in part.kinds}
+    return {**rows, **_TABLES[kind]}
+
+
+def _rows_of(part: str) -> TableFunction:
+    return lambda results: results.part(part)
+
+
+def run(
+    protocol: Protocol[Any],
+    chosen: Any,
+    folder: Path | None = None,
+    jobs: int | None = None,
+    progress: Report | None = None,
+    facts: Sequence[tuple[str, str]] = (),
+) -> Results:
+    """Run all jobs of a protocol; finished ones in the folder are read, not run.
+
+    An interruption keeps the finished jobs (:mod:`hydro_agents.running.jobs`).
+
+    Args:
+        protocol: conditions and parts.
+        chosen: the participants.
+        folder: for the results of the jobs, one file each; ``None`` keeps none.
+        jobs: number of jobs side by side; default: one per core, or that of the active ``parallel_config``.
+        progress: called with the name of the phase, the number of finished jobs, and their total.
+        facts: more rows of the table ``protocol``: key and value.
+
+    Raises:
+        ControllerError: every participant failed in every condition.
+        ConfigurationError: a file cannot be written.
+    """
+    cells = [(part, cell) for part in protocol.measured for cell in cells_of(part)(protocol, chosen)]
+    # Equal jobs run once: conditions that differ only in their references share the search for limit cycles.
+    keys = {id(job): key for key, job in _keys(cells)}
+    listed = {keys[id(job)]: job for _, cell in cells for job in cell.jobs}
+    results, reused = run_jobs(listed, folder, jobs, progress)
+    frames: dict[str, list[pd.DataFrame]] = {}
+    refused = [(cell.participant, cell.condition, NOT_APPLICABLE, cell.refused) for _, cell in cells if cell.refused]
+    ran = []
+    for part, cell in cells:
+        answers = [results[keys[id(job)]] for job in cell.jobs]
+        error = next((answer.error for answer in answers if answer.error), "")
+        if cell.condition or error:
+            ran += [(cell.participant, cell.condition or part, FAILED if error else DONE, error)] if answers else []
+        if answers and not error:
+            columns = {name: np.concatenate([each.metrics[name] for each in answers]) for name in answers[0].metrics}
+            frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
+    statuses = _statuses([*refused, *ran])
+    if protocol.measured[0] not in frames:
+        reasons = statuses.loc[statuses["message"] != "", "message"]
+        raise ControllerError(f"no controller ran under any condition; the first reason: {reasons.iloc[0]}")
+    rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
+    return Results(protocol, chosen, rows, statuses, reused, facts)
+
+
+def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
+    for part, cell in cells:
+        for number, job in enumerate(cell.jobs):
+            yield (job.file if job.digest else f"{part}|{cell.participant}|{cell.condition}|{number}"), job
+
+
+def _statuses(rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
+    """One row per participant and condition: a failure if any part failed."""
+    table = pd.DataFrame(rows, columns=STATUS)
+    table = table.sort_values("message", ascending=False, kind="stable").drop_duplicates(STATUS[:2])
+    return table.sort_index(ignore_index=True)
