@@ -1,5 +1,8 @@
 """The detectors of the project and of others: what they read, refuse and name."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +10,7 @@ from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICT
 from hydro_agents.detection.detectors import OTHER_CAUSES, DetectorChoice, HeadDetector, make_detector
 from hydro_agents.detection.estimator import EstimatorDetector, FollowingDetector
 from hydro_agents.detection.features import LABELS, SIGNALS
+from hydro_agents.detection.looks import looks_at
 from hydro_agents.evaluation.leak_jobs import windows as simulated
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_env import ConfigurationError, TaskConfig
@@ -144,3 +148,19 @@ def test_a_detector_of_ones_own_is_named_by_module_and_attribute():
 def test_the_logit_of_certainty_is_finite():
     assert np.isfinite(logit(np.array([0.0, 1.0]))).all()
     assert logit(np.array([0.5]))[0] == 0.0
+
+
+def test_the_detector_of_the_page_works_in_the_protocol_and_under_an_alarm(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "own_controller.md").read_text(encoding="utf-8")
+    (text,) = (
+        block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "AlikePressures" in block
+    )
+    (tmp_path / "my_detector.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    detector = make_detector(DetectorChoice(kind="my_detector:AlikePressures"))
+    tight, leaking = (detector.read(made("none", leak, 400), CONFIG) for leak in (0.01, 10.0))
+    assert leaking.score.mean() > tight.score.mean()
+    looks = looks_at(made("none", 10.0, 400).signals, CONFIG, detector, 0.5)
+    np.testing.assert_array_equal(looks.score[:, 0], leaking.score)
+    blind = TaskConfig(sensors={"pressure_a": {"fitted": False}})
+    assert "needs both pressures" in detector.refuses(blind, 400)
