@@ -17,9 +17,14 @@ from scipy.special import ndtr
 from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
 from hydro_agents.estimation.estimate import Estimate, estimate
 from hydro_agents.estimation.following import Follower
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
-from hydro_agents.estimation.priors import Prior
-from hydro_agents.estimation.unknowns import default_unknowns
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    Prior,
+    default_unknowns,
+)
 from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
@@ -78,7 +83,7 @@ class EstimatorDetector:
 
     Args:
         changes: of the task that gives unknowns and priors.
-        unknowns: additional names (:mod:`hydro_agents.estimation.names`).
+        unknowns: additional names (:mod:`hydro_agents.estimation.unknowns`).
         threads: worker threads; ``None`` takes one per core.
     """
 

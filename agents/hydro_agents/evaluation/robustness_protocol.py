@@ -15,8 +15,7 @@ from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY
-from hydro_agents.running.settings_files import read_settings
-from hydro_agents.running.surroundings import Factor
+from hydro_agents.running.tasks import Factor, read_settings
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
 from hydro_env.folders import config_file
