@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Reading
 from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.report.canvas import GREY, INK, PAPER, looks_of, thinned, with_gaps
 from hydro_agents.report.palette import MEANINGS
-from hydro_agents.rigs.verdict import Kind, Reading
+from hydro_agents.rigs.verdict import Kind
 
 if TYPE_CHECKING:
     from hydro_agents.rigs.diagnose import Diagnosis
@@ -73,13 +74,14 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: st
         clipped: NDArray[Any] = np.clip(values, LOWEST, HIGHEST)
         return clipped
 
-    counts, known = reading.holds, np.isfinite(reading.leak)
+    counts, known = reading.answers, np.isfinite(reading.flow_lpm)
     for chosen, options, label in (
         (known & counts, {"markerfacecolor": colour}, name),
         (known & ~counts, {"markerfacecolor": PAPER, "alpha": 0.5}, f"{name}, does not count"),
     ):
         if chosen.any():
-            value, low, high = (shown(values[chosen]) for values in (reading.leak, reading.low, reading.high))
+            parts = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
+            value, low, high = (shown(values[chosen]) for values in parts)
             axes.errorbar(
                 place[chosen], value, yerr=[value - low, high - value], fmt=marker, color=colour, markersize=4.5,
                 capsize=2, linewidth=1.2, label=label, **options,
