@@ -10,7 +10,6 @@ from hydro_agents.moved import MOVED
 
 PUBLIC = {
     "alarms.alarm": "AlarmSettings LeakAlarm",
-    "alarms.detector": "HeadDetector activity_of",
     "alarms.looks": "looks_at",
     "bound.best_found": "best_found",
     "controllers": "ObservationLayout PID PIDGains",

@@ -14,7 +14,6 @@ from types import ModuleType
 PACKAGE = "hydro_agents."
 MOVED = {
     "alarms.alarm": "hydro_agents.detection.alarm",
-    "alarms.detector": "hydro_agents.detection.alarm_detectors",
     "alarms.looks": "hydro_agents.detection.looks",
     "bound.best_found": "hydro_agents.evaluation.best_found",
     "diagnosis.diagnose": "hydro_agents.rigs.diagnose",

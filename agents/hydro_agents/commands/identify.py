@@ -31,8 +31,8 @@ def identify(
     contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
     from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.identification_page import identify_to_folder
     from hydro_agents.rigs.identify import identify as identify_recording
-    from hydro_agents.rigs.identify import identify_to_folder
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig
