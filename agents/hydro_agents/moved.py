@@ -22,6 +22,7 @@ MOVED = {
     "evaluation.opponents": "hydro_agents.learning.opponents",
     "leakage.head": "hydro_agents.detection.head",
     "leakage.monitor": "hydro_agents.detection.monitor",
+    "rigs.brief": "hydro_agents.rigs.check_table",
     "robustness.conditions": "hydro_agents.evaluation.robustness_protocol",
     "robustness.participants": "hydro_agents.evaluation.participants",
     "robustness.running": "hydro_agents.evaluation.robustness_running",
