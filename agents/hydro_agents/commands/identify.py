@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Recording, command_line, say
 
 
 def identify(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
-    ],
+    recording: Recording,
     rig: Annotated[
         Path,
         typer.Option(
