@@ -88,7 +88,7 @@ class Results:
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables"}
+_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables", "study": "hydro_agents.evaluation.tables"}
 """Modules that register the tables of a kind of protocol."""
 
 
@@ -156,8 +156,9 @@ def run(
             frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
     statuses = _statuses([*refused, *ran])
     if protocol.measured[0] not in frames:
-        reasons = statuses.loc[statuses["message"] != "", "message"]
-        raise ControllerError(f"no controller ran under any condition; the first reason: {reasons.iloc[0]}")
+        reasons = statuses[statuses["message"] != ""].drop_duplicates("controller")
+        told = "; ".join(f"{row['controller']}: {row['message']}" for row in reasons.to_dict("records"))
+        raise ControllerError(f"no controller ran under any condition; {told}")
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
     return Results(protocol, chosen, rows, statuses, reused, facts)
 

@@ -26,7 +26,7 @@ from hydro_agents.report.canvas import (
     row_axis,
     ticks,
 )
-from hydro_agents.running.statistics import mean_interval
+from hydro_agents.running.resampling import mean_interval
 from hydro_agents.running.text import family_name, number, setting
 
 if TYPE_CHECKING:
