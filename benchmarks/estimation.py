@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.estimation.estimate import Estimate, estimate
 from hydro_agents.estimation.following import estimate_run
-from hydro_agents.estimation.names import LEAKAGE
-from hydro_agents.estimation.unknowns import default_unknowns
+from hydro_agents.estimation.unknowns import LEAKAGE, default_unknowns
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig

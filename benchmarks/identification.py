@@ -13,10 +13,11 @@ import os
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.recordings.simulated import record_axis
 from hydro_agents.rigs.identify import Identification, identify
@@ -120,7 +121,9 @@ def _away(value: float, low: float, high: float) -> float:
     return abs(value - 0.5 * (low + high)) / max((high - low) / 3.92, 1e-300)
 
 
-def _report(rows: list, shares: np.ndarray, times: np.ndarray, refused: int, count: int) -> None:
+def _report(
+    rows: list[tuple[int, str, Any, Any, Any, float]], shares: np.ndarray, times: np.ndarray, refused: int, count: int
+) -> None:
     moved = shares[np.isfinite(shares)]
     print(f"\n{count} rigs, {refused} refused, {len(shares) - len(moved)} stood still on the held-back part")
     if len(moved):

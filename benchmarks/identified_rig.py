@@ -29,7 +29,7 @@ from hydro_agents.rigs.identify import identify, identify_to_folder
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.running.seeds import LEARNING
-from hydro_agents.study.settings import default_study
+from hydro_agents.study.other_rig import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, validate, write_text, write_yaml
 from hydro_env.plant.parameters import from_vector
@@ -88,7 +88,7 @@ def trained(task: TaskConfig, base: Controller, folder: Path, steps: int) -> Con
     """PPO on top of a controller, with the settings of ``configs/studies/own_rig.yaml``; its weights are kept."""
     if not (folder / "policy.safetensors").exists():
         settings = validate(
-            PPOSettings, default_study("own_rig").controllers["PPO"].settings | {"total_steps": steps}, "PPO"
+            PPOSettings, default_study(Path("own_rig")).controllers["PPO"].settings | {"total_steps": steps}, "PPO"
         )
         resume = (folder / "checkpoint.safetensors").exists()
         train_ppo(task, settings, base, folder=folder, resume=resume).save(folder / "policy")

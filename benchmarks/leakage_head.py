@@ -30,7 +30,7 @@ from hydro_agents.detection.roc import threshold_at_false_alarm_rate
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import DETECTION, EVALUATION
-from hydro_agents.study.settings import default_study
+from hydro_agents.study.other_rig import default_study
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_file

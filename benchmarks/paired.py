@@ -28,10 +28,10 @@ def rates() -> dict[str, Callable[[float], float]]:
     """The measurements as functions of their duration (s), made of each checkout's own code."""
     import gymnasium as gym
 
-    from hydro_agents.benchmark.environment_rows import single_rate, vector_rate
-    from hydro_agents.benchmark.kernel_access import BareKernel
-    from hydro_agents.benchmark.timing import rate
-    from hydro_agents.benchmark.training_rows import default_study, native_model
+    from benchmarks.environment_rows import single_rate, vector_rate
+    from benchmarks.kernel_rows import BareKernel
+    from benchmarks.table import rate
+    from benchmarks.training_rows import default_study, native_model
 
     bare, settings = BareKernel(1024, 1), default_study()
     model, _ = native_model(settings, settings.ppo)

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
-from put_into_docs import filled
+
+from benchmarks.put_into_docs import filled
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"

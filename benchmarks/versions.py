@@ -45,7 +45,7 @@ def environment(name: str, torch: str) -> Path:
     wanted = [item for item in requirements() if not item.startswith("torch")]
     if name == "lowest":
         wanted = [lowest(item) for item in wanted]
-    pip = [interpreter, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    pip = [str(interpreter), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, "--upgrade", "--upgrade-strategy", "eager", *wanted, torch], cwd=ROOT, check=True)
     return interpreter
 

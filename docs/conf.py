@@ -42,6 +42,7 @@ exclude_patterns = [
     "tests",
     "configs",
     "benchmarks",
+    "paper",
 ]
 nitpicky = True
 

@@ -49,7 +49,13 @@ def hydro(*arguments: object) -> Answer:
 
 def environment(**variables: str) -> dict[str, str]:
     """Variables of a process that runs this checkout."""
-    return {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1", "COLUMNS": "120", **variables}
+    return {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "agents")]),
+        "PYTHONUNBUFFERED": "1",
+        "COLUMNS": "120",
+        **variables,
+    }
 
 
 def hydro_process(*arguments: object, text: bool = True, **variables: str) -> subprocess.CompletedProcess:

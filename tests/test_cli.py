@@ -16,6 +16,7 @@ from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydr
 from matplotlib.figure import Figure
 
 import hydro_env
+from hydro_agents.commands import checkout
 from hydro_agents.commands.options import show
 from hydro_agents.rigs import check_table
 from hydro_agents.rigs.simulation import paint_trajectory
@@ -366,3 +367,17 @@ def test_tables_of_results_fit_a_terminal_and_stay_markdown_in_a_pipe(monkeypatc
         assert text.count("0.0123") == 7
         assert (max(map(len, text.splitlines())) <= 80) == (stream is terminal)
     assert "|---|" not in text
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [("reproduce", "the figures of the paper need a checkout"), ("benchmark", "the benchmark needs a checkout")],
+)
+def test_an_installed_package_names_what_needs_a_checkout(tmp_path, monkeypatch, command, message):
+    """A folder of installed packages may hold others of the same names."""
+    for foreign in ("paper", "benchmarks"):
+        (tmp_path / foreign).mkdir()
+        (tmp_path / foreign / "__init__.py").write_text("raise AssertionError")
+    monkeypatch.setattr(checkout, "FOLDER", tmp_path)
+    assert_one_clear_line(hydro(command, "--output", "new"), message)
+    assert not (tmp_path / "new").exists()

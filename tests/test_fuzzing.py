@@ -23,7 +23,7 @@ from hydro_agents.recordings.columns import read_map
 from hydro_agents.recordings.quality import check_recording
 from hydro_agents.recordings.recording import read_recording
 from hydro_agents.recordings.simulated import recording_csv
-from hydro_agents.recordings.table import read_table
+from hydro_agents.rigs.simulation import read_table
 from hydro_agents.running.folders import config_folder, pretrained_folder
 from hydro_agents.study.settings import StudySettings
 from hydro_env import (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.recordings.table import read_table
+from hydro_agents.rigs.simulation import read_table
 from hydro_env import ConfigurationError
 
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from hydro_agents.recordings.units import factor
+from hydro_agents.recordings.columns import factor
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.task.configuration import task_config

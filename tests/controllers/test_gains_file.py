@@ -6,8 +6,8 @@ import pytest
 
 from hydro_agents.commands.export import _task_of_gains
 from hydro_agents.controllers.adrc import ADRC, ADRCGains
-from hydro_agents.controllers.gains_file import controller_from_gains, gain_rows, gains_text
 from hydro_agents.controllers.pid import PID, PIDGains
+from hydro_agents.controllers.registry import controller_from_gains, gain_rows, gains_text
 from hydro_agents.learning.opponents import found_in, opponent
 from hydro_env import ConfigurationError, TaskConfig
 

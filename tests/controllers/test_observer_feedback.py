@@ -8,9 +8,9 @@ from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.adrc import ADRC, ADRCGains, placed
 from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.controllers.jumps import braked
 from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from hydro_agents.controllers.observer_feedback import SampledModel
+from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
-from hydro_agents.estimation.names import LEAKAGE
+from hydro_agents.estimation.unknowns import LEAKAGE
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig

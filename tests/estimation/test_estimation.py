@@ -8,10 +8,8 @@ from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.following import Follower, estimate_run
 from hydro_agents.estimation.known_windows import known_windows, leak_cases
 from hydro_agents.estimation.model import Model
-from hydro_agents.estimation.names import LEAKAGE, NAMES
-from hydro_agents.estimation.priors import Prior, prior_of
 from hydro_agents.estimation.replay import Commands, replay
-from hydro_agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_agents.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig

@@ -8,9 +8,8 @@ from test_estimation import CONFIG, FEW, driven
 from hydro_agents.estimation.estimate import usable_readings
 from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import SHORT_STEP, Model
-from hydro_agents.estimation.names import STARTS
 from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
-from hydro_agents.estimation.unknowns import priors_of
+from hydro_agents.estimation.unknowns import STARTS, priors_of
 
 
 def problem(leak, seeds, unknowns=None):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.estimation.priors import Prior
+from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import found_values, narrowed

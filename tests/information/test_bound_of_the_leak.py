@@ -5,13 +5,22 @@ import pytest
 
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.estimation.estimate import EstimationSettings, estimate, usable_readings
-from hydro_agents.estimation.information import covariance, information, jacobian_at, ratios_to_bound, sigma, true_model
-from hydro_agents.estimation.known_windows import known_windows, leak_cases
-from hydro_agents.estimation.motions import MOTIONS, SMALLEST_STEP
-from hydro_agents.estimation.names import BIASES, LEAKAGE, STARTS
-from hydro_agents.estimation.priors import Prior
-from hydro_agents.estimation.unknown_sets import EVERYTHING, LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, unknown_sets
-from hydro_agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_agents.estimation.information import (
+    EVERYTHING,
+    LEAK_ALONE,
+    PLANT_KNOWN,
+    TASK,
+    WORN_VALVE,
+    covariance,
+    information,
+    jacobian_at,
+    ratios_to_bound,
+    sigma,
+    true_model,
+    unknown_sets,
+)
+from hydro_agents.estimation.known_windows import MOTIONS, SMALLEST_STEP, known_windows, leak_cases
+from hydro_agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 from hydro_agents.evaluation.leak_bound_survey import sensor_choices
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.estimation.information import information, sigma
-from hydro_agents.estimation.known_windows import known_windows, leak_cases
-from hydro_agents.estimation.motions import at_rest
+from hydro_agents.estimation.information import WORN_VALVE, information, sigma, unknown_sets
+from hydro_agents.estimation.known_windows import at_rest, known_windows, leak_cases
 from hydro_agents.estimation.move_design import NUMBERS, Limits, MoveSettings, design, limits_of, move_from
-from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml

@@ -5,7 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 import pytest
 
-from hydro_agents.benchmark.accuracy import INPUTS, LIMIT, convergence_orders, errors, random_runs, reference
+from benchmarks.accuracy import INPUTS, LIMIT, convergence_orders, errors, random_runs, reference
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.states import STATE_NAMES
 

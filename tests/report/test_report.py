@@ -15,11 +15,12 @@ from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from hydro_agents.report.canvas import controllers_of, looks_of
-from hydro_agents.report.findings import caution, failures, findings, interval_text, verdict
+from hydro_agents.report.canvas import looks_of
+from hydro_agents.report.content import interval_text
 from hydro_agents.report.leaks import LOOKS
 from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
-from hydro_agents.report.report import StudyRecord, render_report, write_report, write_tables
+from hydro_agents.report.report import StudyRecord, content_of, render_report, write_report, write_tables
+from hydro_agents.report.study_findings import caution, failed_runs, findings_of, verdict
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_agents.running.statistics import Interval
@@ -59,7 +60,8 @@ def record(examples=()):
 def example(names):
     time = np.linspace(0.005, 0.4, 80)
     traces = {name: 0.01 * (1.0 - np.exp(-time / 0.05)) for name in names}
-    return Example("the same with 4 l/min", time, np.full(80, 0.01), traces, dict.fromkeys(names, 0.1 * time))
+    command = dict.fromkeys(names, 0.1 * time)
+    return Example("the same with 4 l/min", time, np.full(80, 0.01), traces, command, leak=4.0)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,7 @@ def evaluation():
 
 @pytest.fixture(scope="module")
 def page(evaluation):
-    return render_report(evaluation, record([example(controllers_of(evaluation))])).html
+    return render_report(evaluation, record([example(evaluation.controllers)])).html
 
 
 @pytest.fixture(scope="module")
@@ -184,7 +186,7 @@ def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
 
     matplotlib.rcParams["xtick.direction"] = "in"  # a user's own settings
     try:
-        write_report(tmp_path / "deep" / "report.html", evaluation, record([example(controllers_of(evaluation))]))
+        write_report(tmp_path / "deep" / "report.html", evaluation, record([example(evaluation.controllers)]))
         assert matplotlib.rcParams["xtick.direction"] == "in"
     finally:
         matplotlib.rcdefaults()
@@ -227,11 +229,11 @@ def test_tables_hold_all_numbers(evaluation, tmp_path):
 
 
 def leads(evaluation):
-    return [item.lead.replace("\u00a0", " ") for item in findings(evaluation)]
+    return [item.lead.replace("\u00a0", " ") for item in findings_of(content_of(evaluation))]
 
 
 def texts(evaluation):
-    return [item.text.replace("\u00a0", " ") for item in findings(evaluation)]
+    return [item.text.replace("\u00a0", " ") for item in findings_of(content_of(evaluation))]
 
 
 def with_errors(evaluation, factor):
@@ -322,13 +324,15 @@ def test_whether_leaks_are_noticed(evaluation):
 
 
 def test_failures_and_few_plants_are_said(evaluation):
-    assert failures(evaluation) == "No run failed (end stop or pressure limit)."
+    assert failed_runs(content_of(evaluation)) == "No run failed (end stop or pressure limit)."
     cases = evaluation.cases.copy()
     cases.loc[[0, 1], "failed"] = 1.0
-    assert failures(replace(evaluation, cases=cases)).endswith(f"2 of 12 under PID and 0 of 12 under {ODD_NAME}.")
+    assert failed_runs(content_of(replace(evaluation, cases=cases))).endswith(
+        f"2 of 12 under PID and 0 of 12 under {ODD_NAME}."
+    )
     many = pd.concat([cases.assign(plant=cases["plant"] + 3 * i) for i in range(8)])
-    assert caution(replace(evaluation, cases=many)) == ""
-    assert "3 plants" in caution(evaluation)
+    assert caution(content_of(replace(evaluation, cases=many))) == ""
+    assert "3 plants" in caution(content_of(evaluation))
 
 
 def test_numbers_as_a_person_writes_them():
@@ -409,13 +413,13 @@ def test_bounds_come_from_the_task():
 
 
 def test_a_policy_that_corrects_is_called_so(evaluation):
-    names = controllers_of(evaluation)
+    names = evaluation.controllers
     corrects = replace(record([example(names)]), corrects={ODD_NAME: "PID", "absent": "PID"})
     text = Page(render_report(evaluation, corrects).html).text.replace("\u00a0", " ")
     assert f"{ODD_NAME} on PID is a policy that adds a correction to the command of PID." in text
     assert "absent" not in text
     assert not re.search(re.escape(ODD_NAME) + "(?! on PID)", text)
-    assert controllers_of(evaluation) == names  # the tables keep their names
+    assert evaluation.controllers == names  # the tables keep their names
 
 
 def test_the_preview_is_marked_beside_a_step():
@@ -503,7 +507,7 @@ def test_a_correction_is_named_after_what_it_corrects():
 @pytest.fixture(scope="module")
 def written(evaluation, tmp_path_factory):
     path = tmp_path_factory.mktemp("report") / "report.html"
-    names = controllers_of(evaluation)
+    names = evaluation.controllers
     examples = [replace(example(names), leak=leak, preview=0.04) for leak in (0.01, 4.0)]
     price = leak_price(CONFIG, (0.01, 4.0))
     write_report(path, evaluation, replace(record(examples), leak_price=price, corrects={ODD_NAME: "PID"}))
@@ -516,17 +520,17 @@ def test_nothing_is_cut_off_in_a_browser(browser, written):
 
 def test_the_slider_shows_one_leak_at_a_time(browser, written):
     with open_page(browser, written) as page:
-        shown = page.locator(".level >> visible=true")
-        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "0.01"]
+        shown = page.locator(".chosen >> visible=true")
+        assert [shown.count(), shown.first.get_attribute("data-value")] == [1, "0.01"]
         page.locator(".slider input").fill("1")
-        assert [shown.count(), shown.first.get_attribute("data-leak")] == [1, "4"]
+        assert [shown.count(), shown.first.get_attribute("data-value")] == [1, "4"]
         assert page.locator(".slider output").text_content() == "4"
         assert "With any controller" in shown.first.text_content()
 
 
 def test_without_scripts_every_leak_is_shown(browser, written):
     with open_page(browser, written, java_script_enabled=False) as page:
-        assert page.locator(".level >> visible=true").count() == 2
+        assert page.locator(".chosen >> visible=true").count() == 2
         assert not page.locator(".slider").is_visible()
 
 

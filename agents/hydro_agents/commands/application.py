@@ -10,7 +10,6 @@ import signal
 import sys
 import textwrap
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -19,6 +18,7 @@ from typer.core import TyperGroup
 from hydro_agents.commands.alarms import alarms
 from hydro_agents.commands.bound import bound
 from hydro_agents.commands.check_rig import check_rig
+from hydro_agents.commands.checkout import benchmark, reproduce
 from hydro_agents.commands.diagnose import diagnose
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.export import export
@@ -27,7 +27,6 @@ from hydro_agents.commands.ladder import ladder
 from hydro_agents.commands.leak_bound import leak_bound
 from hydro_agents.commands.move_design import design_test_move
 from hydro_agents.commands.new_rig import new_rig
-from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from hydro_agents.commands.record import record
 from hydro_agents.commands.render import render
 from hydro_agents.commands.simulate import simulate
@@ -80,43 +79,6 @@ def common(
 ) -> None:
     """Options of all commands."""
     del version
-
-
-def reproduce(output: Output = Path("results/reproduce"), rig: Rig = None, overwrite: Overwrite = False) -> None:
-    """Compute the paper's figures again, and further figures that the paper does not show: one or a few minutes.
-
-    Writes each figure as a picture (PNG and SVG) and as numbers (CSV), and one self-contained `page.html`, which
-    compares each figure with the paper and shows which conclusions do not hold. With `--rig` it does the same for your
-    own rig; the page says which figures do not apply to that rig, and why.
-    """
-    from hydro_agents.commands.reproduce import reproduce_to_folder
-
-    say(reproduce_to_folder(output, overwrite, command_line(), rig))
-
-
-def benchmark(
-    output: Output = Path("results/benchmark"),
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--only",
-            help="Group to measure (repeat the option for several): kernel, single, vector, cost, solvers, accuracy, "
-            "training, beating, memory, start, inference, profile. Default: all.",
-        ),
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer sizes and shorter runs, for a trial.")] = False,
-    resume: Resume = False,
-    overwrite: Overwrite = False,
-) -> None:
-    """Measure speed, memory and start-up on this machine, beside other environments and solvers.
-
-    Writes one table as `benchmark.md` and `benchmark.csv`; every figure is the median of several runs. It takes long, a
-    few minutes with `--quick`; each group shows the time that it still needs. Ctrl-C keeps the finished measurements;
-    `--resume` continues.
-    """
-    from hydro_agents.commands.benchmark import benchmark_to_folder
-
-    say(*benchmark_to_folder(output, only or [], quick, resume, overwrite, command_line()))
 
 
 GROUPS: dict[str, dict[str, Callable[..., None]]] = {

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
-from hydro_agents.controllers.jumps import Jumps, braked
 from hydro_agents.controllers.motion_filter import FLOW_GAIN, LEAK, OFFSET, POSITION, MotionFilter
-from hydro_agents.controllers.preview import Preview, path_weights
+from hydro_agents.controllers.preview import Jumps, Preview, braked, path_weights
 from hydro_env import TaskConfig
 from hydro_env.files import Group
 from hydro_env.plant.analysis import closed_port_natural_frequency, speed_limits

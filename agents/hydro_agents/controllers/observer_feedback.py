@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from hydro_agents.controllers.flow_model import Flow, FlowModel
-from hydro_agents.controllers.jumps import Jumps, braked
-from hydro_agents.controllers.preview import Preview
+from hydro_agents.controllers.preview import Jumps, Preview, braked
 from hydro_agents.controllers.sampled_loop import zero_order_hold
 from hydro_env import TaskConfig, linearise
 from hydro_env.files import Group
@@ -155,7 +154,7 @@ class ObserverFeedback:
         Args:
             estimate: (N, n).
             error: position minus reference, m, (N,), reduced by the braking law
-                (:func:`~hydro_agents.controllers.jumps.braked`).
+                (:func:`~hydro_agents.controllers.preview.braked`).
             command: speed command of the last period, m/s, (N,).
             steps: changes of the reference from one period to the next, m, (N, horizon + 1), without jumps; the first
                 one ends now.

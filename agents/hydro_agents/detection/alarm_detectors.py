@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.estimation.following import Follower
-from hydro_agents.estimation.names import LEAKAGE
+from hydro_agents.estimation.unknowns import LEAKAGE
 from hydro_env import TaskConfig
 
 Floats = NDArray[np.float64]

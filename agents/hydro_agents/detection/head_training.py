@@ -27,9 +27,8 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.head_calibration import COVERAGE, calibrated, size_target
-from hydro_agents.running.optimiser import optimiser_tensors, restore_optimiser
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
-from hydro_agents.running.weights import load_checkpoint, require, save_checkpoint
+from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.configuration import LEAKAGE_LIMIT

@@ -25,8 +25,7 @@ from hydro_agents.detection.detectors import (
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
 from hydro_agents.estimation.estimate import Estimate, estimate
-from hydro_agents.estimation.names import EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
-from hydro_agents.estimation.unknowns import default_unknowns, priors_of
+from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, default_unknowns, priors_of
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
@@ -91,7 +90,7 @@ class EstimatorReader:
 
     Args:
         changes: of the task that gives unknowns and priors.
-        unknowns: additional names (:mod:`hydro_agents.estimation.names`).
+        unknowns: additional names (:mod:`hydro_agents.estimation.unknowns`).
     """
 
     threshold: float | None = None

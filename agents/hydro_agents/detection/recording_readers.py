@@ -16,9 +16,14 @@ from numpy.typing import NDArray
 from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.estimation.estimate import Estimate, estimate
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
-from hydro_agents.estimation.priors import Prior
-from hydro_agents.estimation.unknowns import default_unknowns
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    Prior,
+    default_unknowns,
+)
 from hydro_agents.rigs.diagnosis_windows import Windows
 from hydro_agents.rigs.verdict import HALF_WIDTH, NO_COMMANDS, Reading
 from hydro_agents.running.text import number

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.estimation.first_guess import first_values
-from hydro_agents.estimation.goodness import misfit_of
 from hydro_agents.estimation.model import SHORT_STEP, Model
-from hydro_agents.estimation.names import STARTS
-from hydro_agents.estimation.priors import Prior
-from hydro_agents.estimation.solver import Belief, fit, masked, prior_belief
-from hydro_agents.estimation.unknowns import priors_of
+from hydro_agents.estimation.solver import Belief, fit, masked, misfit_of, prior_belief
+from hydro_agents.estimation.unknowns import STARTS, Prior, priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import SENSORS
@@ -64,7 +61,7 @@ class EstimationSettings(Group):
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimates of B windows with P unknowns; values in the units of :mod:`hydro_agents.estimation.names`.
+    """Estimates of B windows with P unknowns; values in the units of :mod:`hydro_agents.estimation.unknowns`.
 
     ``deviations`` and ``covariance`` are valid where ``holds`` is true. Elsewhere the model does not explain the
     readings, or the search ended in a local minimum; the values are then unreliable.
@@ -143,7 +140,7 @@ def estimate(
         signals: (B, 5, T) or (5, T), SI: position (m), pressures a and b (Pa), spool position, command. Column k holds
             the readings of sample k and the command that acts until one latency after sample k. NaN: no reading.
         config: the task: the rig, its ranges, its sensors.
-        unknowns: names (:mod:`hydro_agents.estimation.names`); ``None``: all that an episode draws, and the start.
+        unknowns: names (:mod:`hydro_agents.estimation.unknowns`); ``None``: all that an episode draws, and the start.
         priors: priors that replace those of the task, by name.
         durations: from each sample to the next, (T − 1,) or (B, T − 1), s; ``None``: the control period.
         physical: known parameters of each window, (B, parameters); ``None``: those of the task's plant.

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.names import STARTS
-from hydro_agents.estimation.priors import Prior
+from hydro_agents.estimation.unknowns import STARTS, Prior
 from hydro_env import TaskConfig
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.sensors import SENSORS

@@ -18,10 +18,8 @@ from hydro_agents.estimation.estimate import (
 )
 from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import LONG_STEP, Model
-from hydro_agents.estimation.names import STARTS
-from hydro_agents.estimation.priors import Prior
 from hydro_agents.estimation.solver import Belief, prior_belief
-from hydro_agents.estimation.unknowns import priors_of
+from hydro_agents.estimation.unknowns import STARTS, Prior, priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.states import N_STATES, STATE_NAMES, STATES
 

@@ -1,8 +1,8 @@
-"""Windows of simulated axes: the signals that a rig measures, and the hidden true values."""
+"""Windows of simulated axes: the signals that a rig measures, the hidden true values, and motions to compare."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    GAINS,
+    LATENCY,
+    LEAKAGE,
+    STARTS,
+)
 from hydro_agents.running.cases import Cases, TrueStateController, run_cases
 from hydro_agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
@@ -22,6 +30,12 @@ from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
+
+SLOWER = 16.0
+"""Factor by which slow motion is slower."""
+
+SMALLEST_STEP = 1e-6
+"""m; steps of this size count as rest."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +61,7 @@ class KnownWindows:
         return KnownWindows(**{name: values[first:last] for name, values in vars(self).items()})
 
     def value(self, name: str) -> Array:
-        """True values (B,) of an unknown of :mod:`hydro_agents.estimation.names`, in its unit."""
+        """True values (B,) of an unknown of :mod:`hydro_agents.estimation.unknowns`, in its unit."""
         if name == LEAKAGE:
             return self.leakage_flow_lpm
         if name == EXTERNAL_LEAKAGE:
@@ -156,3 +170,33 @@ def leak_cases(seeds: range, count: int, leakage_flow_lpm: float, faults: Mappin
     levels = np.full(count, leakage_flow_lpm)
     every = {name: np.full(count, size) for name, size in (faults or {}).items()}
     return Cases(np.array(seeds[:count], dtype=np.int64), levels, faults=every or None)
+
+
+def slow(config: TaskConfig) -> TaskConfig:
+    """The task with smooth references that are 16 times slower."""
+    references = config.references
+    weights = {name: weight for name, weight in references.weights.items() if name not in ("step", "user")}
+    if not sum(weights.values()) > 0.0:
+        weights = {"point_to_point": 1.0}
+    return task_config(
+        config,
+        references={
+            "weights": weights,
+            "speed_share": references.speed_share / SLOWER,
+            "acceleration_limit": max(references.acceleration_limit / SLOWER**2, 0.01),
+            "frequency_range": tuple(one / SLOWER for one in references.frequency_range),
+        },
+    )
+
+
+def at_rest(config: TaskConfig) -> TaskConfig:
+    """The task with constant references at the start of each episode."""
+    return task_config(config, references={"weights": {"step": 1.0}, "step_range": (SMALLEST_STEP, SMALLEST_STEP)})
+
+
+MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
+    "ordinary motion": lambda config: config,
+    "slow motion": slow,
+    "at rest": at_rest,
+}
+"""The task of each motion."""

@@ -8,9 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, GAINS, LATENCY, LEAKAGE, STARTS
-from hydro_agents.estimation.priors import Prior
 from hydro_agents.estimation.replay import Commands, replay
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    GAINS,
+    LATENCY,
+    LEAKAGE,
+    STARTS,
+    Prior,
+)
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
 from hydro_env.plant.states import N_STATES, State

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.estimation.information import information, sigma
+from hydro_agents.estimation.information import WORN_VALVE, information, sigma, unknown_sets
 from hydro_agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.tasks import own_reference
 from hydro_env import ConfigurationError, TaskConfig

@@ -1,23 +1,94 @@
-"""The default unknowns of an estimate, and their priors."""
+"""The unknowns of an estimate: their names, those that are estimated by default, and their priors.
+
+Names: ``leakage_flow_lpm`` and ``external_leakage_flow_lpm`` (l/min at 100 bar), the path of any number of the plant
+(``valve.rated_flow``), ``command_latency`` (s), ``start.`` and a state (``start.velocity``), a sensor and ``_bias``
+(its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
+
+Priors: the ranges of the task become normal distributions with the same mean and variance; that of a positive quantity
+is log-normal.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from hydro_agents.estimation.names import (
-    BIASES,
-    EXTERNAL_LEAKAGE,
-    EXTERNAL_RESISTANCE,
-    LATENCY,
-    LEAKAGE,
-)
-from hydro_agents.estimation.priors import Prior, prior_of
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
+from hydro_env.plant.states import STATE_NAMES, STATES
+from hydro_env.task.faults import SIGNED_KINDS
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
+from hydro_env.task.sensors import SENSORS
+from hydro_env.units import flow_from_resistance
+
+LEAKAGE, EXTERNAL_LEAKAGE, LATENCY = "leakage_flow_lpm", "external_leakage_flow_lpm", "command_latency"
+BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
+GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
+STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
+EXTERNAL_RESISTANCE = "leakage.external_resistance"
+
+PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
+"""Parameters of the plant; the leaks have their own names."""
+
+NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, *BIASES, *GAINS, *STARTS, *PATHS)
+"""All possible names of unknowns."""
+
 
 START = tuple(
     f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 """Start states of every window."""
+
+_SHARE_UNKNOWN = 0.1
+"""Relative standard deviation of a parameter that the task does not draw."""
+
+_NOT_DRAWN = {
+    "valve.null_shift": 0.01,
+    "load.external_force": 200.0,
+    "supply.tank_pressure": 1e5,
+    EXTERNAL_LEAKAGE: 0.1,
+}
+"""Standard deviation of unknowns that the task does not draw and that may be 0, in the unknown's unit."""
+
+_FAULT_OF = {
+    "valve.null_shift": "valve_null_shift",
+    "valve.underlap": "valve_underlap",
+    "valve.rated_flow": "valve_flow",
+    "supply.tank_pressure": "tank_pressure",
+    EXTERNAL_LEAKAGE: "external_leak",
+    **dict.fromkeys(BIASES, "sensor_offset"),
+    **dict.fromkeys(GAINS, "sensor_gain"),
+}
+"""Kind of fault that changes an unknown."""
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of an unknown: a normal distribution of its value or of its logarithm."""
+
+    mean: float  # in the unknown's unit; the median if logarithmic
+    deviation: float  # standard deviation, in the unknown's unit; of the natural logarithm if logarithmic
+    logarithmic: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mean) and 0.0 < self.deviation < math.inf):
+            raise ConfigurationError(
+                f"prior: mean = {self.mean:g}, deviation = {self.deviation:g}: must be finite, the deviation above 0"
+            )
+        if self.logarithmic and self.mean <= 0.0:
+            raise ConfigurationError(f"prior: mean = {self.mean:g}: must be above 0 for a logarithmic prior")
+
+
+def starts_of(config: TaskConfig) -> list[str]:
+    """Names of the unknown start states of a window."""
+    start = [*START]
+    if config.plant.supply.model != "constant":
+        start.append("start.supply_pressure")
+    if config.plant.friction.model == "lugre":
+        start.append("start.bristle_deflection")
+    return start
 
 
 def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
@@ -30,9 +101,7 @@ def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
         "load.external_force": config.disturbance.kind != "none" or config.disturbance.steady_share[1] > 0.0,
         LATENCY: config.command_latency_range is not None,
         **dict.fromkeys(BIASES, config.sensors.enabled),
-        **dict.fromkeys(START, True),
-        "start.supply_pressure": config.plant.supply.model != "constant",
-        "start.bristle_deflection": config.plant.friction.model == "lugre",
+        **dict.fromkeys(starts_of(config), True),
     }
     plant = [path for path in drawn if path != EXTERNAL_RESISTANCE]
     return (LEAKAGE, *plant, *(name for name, included in others.items() if included and name not in plant))
@@ -55,3 +124,131 @@ def priors_of(
             raise ConfigurationError(f"priors: '{name}' is not among the unknowns")
     own = priors or {}
     return {name: own[name] if name in own else prior_of(config, name) for name in names}
+
+
+class _Moments(NamedTuple):
+    """Mean and variance of a quantity."""
+
+    mean: float
+    variance: float
+
+
+def prior_of(config: TaskConfig, name: str) -> Prior:
+    """The prior of an unknown from the task: ranges of plants, leak and faults, biases of sensors.
+
+    Raises:
+        ConfigurationError: no unknown has this name.
+    """
+    if name == LEAKAGE:
+        return Prior(0.0, 0.5 * config.leakage.faulty_range[1])
+    if name == LATENCY:
+        latency = _range(*(config.command_latency_range or (config.command_latency,) * 2))
+        return Prior(latency.mean, max(math.sqrt(latency.variance), 0.05e-3))
+    if name in STARTS:
+        return _start(config, name.removeprefix("start."))
+    if name in BIASES:
+        sensor = getattr(config.sensors, SENSORS[BIASES.index(name)])
+        bias = _with_fault(config, name, _range(-sensor.bias, sensor.bias), sensor.high - sensor.low)
+        return Prior(bias.mean, max(math.sqrt(bias.variance), 1e-9 * (sensor.high - sensor.low)))
+    if name in GAINS:
+        gain = _with_fault(config, name, _Moments(1.0, 0.01**2), 1.0)
+        return Prior(gain.mean, math.sqrt(gain.variance))
+    if name == EXTERNAL_LEAKAGE or name in PATHS:
+        moments = _of_plant(config, name)
+        if moments.mean > 0.0 and _stays_positive(config, name):
+            spread = math.log1p(moments.variance / moments.mean**2)
+            return Prior(moments.mean * math.exp(-0.5 * spread), math.sqrt(spread), True)
+        return Prior(moments.mean, math.sqrt(moments.variance))
+    raise ConfigurationError(
+        f"unknowns: '{name}': unknown name; known: {LEAKAGE}, {EXTERNAL_LEAKAGE}, {LATENCY}, paths of the plant, "
+        "start.<state>, <sensor>_bias and <sensor>_gain"
+    )
+
+
+def _of_plant(config: TaskConfig, name: str) -> _Moments:
+    """Mean and variance of a parameter of the plant, or of the external leak in l/min at 100 bar."""
+    path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+    own = own_value(config.plant, path)
+    drawn = config.randomisation.get(path)
+    value = flow_from_resistance(own) if name == EXTERNAL_LEAKAGE else own
+    if not math.isfinite(value):
+        raise ConfigurationError(
+            f"unknowns: '{name}' is infinite on this rig: give a prior, or a finite value in the rig file"
+        )
+    if drawn is None:
+        result = _Moments(value, _NOT_DRAWN.get(name, max(abs(value) * _SHARE_UNKNOWN, 1e-9)) ** 2)
+    else:
+        low, high = drawn.bounds(own)
+        otherwise = drawn.otherwise
+        if name == EXTERNAL_LEAKAGE:
+            low, high = flow_from_resistance(high), flow_from_resistance(low)
+            otherwise = None if otherwise is None else flow_from_resistance(otherwise)
+        result = _range(low, high, drawn.logarithmic)
+        if drawn.times is not None:
+            result = _product(result, _of_plant(config, drawn.times))
+        if otherwise is not None:
+            result = _mixture(drawn.otherwise_probability, _Moments(otherwise, 0.0), result)
+        # An unknown needs a range, even if the task draws a single value.
+        result = _Moments(result.mean, max(result.variance, (1e-4 * result.mean) ** 2, 1e-18))
+    return _with_fault(config, name, result, value if name == "valve.rated_flow" else 1.0)
+
+
+def _stays_positive(config: TaskConfig, name: str) -> bool:
+    drawn = config.randomisation.get(name)
+    return name not in _NOT_DRAWN and (drawn is None or drawn.otherwise is None)
+
+
+def _with_fault(config: TaskConfig, name: str, healthy: _Moments, unit: float) -> _Moments:
+    """Moments of a quantity including the task's fault of this kind, if any; ``unit``: effect of a magnitude of 1."""
+    kind = _FAULT_OF.get(name)
+    fault = getattr(config.faults, kind) if kind is not None else None
+    if kind is None or fault is None or fault.probability == 0.0:
+        return healthy
+    sensors = getattr(fault, "sensors", None)
+    share = fault.probability
+    if sensors is not None:
+        share *= (name.rpartition("_")[0] in sensors) / len(sensors)
+    size = _range(*fault.range)
+    if kind in SIGNED_KINDS:
+        size = _Moments(0.0, size.variance + size.mean**2)
+    added = _mixture(share, _Moments(unit * size.mean, unit**2 * size.variance), _Moments(0.0, 0.0))
+    return _Moments(healthy.mean + added.mean, healthy.variance + added.variance)
+
+
+def _range(low: float, high: float, logarithmic: bool = False) -> _Moments:
+    """Moments of a uniform or log-uniform distribution."""
+    if high == low:
+        return _Moments(low, 0.0)
+    if not logarithmic:
+        return _Moments(0.5 * (low + high), (high - low) ** 2 / 12.0)
+    span = math.log(high / low)
+    mean = (high - low) / span
+    return _Moments(mean, 0.5 * (high**2 - low**2) / span - mean**2)
+
+
+def _product(a: _Moments, b: _Moments) -> _Moments:
+    """Moments of the product of independent quantities."""
+    return _Moments(a.mean * b.mean, a.mean**2 * b.variance + b.mean**2 * a.variance + a.variance * b.variance)
+
+
+def _mixture(share: float, first: _Moments, second: _Moments) -> _Moments:
+    """Moments of a mixture: the first with probability ``share``, else the second."""
+    mean = share * first.mean + (1.0 - share) * second.mean
+    parts = ((share, first), (1.0 - share, second))
+    return _Moments(mean, sum(part * (m.variance + (m.mean - mean) ** 2) for part, m in parts))
+
+
+def _start(config: TaskConfig, state: str) -> Prior:
+    """A wide prior over the range of a state on the rig; the search begins at the measured value, if there is one."""
+    plant = config.plant
+    pressure = plant.supply.pressure
+    known = {
+        "position": Prior(0.0, 0.3 * plant.cylinder.stroke),
+        "velocity": Prior(0.0, 0.5),
+        "pressure_a": Prior(0.5 * pressure, 0.3 * pressure),
+        "pressure_b": Prior(0.5 * pressure, 0.3 * pressure),
+        "spool_position": Prior(0.0, 0.3),
+        "spool_velocity": Prior(0.0, 5.0),
+        "supply_pressure": Prior(pressure, 0.2 * pressure),
+    }
+    return known.get(state, Prior(0.0, STATES[state].typical))

@@ -16,8 +16,7 @@ from typing import Annotated, Any, Generic, Self, TypeVar
 from pydantic import Field, StringConstraints, model_validator
 
 from hydro_agents.evaluation.parts import PARTS
-from hydro_agents.running.settings_files import read_task
-from hydro_agents.running.surroundings import Surroundings
+from hydro_agents.running.tasks import Surroundings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file

@@ -10,10 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.estimation.information import Information, information, sigma
-from hydro_agents.estimation.known_windows import known_windows, leak_cases
-from hydro_agents.estimation.motions import MOTIONS
-from hydro_agents.estimation.unknown_sets import TASK, UnknownSets, unknown_sets
+from hydro_agents.estimation.information import TASK, Information, UnknownSets, information, sigma, unknown_sets
+from hydro_agents.estimation.known_windows import MOTIONS, known_windows, leak_cases
 from hydro_agents.running.seeds import EVALUATION
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 
-from hydro_agents.estimation.motions import MOTIONS
-from hydro_agents.estimation.unknown_sets import TASK
+from hydro_agents.estimation.information import TASK
+from hydro_agents.estimation.known_windows import MOTIONS
 from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
 from hydro_agents.report.canvas import COLOURS, WIDE, looks_of, render, row_axis, ticks

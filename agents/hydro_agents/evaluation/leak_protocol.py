@@ -16,8 +16,7 @@ from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
-from hydro_agents.running.settings_files import read_task
-from hydro_agents.running.surroundings import Surroundings
+from hydro_agents.running.tasks import Surroundings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file

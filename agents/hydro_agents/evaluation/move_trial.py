@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.estimation.estimate import estimate
-from hydro_agents.estimation.information import information, ratios_to_bound, sigma
-from hydro_agents.estimation.known_windows import KnownWindows, known_windows, leak_cases
-from hydro_agents.estimation.motions import MOTIONS
+from hydro_agents.estimation.information import WORN_VALVE, information, ratios_to_bound, sigma, unknown_sets
+from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows, known_windows, leak_cases
 from hydro_agents.estimation.move_design import Design, Move, moved
-from hydro_agents.estimation.names import LEAKAGE
-from hydro_agents.estimation.unknown_sets import WORN_VALVE, unknown_sets
+from hydro_agents.estimation.unknowns import LEAKAGE
 from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_tables import decades
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis

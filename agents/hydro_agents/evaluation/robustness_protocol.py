@@ -14,8 +14,7 @@ from hydro_agents.evaluation.paired_cases import PairedProtocol, check_grid, pai
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
-from hydro_agents.running.settings_files import read_settings
-from hydro_agents.running.surroundings import Factor
+from hydro_agents.running.tasks import Factor, read_settings
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, validate
 from hydro_env.folders import config_file

@@ -13,8 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.gains_file import gain_rows
-from hydro_agents.controllers.registry import CONTROLLERS
+from hydro_agents.controllers.registry import CONTROLLERS, gain_rows
 from hydro_agents.export.c_files import compared, csv_text, render
 from hydro_agents.export.c_writer import C_TYPES
 from hydro_agents.export.controller import ControllerGraph, controller_code, controller_graph, controller_model

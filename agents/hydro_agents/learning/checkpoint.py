@@ -24,8 +24,14 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from hydro_agents.learning.progress import Progress
 from hydro_agents.learning.settings import PPOSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
-from hydro_agents.running.optimiser import optimiser_tensors, restore_optimiser
-from hydro_agents.running.weights import Tensors, load_checkpoint, require, save_checkpoint
+from hydro_agents.running.weights import (
+    Tensors,
+    load_checkpoint,
+    optimiser_tensors,
+    require,
+    restore_optimiser,
+    save_checkpoint,
+)
 from hydro_env import ConfigurationError
 
 CHECKPOINT_FILE = "checkpoint.safetensors"

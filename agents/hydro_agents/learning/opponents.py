@@ -6,8 +6,7 @@ import re
 from pathlib import Path
 
 from hydro_agents.controllers.base import Controller, ObservationLayout, check_layout
-from hydro_agents.controllers.gains_file import GAINS_FILE, controller_from_gains
-from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, controller_from_gains, imported, make_controller
 from hydro_agents.learning.trainers import TRAINERS, Trainer
 from hydro_agents.running.cases import check_predict
 from hydro_agents.running.folders import config_folder, pretrained_folder

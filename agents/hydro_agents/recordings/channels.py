@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.recordings.columns import COMMAND, MEASURED
+from hydro_agents.recordings.columns import COMMAND, MEASURED, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_agents.recordings.sampling import Sampled
-from hydro_agents.recordings.units import UNITS
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import Sensor
 

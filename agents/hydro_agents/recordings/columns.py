@@ -1,4 +1,4 @@
-"""The signal of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
+"""Signal and unit of each column of a file: from the names that ``hydro record`` writes, or from a map file."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from hydro_agents.recordings.units import UNITS, factor
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.task.sensors import SENSORS
-from hydro_env.units import Number
+from hydro_env.units import FULL_VOLTAGE, Number, unit_factor
+from hydro_env.units import UNITS as QUANTITIES
 
 MEASURED = (*SENSORS, "command")
 """Names of the signals in a file, in the order of a window's rows."""
@@ -24,6 +24,38 @@ ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""
 
 _HEADING = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
+
+_PARTS = {"V": 1.0 / FULL_VOLTAGE, "%": 1e-2, "1": 1.0, "-": 1.0, "mV": 1e-3 / FULL_VOLTAGE}
+
+UNITS: dict[str, dict[str, float]] = {
+    "time": QUANTITIES["s"],
+    "position": QUANTITIES["m"],
+    "pressure_a": QUANTITIES["Pa"],
+    "pressure_b": QUANTITIES["Pa"],
+    "spool_position": _PARTS,
+    "command": _PARTS,
+}
+"""SI units per unit, by signal; command and spool are fractions of full scale. Pressures are gauge pressures.
+
+The usual units come first.
+"""
+
+
+def factor(signal: str, unit: str, place: str) -> float:
+    """SI units per ``unit`` of a signal.
+
+    Args:
+        signal: a key of :data:`UNITS`.
+        unit: one of its units; ``μ`` (Greek) and ``µ`` (micro) are the same.
+        place: for the message.
+
+    Raises:
+        ConfigurationError: the signal is not measured in this unit.
+    """
+    try:
+        return unit_factor(unit, UNITS[signal])
+    except ValueError as error:
+        raise ConfigurationError(f"{place}: {error}") from None
 
 
 class Column(Group):

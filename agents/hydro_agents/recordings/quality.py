@@ -1,17 +1,65 @@
-"""All checks of a recording, before any verdict."""
+"""All checks of a recording, before any verdict: single channels, then spool, command, pressures and motion together.
+
+Two balances, valid for every rig of this kind, reveal a wrong sign, exchanged chambers and a wrong unit:
+
+* flow (12), (13): oil through the valve = piston area x speed + compression. Its slope is near 1 if the units are
+  correct, and positive if spool and position have the same direction.
+* force (14): A_a p_a − A_b p_b = M a + d v + F_c sign(v) + k x + F_0 with M, d, F_c, k not negative. Exchanged chambers
+  or a reversed position do not satisfy it.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from hydro_agents.recordings.channels import check_channels
+from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.recording import Recording
 from hydro_agents.recordings.sampling import Sampled, sampled
-from hydro_agents.recordings.wiring import check_wiring
-from hydro_env import TaskConfig
+from hydro_env import TaskConfig, simulate
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.plant.parts.chambers import chamber_volumes
+from hydro_env.plant.parts.valve import edge_flows
+from hydro_env.plant.simulate import LONGEST_PERIOD
+from hydro_env.plant.states import State
+from hydro_env.units import FULL_VOLTAGE
+
+Floats = NDArray[np.float64]
+
+POSITION, PRESSURE_A, PRESSURE_B, SPOOL = range(4)
+
+INTERVAL = 0.02
+"""s, approximate averaging time; it makes the noise of the position sensor small compared with the motion."""
+
+MOST_SAMPLES = 4000
+"""Largest number of samples; more add no information. From a longer recording, the part with the most travel is
+used."""
+
+FEWEST_SAMPLES = 100
+
+LEAST_TRAVEL = 20.0
+"""Smallest useful travel, in standard deviations of the position's noise."""
+
+LEAST_SHARE = 0.05
+"""Smallest travel, as a share of the travel from the valve's flow."""
+
+FITS, FAILS = 0.6, 0.75
+"""Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.
+
+On the three shipped rigs it is 0 to 0.6, and 0.6 to 1.0 with exchanged chambers or a reversed position.
+"""
+
+SLOPES = (0.15, 6.0)
+"""Valid range of the slopes of the flow balance and of spool against command, including wear and noise."""
+
+LEAST_RESPONSE = 0.2
+"""Smallest share of a new command that the spool follows by the next sample, to identify the row of the command."""
 
 
 class Checked(NamedTuple):
@@ -47,3 +95,163 @@ def check_recording(recording: Recording, config: TaskConfig) -> Checked:
     if not checked.severe and not checked.faults:
         findings += check_wiring(samples, config)
     return Checked(samples, findings)
+
+
+class Balance(NamedTuple):
+    """Fit of a recording to the two balances."""
+
+    force_rest: float  # unexplained share of the force, 0 to 1
+    slope: float  # of the flow balance of chamber a
+    travel: float  # m
+    expected_travel: float  # m, by the flow through the valve
+
+
+def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
+    """Find wrong signs, exchanged chambers, wrong units and a command in the wrong row; needs motion."""
+    whole = np.all(np.isfinite(samples.signals), axis=0)
+    if whole.sum() < FEWEST_SAMPLES:
+        return []
+    signals = _liveliest(samples.signals[:, _longest_stretch(samples.place, whole)])
+    if signals.shape[1] < FEWEST_SAMPLES:
+        return []
+    findings = _spool_and_command(signals, config)
+    if any(finding.weight is Weight.SEVERE for finding in findings):
+        return findings
+    given = balance(signals, config)
+    if max(given.travel, given.expected_travel) < LEAST_TRAVEL * config.sensors.position.noise:
+        return findings
+    if given.force_rest < FAILS and SLOPES[0] <= given.slope <= SLOPES[1]:
+        return findings
+    ratio = given.travel / max(given.expected_travel, 1e-300)
+    if ratio < LEAST_SHARE or (given.slope > 0.0 and not SLOPES[0] <= given.slope <= SLOPES[1]):
+        what = f"moves {ratio:.2g} times as far as the valve's flow moves the piston; check its unit and the rig"
+        return [*findings, Finding("position", what, Weight.SEVERE)]
+    changes = _change_that_helps(signals, config)
+    if changes:
+        what = f"contradict each other; they would fit with {changes}"
+        return [*findings, Finding("pressures, spool and motion", what, Weight.SEVERE)]
+    if given.slope < 0.0:
+        return [*findings, Finding("position", "moves against the valve's flow; check the signs", Weight.SEVERE)]
+    what = f"do not fit the motion: {100 * given.force_rest:.0f} % of the force is unexplained"
+    return [*findings, Finding("pressures", what, Weight.NOTE)]
+
+
+def balance(signals: Floats, config: TaskConfig) -> Balance:
+    """Fit of signals (5, T) without gaps to the two balances of the nominal rig."""
+    c = plant_coefficients(config.plant)
+    step = max(round(INTERVAL / config.control_period), 1)
+    time = step * config.control_period
+    position, pressure_a, pressure_b, _ = (_means(signals[row], step) for row in range(4))
+    force = c.area_a * pressure_a - c.area_b * pressure_b
+    speed = (position[2:] - position[:-2]) / (2.0 * time)
+    acceleration = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / time**2
+    slow = 0.02 * max(float(np.abs(speed).max()), 1e-9)
+    causes = np.column_stack([acceleration, speed, np.tanh(speed / slow), position[1:-1]])
+    causes -= causes.mean(axis=0)
+    wanted = force[1:-1] - force[1:-1].mean()
+    scale = causes.std(axis=0) + 1e-300
+    _, rest = nnls(causes / scale, wanted)
+    force_rest = float(rest**2 / max(float(wanted @ wanted), 1e-300))
+
+    flow = _means(_flow_into_a(signals, config, c), step)[1:-1]
+    volume = chamber_volumes(position[1:-1], c)[0]
+    stored = volume / c.bulk_modulus * (pressure_a[2:] - pressure_a[:-2]) / (2.0 * time)
+    needed = c.area_a * speed + stored
+    covariance = np.cov(needed, flow)
+    travel = float(np.ptp(np.quantile(position, [0.01, 0.99])))
+    expected = float(np.ptp(np.cumsum(flow - flow.mean()))) * time / c.area_a
+    return Balance(force_rest, float(covariance[0, 1] / max(covariance[1, 1], 1e-300)), travel, expected)
+
+
+def _flow_into_a(signals: Floats, config: TaskConfig, c: Any) -> Floats:
+    """Flow of the nominal valve into chamber a, m³/s, (T,)."""
+    flow = np.empty(signals.shape[1])
+    rest = State(*[0.0] * len(State._fields))._replace(supply_pressure=config.plant.supply.pressure)
+    for k, (pressure_a, pressure_b, spool) in enumerate(signals[PRESSURE_A : SPOOL + 1].T.tolist()):
+        edges = edge_flows(rest._replace(pressure_a=pressure_a, pressure_b=pressure_b, spool_position=spool), c)
+        flow[k] = edges.supply_to_a - edges.a_to_tank
+    return flow
+
+
+def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
+    """The smallest change of columns after which both balances fit, as text; empty if there is none."""
+    changes = sorted(product((False, True), repeat=3), key=sum)[1:]
+    for exchanged, position_turned, spool_turned in changes:
+        changed = signals.copy()
+        if exchanged:
+            changed[[PRESSURE_A, PRESSURE_B]] = changed[[PRESSURE_B, PRESSURE_A]]
+        if position_turned:
+            changed[POSITION] *= -1.0
+        if spool_turned:
+            changed[SPOOL] *= -1.0
+        found = balance(changed, config)
+        if found.force_rest < FITS and SLOPES[0] <= found.slope <= SLOPES[1]:
+            words = ["the pressures of the chambers exchanged"] if exchanged else []
+            words += ["the other sign of the position"] if position_turned else []
+            words += ["the other sign of spool and command"] if spool_turned else []
+            return " and ".join(words)
+    return ""
+
+
+def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
+    """Check sign, scale and row of the command against the spool."""
+    spool, command = signals[SPOOL], signals[COMMAND]
+    if np.ptp(command) < 0.02 or command.std() < 2.0 * config.sensors.spool_position.noise:
+        return []
+    # Columns: the command one row later, in this row, one and two rows before.
+    rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
+    wanted = spool[2:-1]
+    weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
+    rest = wanted - rows @ weights
+    slope = float(weights[:4].sum())
+    if rest.std() > 0.5 * wanted.std():
+        return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
+    if slope < 0.0:
+        return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
+    if not SLOPES[0] <= slope <= SLOPES[1]:
+        what = f"moves {slope:.3g} times as far as the command; check the units of both"
+        return [Finding("spool_position", what, Weight.SEVERE)]
+    expected = _response_at_next_sample(config)
+    later, now = weights[0] / slope, weights[1] / slope
+    if later > 0.5 * expected:
+        what = "is one row too late for the spool; 'rows_early: -1' in the map would fit"
+        return [Finding("command", what, Weight.SEVERE)]
+    if expected > LEAST_RESPONSE and now < 0.25 * expected:
+        what = "is one row too early for the spool; 'rows_early: 1' in the map would fit"
+        return [Finding("command", what, Weight.SEVERE)]
+    return []
+
+
+def _response_at_next_sample(config: TaskConfig) -> float:
+    """Share of a new command that the nominal spool follows by the next sample."""
+    period = min(config.control_period - config.command_latency, LONGEST_PERIOD)
+    if period <= 0.0:
+        return 0.0
+    small = 0.1
+    run = simulate(config.plant, [small], period)
+    start = run.spool_position[0]
+    goal = small / FULL_VOLTAGE - start
+    return float((run.spool_position[-1] - start) / goal) if abs(goal) > 1e-9 else 0.0
+
+
+def _means(values: Floats, step: int) -> Floats:
+    """Means over consecutive groups of samples."""
+    count = len(values) // step
+    means: Floats = values[: count * step].reshape(count, step).mean(axis=1)
+    return means
+
+
+def _longest_stretch(index: NDArray[np.int64], whole: NDArray[np.bool_]) -> slice:
+    """The longest stretch of consecutive samples without a missing reading."""
+    rows = np.flatnonzero(whole)
+    breaks = np.flatnonzero(np.diff(index[rows]) != 1) + 1
+    parts = np.split(rows, breaks)
+    longest = max(parts, key=len)
+    return slice(int(longest[0]), int(longest[-1]) + 1)
+
+
+def _liveliest(signals: Floats) -> Floats:
+    """The part of MOST_SAMPLES samples with the largest spread of the position."""
+    starts = range(0, max(signals.shape[1] - MOST_SAMPLES, 0) + 1, MOST_SAMPLES)
+    best = max(starts, key=lambda start: float(signals[POSITION, start : start + MOST_SAMPLES].std()))
+    return signals[:, best : best + MOST_SAMPLES]

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.recordings.columns import COMMAND
+from hydro_agents.recordings.columns import COMMAND, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, severe_if
 from hydro_agents.recordings.recording import Recording
-from hydro_agents.recordings.units import UNITS
 from hydro_env import TaskConfig
 
 Floats = NDArray[np.float64]

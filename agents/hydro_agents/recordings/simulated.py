@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.recordings.columns import MEASURED
-from hydro_agents.recordings.units import factor
+from hydro_agents.recordings.columns import MEASURED, factor
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text

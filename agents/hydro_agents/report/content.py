@@ -66,7 +66,7 @@ class Content:
     @property
     def bounds(self) -> LeakBounds:
         """Leaks that count as healthy and as faulty in the task."""
-        return LeakBounds.of(self.task)
+        return self.other("bounds", LeakBounds.of(self.task))
 
     # Participants -----------------------------------------------------------------------------------------------------
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from hydro_agents.evaluation.detection import LeakBounds
 from hydro_agents.report.canvas import (
     GREY,
     INK,
@@ -16,18 +17,13 @@ from hydro_agents.report.canvas import (
     Array,
     Plot,
     bars_by,
-    controllers_of,
     description,
-    looks_of,
     one_panel,
     ticks,
 )
+from hydro_agents.report.content import Content
 from hydro_agents.report.hover import name_categories
 from hydro_agents.running.text import number, setting
-
-if TYPE_CHECKING:
-    from hydro_agents.evaluation.detection import LeakBounds
-    from hydro_agents.evaluation.protocol import Evaluation
 
 FEWEST_FALSE_ALARMS = 1e-3
 """Lowest false-alarm rate in the ROC."""
@@ -38,19 +34,19 @@ POINTS = 350
 SIZE_TICKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 
 
-def detection_plots(evaluation: Evaluation) -> list[Plot]:
+def detection_plots(content: Content) -> list[Plot]:
     """All figures about detection; an empty list without a leakage head."""
-    if evaluation.detection.empty:
+    if not content.has("detection"):
         return []
-    return [_rates(evaluation), _roc(evaluation), _size(evaluation), _precision_recall(evaluation)]
+    return [_rates(content), _roc(content), _size(content), _precision_recall(content)]
 
 
-def _rates(evaluation: Evaluation) -> Plot:
-    rates = evaluation.detection_rates
+def _rates(content: Content) -> Plot:
+    rates = content.table("detection_rates")
     by_size = (rates["group"] == "range") & ~rates["value"].str.startswith("≥")
     frame = rates[(rates["value"] == "healthy") | by_size]
     frame = frame.assign(**{column: 100.0 * frame[column] for column in ("flagged_share", "low", "high")})
-    looks = looks_of(controllers_of(evaluation))
+    looks = content.looks
     values = list(dict.fromkeys(str(value) for value in frame["value"]))
     parts = {name: frame[frame["controller"] == name] for name in looks}
 
@@ -69,8 +65,8 @@ def _rates(evaluation: Evaluation) -> Plot:
     return one_panel("rates", title, note, description(title, rows, " %"), paint)
 
 
-def _curve(evaluation: Evaluation, controller: str, name: str) -> tuple[Array, Array]:
-    curves = evaluation.curves
+def _curve(content: Content, controller: str, name: str) -> tuple[Array, Array]:
+    curves = content.table("curves")
     part = curves[(curves["controller"] == controller) & (curves["curve"] == name)]
     return part["x"].to_numpy(dtype=np.float64), part["y"].to_numpy(dtype=np.float64)
 
@@ -91,8 +87,8 @@ def _operating_point(detection: pd.DataFrame, controller: str, bounds: LeakBound
     return float(flagged[flow <= bounds.healthy_up_to].mean()), float(flagged[flow > bounds.leaking_above].mean())
 
 
-def _roc(evaluation: Evaluation) -> Plot:
-    looks = looks_of(controllers_of(evaluation))
+def _roc(content: Content) -> Plot:
+    looks = content.looks
 
     def paint(axes: Axes) -> None:
         axes.axvline(1e-2, color=GREY, linewidth=0.9, linestyle="--")
@@ -100,10 +96,10 @@ def _roc(evaluation: Evaluation) -> Plot:
         chance = np.geomspace(FEWEST_FALSE_ALARMS, 1.0, 60)
         axes.plot(chance, 100.0 * chance, color=GREY, linewidth=0.8, linestyle=":", label="chance")
         for name, look in looks.items():
-            x, y = _corners(*_curve(evaluation, name, "roc"))
+            x, y = _corners(*_curve(content, name, "roc"))
             line: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "label": name}
             axes.step(np.maximum(x, FEWEST_FALSE_ALARMS), 100.0 * y, where="post", **line)
-            alarms, detected = _operating_point(evaluation.detection, name, evaluation.bounds)
+            alarms, detected = _operating_point(content.table("detection"), name, content.bounds)
             point: dict[str, Any] = {"color": look.colour, "markeredgecolor": PAPER, "markersize": 7.5}
             axes.plot(max(alarms, FEWEST_FALSE_ALARMS), 100.0 * detected, look.marker, **point, clip_on=False)
         axes.set_xscale("log")
@@ -114,31 +110,31 @@ def _roc(evaluation: Evaluation) -> Plot:
         axes.set_ylabel("leaks flagged, %")
 
     title = "Leaks flagged against false alarms"
-    areas = _from_summary(evaluation, "auroc", 3)
+    areas = _from_summary(content, "auroc", 3)
     note = (
-        f"All leaks above {setting(evaluation.bounds.leaking_above)} l/min, every threshold (receiver operating "
+        f"All leaks above {setting(content.bounds.leaking_above)} l/min, every threshold (receiver operating "
         f"characteristic, ROC). Marked: the threshold in use. Area under the curve on linear axes: {areas}."
     )
     return one_panel("roc", title, note, f"{title}. Area under the curve: {areas}.", paint)
 
 
-def _from_summary(evaluation: Evaluation, column: str, decimals: int) -> str:
+def _from_summary(content: Content, column: str, decimals: int) -> str:
     """One number of every controller, as text."""
-    rows = evaluation.detection_summary
+    rows = content.table("detection_summary")
     return ", ".join(
         f"{name} {number(value, decimals)}" for name, value in zip(rows["controller"], rows[column], strict=True)
     )
 
 
-def _precision_recall(evaluation: Evaluation) -> Plot:
-    looks = looks_of(controllers_of(evaluation))
-    row = evaluation.detection_summary.iloc[0]
+def _precision_recall(content: Content) -> Plot:
+    looks = content.looks
+    row = content.table("detection_summary").iloc[0]
     share = float(row["leaking_episodes"] / (row["leaking_episodes"] + row["healthy_episodes"]))
 
     def paint(axes: Axes) -> None:
         axes.axhline(100.0 * share, color=GREY, linewidth=0.8, linestyle=":", label="chance")
         for name, look in looks.items():
-            x, y = _curve(evaluation, name, "precision_recall")
+            x, y = _curve(content, name, "precision_recall")
             kept = np.unique(np.linspace(0, len(x) - 1, 400).astype(np.int64))
             axes.plot(100.0 * x[kept], 100.0 * y[kept], color=look.colour, linestyle=look.line, label=name)
         axes.set_xlim(0.0, 101.0)
@@ -147,7 +143,7 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
         axes.set_ylabel("precision: correct flags, %")
 
     title = "How many flags are correct"
-    areas = _from_summary(evaluation, "average_precision", 3)
+    areas = _from_summary(content, "average_precision", 3)
     note = (
         f"Precision against recall. Here {100.0 * share:.0f} % of the episodes leak; with rarer leaks fewer "
         f"flags are correct. Average precision: {areas}."
@@ -156,9 +152,9 @@ def _precision_recall(evaluation: Evaluation) -> Plot:
     return one_panel("precision", title, note, alt, paint)
 
 
-def _size(evaluation: Evaluation) -> Plot:
-    looks = looks_of(controllers_of(evaluation))
-    leaking = evaluation.detection[evaluation.detection["leakage_flow_lpm"] > evaluation.bounds.leaking_above]
+def _size(content: Content) -> Plot:
+    looks = content.looks
+    leaking = content.table("detection")[content.table("detection")["leakage_flow_lpm"] > content.bounds.leaking_above]
     low, high = float(leaking["leakage_flow_lpm"].min()), float(leaking["leakage_flow_lpm"].max())
     bottom = min(max(float(leaking["estimated_flow_lpm"].min()), SIZE_TICKS[0]), 0.5 * low)
     top = min(max(float(leaking["estimated_flow_lpm"].max()), 2.0 * high), 50.0)
@@ -179,6 +175,6 @@ def _size(evaluation: Evaluation) -> Plot:
             axis.set_label_text(f"{name} leak, l/min")
 
     title = "Estimated against true leak size"
-    factors = _from_summary(evaluation, "median_size_error_factor", 2)
+    factors = _from_summary(content, "median_size_error_factor", 2)
     note = f"One dot per leaking episode (thinned). Median factor between the two: {factors}."
     return one_panel("size", title, note, f"{title}, both logarithmic. {note}", paint)

@@ -27,7 +27,7 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
 TEMPLATE = Path(__file__).parent / "page.html.j2"
-MODULES = tuple(f"hydro_agents.report.{name}" for name in ("shared", "robustness", "experiments", "leakage"))
+MODULES = tuple(f"hydro_agents.report.{name}" for name in ("shared", "robustness", "experiments", "leakage", "study"))
 """Modules whose sections any list may name."""
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from hydro_agents.estimation.estimate import usable_readings
 from hydro_agents.estimation.model import LONG_STEP, Model
 from hydro_agents.estimation.solver import equations_of, prior_belief, without
-from hydro_agents.estimation.unknowns import priors_of
-from hydro_agents.rigs.fit import DETERMINED, Fit, starts_of
+from hydro_agents.estimation.unknowns import priors_of, starts_of
+from hydro_agents.rigs.fit import DETERMINED, Fit
 from hydro_env import HydroError, PlantParameters, TaskConfig
 from hydro_env.plant.analysis import reachable_range, speed_limits
 from hydro_env.plant.arrays import equilibrium

@@ -14,12 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import Estimate, EstimationSettings, estimate, usable_readings
-from hydro_agents.estimation.goodness import misfit_of
 from hydro_agents.estimation.model import Model
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, STARTS
-from hydro_agents.estimation.priors import Prior
-from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
-from hydro_agents.estimation.unknowns import START, priors_of
+from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, misfit_of, prior_belief, without
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    STARTS,
+    Prior,
+    priors_of,
+    starts_of,
+)
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import SENSORS
@@ -100,16 +106,6 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
     return [LEAKAGE, *plant, *biases, *starts_of(config)]
-
-
-def starts_of(config: TaskConfig) -> list[str]:
-    """Names of the unknown start states."""
-    start = [*START]
-    if config.plant.supply.model != "constant":
-        start.append("start.supply_pressure")
-    if config.plant.friction.model == "lugre":
-        start.append("start.bristle_deflection")
-    return start
 
 
 def fit_windows(

@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
 from hydro_agents.rigs.fit import Fit
 from hydro_agents.rigs.identification_shown import reading_unit
 from hydro_env import PlantParameters, TaskConfig

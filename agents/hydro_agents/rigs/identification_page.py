@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.report.canvas import WIDE, make_plot
 from hydro_agents.report.page import Page, make_page
 from hydro_agents.rigs.found_rig import hull, path_of

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.estimation.names import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters
 from hydro_env.units import UNITS
@@ -52,7 +52,7 @@ def reading_unit(path: str, plant: PlantParameters) -> tuple[float, str]:
 
 
 def shown(name: str, plant: PlantParameters) -> Shown:
-    """Display of an unknown of :mod:`hydro_agents.estimation.names`."""
+    """Display of an unknown of :mod:`hydro_agents.estimation.unknowns`."""
     if name == LEAKAGE:
         return Shown("leak past the piston", 1.0, "l/min at 100 bar")
     if name == EXTERNAL_LEAKAGE:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydro_agents.estimation.names import EXTERNAL_LEAKAGE, LEAKAGE
+from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.model import Model, noise_of
-from hydro_agents.estimation.unknowns import priors_of
+from hydro_agents.estimation.unknowns import priors_of, starts_of
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs.diagnosis_windows import Windows, cut
-from hydro_agents.rigs.fit import starts_of
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
 from hydro_env.task.sensors import SENSORS

@@ -1,13 +1,24 @@
-"""Changes of a task that experiments share: constant conditions, a given reference, no noise."""
+"""Tasks: from parts of YAML files, under a condition of a protocol, and with what experiments hold constant."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated, Any
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-from hydro_env import TaskConfig
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group, read_yaml, validate
+from hydro_env.mistakes import did_you_mean, kept, refuse
+from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK
+from hydro_env.task.rig import merged, task_from
 from hydro_env.task.sensors import CHANNELS
+
+Factor = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
 def steady(config: TaskConfig) -> TaskConfig:
@@ -32,3 +43,98 @@ def own_reference(config: TaskConfig, reference: NDArray[np.float64]) -> TaskCon
 def noiseless(config: TaskConfig) -> TaskConfig:
     """The task without sensor noise; the sensors keep their bias and 16-bit steps."""
     return task_config(config, sensors={channel: {"noise": 0.0} for channel in CHANNELS})
+
+
+class Surroundings(Group):
+    """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
+
+    task: dict[str, Any] = Field(default_factory=dict, description="changed fields of the task, as in YAML")
+    parameters: dict[str, float | str] = Field(default_factory=dict, description="of every plant, SI units, by path")
+    factors: dict[str, Factor] = Field(default_factory=dict, description="parameters relative to the nominal rig's")
+    noise_factor: Factor = Field(1.0, description="on the noise of every sensor")
+    bias_factor: Factor = Field(1.0, description="on the largest bias of every sensor")
+    rig: str | None = Field(None, description="another rig: a name in configs/rigs, or a path")
+
+    @model_validator(mode="after")
+    def _paths_exist(self) -> Surroundings:
+        for name in ("parameters", "factors"):
+            for path in getattr(self, name):
+                if path not in PARAMETER_PATHS or path in LEAKAGE_OF_THE_TASK:
+                    guess = did_you_mean(path, PARAMETER_PATHS)
+                    raise ValueError(f"{name}: '{path}' is not a parameter that a condition may set{guess}")
+                if name == "factors" and path in MODEL_CODES:
+                    raise ValueError(f"factors: '{path}' is a name, not a number")
+                if name == "factors" and path in self.parameters:
+                    raise ValueError(f"factors: '{path}' is also in parameters")
+        return self
+
+    def task_on(self, base: TaskConfig, where: str) -> TaskConfig:
+        """A task with these changes.
+
+        Args:
+            base: the task.
+            where: for messages, such as ``conditions.<name>``.
+
+        Raises:
+            ConfigurationError: the changed task is impossible.
+        """
+        try:
+            task = task_config(base, rig=self.rig, **self.task)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{where}: {error}") from None
+        sensors = {
+            channel: {
+                "noise": self.noise_factor * getattr(task.sensors, channel).noise,
+                "bias": self.bias_factor * getattr(task.sensors, channel).bias,
+            }
+            for channel in CHANNELS
+        }
+        return validate(TaskConfig, merged(task.model_dump(), {"sensors": sensors}), f"{where}: task")
+
+    def parameters_on(self, task: TaskConfig) -> dict[str, dict[str, float | str]]:
+        """Fixed parameters of every plant of a task, for the option ``parameters`` of ``reset``."""
+        fixed: dict[str, float | str] = dict(self.parameters)
+        for path, factor in self.factors.items():
+            group, field = path.split(".")
+            fixed[path] = factor * float(getattr(getattr(task.plant, group), field))
+        groups: dict[str, dict[str, float | str]] = {}
+        for path, value in fixed.items():
+            group, field = path.split(".")
+            groups.setdefault(group, {})[field] = value
+        return groups
+
+
+def read_task(given: Any, file: Path) -> Any:
+    """The task of a YAML file: a name in ``configs/tasks``, a path, or a group whose ``plant`` names a rig.
+
+    Paths are relative to the file. Anything else is returned unchanged.
+
+    Raises:
+        ConfigurationError: the task or rig does not exist, the file is unreadable, a key is unknown, or a value is
+            impossible.
+    """
+    if isinstance(given, str):
+        return task_config(given, folder=file.parent)
+    if isinstance(given, dict) and isinstance(given.get("plant"), str):
+        return task_from(TaskConfig, given, str(file), file.parent, within="task")
+    return given
+
+
+def read_settings(controllers: Any, file: Path) -> dict[str, str]:
+    """Replace each controller's ``settings`` by the content of a YAML file, if they are its path relative to ``file``.
+
+    Returns:
+        The files that were read, by the controller's name.
+
+    Raises:
+        ConfigurationError: a file cannot be read.
+    """
+    sources = {}
+    errors: list[ConfigurationError] = []
+    for name, entry in controllers.items() if isinstance(controllers, dict) else ():
+        if isinstance(entry, dict) and isinstance(entry.get("settings"), str):
+            sources[name] = str(file.parent / entry.pop("settings"))
+            with kept(errors):
+                entry["settings"] = read_yaml(sources[name])
+    refuse(errors, str(file))
+    return sources

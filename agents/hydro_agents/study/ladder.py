@@ -24,7 +24,7 @@ from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import side_by_side
 from hydro_agents.running.seeds import EVALUATION, LADDER, SEED_MARK
-from hydro_agents.running.settings_files import read_settings, read_task
+from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.study.ladder_table import ladder_table, rung_scores
 from hydro_agents.study.settings import ControllerEntry, Name
 from hydro_agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, read_curve

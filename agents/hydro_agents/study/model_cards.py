@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import yaml
+from jinja2 import Environment, StrictUndefined
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
@@ -20,38 +22,7 @@ from hydro_env import TaskConfig, __version__
 
 ENVIRONMENT = "ServoHydraulic-v0"
 
-LIMITS = """Everything is simulated; no real axis was measured. The results hold for the task of the weights (their JSON
-holds it): its rig, the ranges from which its plants are drawn, its control period and sensors. `hydro evaluate` scores
-the weights on another task."""
-
-POLICY_USE = """import gymnasium as gym
-import hydro_env  # registers the environment
-from hydro_agents.learning.policy import PolicyController
-{more}
-policy = PolicyController.load({weights})
-env = gym.make("{environment}", config=policy.features.config)  # the task of its training
-observation, info = env.reset(seed=1)
-memory, over = None, False
-while not over:
-    action, memory = policy.predict(observation, memory)
-    observation, reward, terminated, truncated, info = env.step(action)
-    over = terminated or truncated"""
-
-HEAD_USE = """import math
-
-import gymnasium as gym
-import hydro_env  # registers the environment
-from hydro_agents.detection.head import LeakageHead
-{more}
-head = LeakageHead.load({weights})
-env = gym.make("{environment}", config=head.settings.task)  # the task of its training
-observation, info = env.reset(seed=1, options={{"leakage_flow_lpm": 0.5}})
-memory = None
-for period in range(head.settings.window):
-    estimate, memory = head.predict(observation, memory)  # NaN until a whole window is known
-    observation, *_ = env.step([0.3 * math.sin(0.05 * period)])  # any controller may act
-probability, flow_lpm, *_ = estimate  # the fields of LeakageEstimate
-print(f"leak: probability {{probability:.2f}}, {{flow_lpm:.2f}} l/min at 100 bar")"""
+_TEMPLATE = Path(__file__).parent / "model_card.md.j2"
 
 Metric = dict[str, Any]
 
@@ -81,21 +52,22 @@ def controller_card(
         return None
     against = evaluation.controllers[0]
     algorithm = str(training.get("algorithm", "trained"))
-    correction = f" It corrects the command of another controller, {corrects}." if corrects else ""
     config = getattr(getattr(controller, "features", None), "config", None)
-    made_for = f" {_axis(config)}" if config is not None else ""
     return _card(
         title=f"{shipped if weights is None else name}: {algorithm} on a hydraulic servo axis",
         tags=["reinforcement-learning", "deep-reinforcement-learning", "hydraulics", ENVIRONMENT],
         library="stable-baselines3" if "stable-baselines3" in algorithm else "hydro_env",
         task={"type": "reinforcement-learning", "name": "positioning of a hydraulic servo axis"},
         metrics=list(_tracking(evaluation, name, against, corrects)),
-        what=f"It positions the load of the environment `{ENVIRONMENT}` of `hydro_env` {__version__}, whose piston "
-        f"seal leaks by an unknown amount.{correction}{made_for} The error is the mean distance between position and "
-        f"reference; {against} has the same plants, references and noise. Intervals: bootstrap over plants.",
-        use=_use(POLICY_USE, weights, shipped),
         training=training,
-        command=command,
+        values={
+            "axis": _axis(config) if config is not None else "",
+            "against": against,
+            "corrects": corrects,
+            "command": command,
+            "weights": weights,
+            "shipped": shipped,
+        },
     )
 
 
@@ -115,13 +87,14 @@ def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: 
         library="hydro_env",
         task={"type": "tabular-classification", "name": "leak past the piston, from 2 s of measured signals"},
         metrics=metrics,
-        what="It reads position, both pressures, spool position and command. It tells whether oil leaks past the "
-        "piston, how much, which other fault there may be, and when it does not know. The shortest window has "
-        f"{head.settings.window} samples. {_axis(head.settings.task)} Sizes are in l/min at 100 bar. Results are "
-        "shares of test episodes that are flagged, at the threshold of the weights; intervals: Wilson.",
-        use=_use(HEAD_USE, weights, "leakage_head"),
         training=head.settings.training,
-        command=command,
+        values={
+            "head": head.settings,
+            "axis": _axis(head.settings.task),
+            "command": command,
+            "weights": weights,
+            "shipped": "leakage_head",
+        },
     )
 
 
@@ -167,13 +140,6 @@ def _metric(name: str, found: Interval, main: bool = True) -> Metric:
     return {"name": name, "main": main, **{key: float(f"{value:.4g}") for key, value in found._asdict().items()}}
 
 
-def _use(code: str, weights: str | None, shipped: str) -> str:
-    if weights is not None:
-        return code.format(weights=f'"{weights}"', more="", environment=ENVIRONMENT)
-    more = "from hydro_agents.running.folders import pretrained_folder\n"
-    return code.format(weights=f'pretrained_folder() / "{shipped}"', more=more, environment=ENVIRONMENT)
-
-
 def _card(
     *,
     title: str,
@@ -181,11 +147,10 @@ def _card(
     library: str,
     task: dict[str, str],
     metrics: list[Metric],
-    what: str,
-    use: str,
     training: Mapping[str, Any],
-    command: str,
+    values: Mapping[str, Any],
 ) -> str:
+    """The card: a head that hubs read, and the text of the template; ``values`` are those of the template."""
     hub = [
         {"type": _type(one["name"]), "name": one["name"], "value": one["value"], "verified": False}
         for one in metrics
@@ -204,38 +169,19 @@ def _card(
             }
         ],
     }
-    rows = [f"| {one['name']} | {one['value']:g} | {one['low']:g} to {one['high']:g} |" for one in metrics]
-    settings = yaml.safe_dump(dict(training), sort_keys=False, allow_unicode=True)
-    return f"""---
-{yaml.safe_dump(front, sort_keys=False, allow_unicode=True)}---
-
-# {title}
-
-{what}
-
-## Use
-
-```python
-{use}
-```
-
-## Results
-
-Test plants, which served no training and no choice; `{command}`:
-
-| figure | value | 95 % interval |
-|---|---|---|
-{chr(10).join(rows)}
-
-## Limits
-
-{LIMITS}
-
-## Training
-
-```yaml
-{settings}```
-"""
+    text = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined)
+    return text.from_string(_TEMPLATE.read_text(encoding="utf-8")).render(
+        {
+            "head": None,
+            "environment": ENVIRONMENT,
+            "version": __version__,
+            "title": title,
+            "metrics": metrics,
+            **values,
+        },
+        front=yaml.safe_dump(front, sort_keys=False, allow_unicode=True),
+        settings=yaml.safe_dump(dict(training), sort_keys=False, allow_unicode=True),
+    )
 
 
 def _type(name: str) -> str:

@@ -30,7 +30,7 @@ FIRST_ERROR = "first_mean_error_mm"
 """Column of the learning curves: error of the first controller on the same validation plants."""
 
 RATIOS = {"all": "mean error", "equal_weight": "mean error, kinds of reference weigh the same"}
-"""Groups of the ratios that are told, and their words."""
+"""Groups of the table of ratios that the summary shows, with their names."""
 
 Figure = tuple[str, str, float]
 
@@ -43,16 +43,16 @@ def run_over_seeds(
     overwrite: bool = False,
     command: str = "hydro study --seeds",
 ) -> Path:
-    """Run a study with each training seed in a folder of its own, then write what they reached into one table.
+    """Run a study once per training seed, each in its own folder, and collect the results in one table.
 
-    All of them are judged on the same test plants; their results differ by the training alone.
+    All runs use the same test plants; their results differ by the training alone.
 
     Args:
         study: the study.
         folder: for the studies (``seed 0``, ``seed 1``, …), the table and the learning curves.
         seeds: of the trainings.
-        resume: keep the finished studies, go on with an interrupted one.
-        overwrite: begin anew.
+        resume: keep the finished studies, and continue an interrupted one.
+        overwrite: start again.
         command: the command line, for the reports.
 
     Returns:
@@ -120,7 +120,7 @@ def relative(curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:
-    """What one study reached: what was trained, name of the figure, value."""
+    """The figures of one study: what was trained, name of the figure, value."""
     seconds = Phases(folder).seconds
     ratios = pd.read_csv(folder / "tables" / "ratios.csv")
     first = next(iter(study.controllers))

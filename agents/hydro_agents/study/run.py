@@ -14,8 +14,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.controllers.base import ClassicalController, Controller
-from hydro_agents.controllers.gains_file import GAINS_FILE
-from hydro_agents.controllers.registry import make_controller
+from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.learning.opponents import opponent

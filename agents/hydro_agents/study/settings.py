@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +15,10 @@ from hydro_agents.detection.head_training import HeadTrainingSettings
 from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
-from hydro_agents.running.settings_files import read_settings, read_task
-from hydro_agents.study.absent_sensors import without_absent_sensors
+from hydro_agents.running.tasks import read_settings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
-from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
-from hydro_env.task.configuration import task_config
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
 
@@ -255,38 +251,3 @@ class StudySettings(Group):
                     others = {key: value for key, value in study.controllers.items() if key != name}
                     study = study.model_copy(update={"controllers": others})
         return study.with_weights(agents), reasons
-
-
-def default_study(
-    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
-) -> StudySettings:
-    """The study of a file or of ``make study``, optionally with another task or rig.
-
-    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
-    absent sensors are left out, with one line each on standard error.
-
-    Args:
-        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
-        task: name or file of the task, instead of the study's.
-        rig: name or file of another rig for the task.
-
-    Raises:
-        ConfigurationError: a file is wrong, or settings contradict each other.
-    """
-    study = StudySettings.from_yaml(config_file("studies", path or "default"))
-    if task is None and rig is None:
-        return study
-    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
-    if rig is not None:
-        changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
-        changes["controllers"] = {
-            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
-            if entry.kind in CONTROLLERS
-            else entry
-            for name, entry in study.controllers.items()
-        }
-    study, notes = without_absent_sensors(study.model_copy(update=changes))
-    for note in notes:
-        print(f"hydro: {note}", file=sys.stderr)
-    study.check("study" if path is None else str(path))
-    return study

@@ -9,8 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.controllers.gains_file import GAINS_FILE, gains_text
-from hydro_agents.controllers.registry import CONTROLLERS, make_controller
+from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text, make_controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import HeadTrainingSettings, train_head
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress

@@ -1,1 +1,0 @@
-"""``hydro benchmark``: speed, memory and start-up of this package and of comparable ones, as one table."""

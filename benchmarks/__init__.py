@@ -1,0 +1,1 @@
+"""Measurements of speed and accuracy: the modules of ``hydro benchmark``, and scripts; see README.md."""

@@ -1,0 +1,166 @@
+"""Rows of accuracy: error of the integrator against the reference solver, its order, and its time.
+
+A run is a rig drawn over the whole randomised range with a leak of 0.001 to 4 l/min, an initial state in motion and
+under pressure at a position that it can hold, and 0.2 s of one of three inputs: held voltages of any size, a new
+voltage in every control period, or a sine with noise. The reference is Radau IIA at a relative tolerance of 1e-10,
+which locates limits by root finding (:mod:`hydro_env.plant.reference`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.table import Case, Extent, Row
+from hydro_agents.running.seeds import ACCURACY
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, simulate
+from hydro_env.plant.kernel import TOLERANCE
+from hydro_env.plant.probe import state_ranges
+
+Array = NDArray[np.float64]
+
+SAMPLE_TIME = 5e-3
+"""s; each voltage is held this long."""
+
+SAMPLES = 40
+INPUTS = ("held", "noise", "sine")
+LIMIT = 1e-4
+"""Largest allowed error of any state relative to its range, with the default settings."""
+
+BATCH = 20
+"""Rigs per round of the benchmark."""
+
+FIXED_STEPS = (0.4e-3, 0.2e-3, 0.1e-3)
+"""s; steps of fixed length, between which the order is computed."""
+
+SETTINGS: dict[str, dict[str, float]] = {
+    f"tolerance {tolerance:g}{' (default)' * (tolerance == TOLERANCE)}": {"tolerance": tolerance}
+    for tolerance in (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+} | {f"steps of {1e3 * step:g} ms": {"tolerance": math.inf, "maximum_step": step} for step in FIXED_STEPS}
+"""Settings of the integrator that are compared, as keywords of :func:`hydro_env.simulate`."""
+
+REFERENCE_ROW = "Radau, relative tolerance 1e-10"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: plant, voltages (V), initial state by name (SI), name of the input."""
+
+    parameters: PlantParameters
+    voltage: Array
+    start: dict[str, float]
+    signal: str
+
+    def states(self, **options: Any) -> Array:
+        """States, shape (SAMPLES + 1, N_STATES); options as in :func:`hydro_env.simulate`."""
+        return simulate(self.parameters, self.voltage, SAMPLE_TIME, self.start, **options).states
+
+
+def random_runs(count: int, seed: int = ACCURACY.first) -> list[Run]:
+    """Random runs of a seed."""
+    env = ServoHydraulicVectorEnv(count)
+    env.reset(seed=seed)
+    runs = []
+    for number in range(count):
+        generator = np.random.default_rng([seed, number])
+        signal = INPUTS[number % len(INPUTS)]
+        start = {
+            "position": float(env.axes.state[number, 0]),
+            "velocity": float(generator.uniform(-0.1, 0.1)),
+            "pressure_a": float(generator.uniform(2e5, 60e5)),
+            "pressure_b": float(generator.uniform(2e5, 60e5)),
+            "spool_position": float(generator.uniform(-0.5, 0.5)),
+        }
+        runs.append(Run(env.axes.parameters(number), _voltage(signal, generator), start, signal))
+    env.close()
+    return runs
+
+
+def _voltage(signal: str, generator: np.random.Generator) -> Array:
+    if signal == "held":
+        return np.array(np.repeat(generator.uniform(-10.0, 10.0, SAMPLES // 8), 8))
+    if signal == "noise":
+        return generator.uniform(-10.0, 10.0, SAMPLES)
+    phase = np.arange(SAMPLES) * generator.uniform(0.05, 0.6) + generator.uniform(0.0, 6.0)
+    sine = generator.uniform(1.0, 5.0) * np.sin(phase) + generator.normal(0.0, 0.1, SAMPLES)
+    return np.array(np.clip(sine, -10.0, 10.0))
+
+
+def reference(run: Run) -> Array:
+    """States of a run by the reference solver; takes a second or two."""
+    return run.states(method="radau")
+
+
+def errors(runs: Iterable[Run], exact: Iterable[Array], **options: Any) -> Array:
+    """Largest error of each state along each run, as a fraction of its range, shape (runs, N_STATES)."""
+    return np.array(
+        [
+            np.abs(run.states(**options) - states).max(axis=0) / state_ranges(run.parameters, states)
+            for run, states in zip(runs, exact, strict=True)
+        ]
+    )
+
+
+def convergence_orders(steps: Sequence[float] = FIXED_STEPS) -> list[float]:
+    """Order of the integrator from each fixed step (s) to the next, on a smooth run of the paper's rig.
+
+    The run is smooth: without dry friction and with small voltages the axis reaches no limit and has no sharp reversal.
+    """
+    plant = PlantParameters().replace(friction={"model": "none"}, valve={"underlap": 0.3})
+    run = Run(plant, np.sin(np.arange(SAMPLES) * 0.2), {"position": 0.01}, "sine")
+    exact = run.states(tolerance=1e-12, maximum_step=0.02e-3)
+    largest = [errors([run], [exact], tolerance=math.inf, maximum_step=step).max() for step in steps]
+    return [
+        math.log(coarse / fine) / math.log(long / short)
+        for (coarse, fine), (long, short) in zip(pairwise(largest), pairwise(steps), strict=True)
+    ]
+
+
+def accuracy_cases(extent: Extent) -> list[Case]:
+    """Each round takes a batch of rigs: the reference first, then every setting of the integrator."""
+    runs = random_runs(extent.accuracy_rigs)
+    batches = [runs[first : first + BATCH] for first in range(0, len(runs), BATCH)]
+    exact: dict[int, list[Array]] = {}
+    simulated = BATCH * SAMPLES * SAMPLE_TIME
+
+    def solve(batch: int) -> Sequence[float]:
+        workers = os.cpu_count() or 1
+        began = time.perf_counter()
+        with ProcessPoolExecutor(workers) as pool:
+            exact[batch] = list(pool.map(reference, batches[batch]))
+        return (1e3 * (time.perf_counter() - began) * workers / simulated,)
+
+    def setting(options: dict[str, float]) -> Callable[[int], Sequence[float]]:
+        def measure(batch: int) -> Sequence[float]:
+            worst = errors(batches[batch], exact[batch], **options).max(axis=1)
+            began = time.perf_counter()
+            for run in batches[batch]:
+                run.states(**options)
+            seconds = time.perf_counter() - began
+            return worst.max(), 100.0 * (worst <= LIMIT).mean(), 1e3 * seconds / simulated
+
+        return measure
+
+    note = f"{BATCH} drawn rigs per run, {SAMPLES * SAMPLE_TIME:g} s each; all processes together"
+    cases = [Case((Row(REFERENCE_ROW, "ms per simulated s", note=note),), solve, len(batches))]
+    for name, options in SETTINGS.items():
+        rows = (
+            Row(f"{name}: worst error", "of a state's range", note="largest of any state of the rigs of a run"),
+            Row(f"{name}: rigs within {LIMIT:g}", "%", note="every state, along the whole run"),
+            Row(f"{name}: time", "ms per simulated s", REFERENCE_ROW),
+        )
+        cases.append(Case(rows, setting(options), len(batches)))
+    orders = tuple(
+        Row(f"order, steps of {1e3 * coarse:g} to {1e3 * fine:g} ms", "1", note="fixed steps on a smooth run")
+        for coarse, fine in pairwise(FIXED_STEPS)
+    )
+    return [*cases, Case(orders, lambda run: convergence_orders(), 1)]

@@ -1,0 +1,123 @@
+"""Section 4 of the paper: the four terms of dF/dt (24) along a move and along a stop, and leakage's share of them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.report.leaks import FEW_LINES
+from hydro_env import equilibrium, resistance_from_flow, simulate
+from hydro_env.plant.analysis import force_rate_terms
+from hydro_env.plant.arrays import coefficient_array, derivative_array
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.states import STATE_NAMES
+from paper.rig import LAWS, Law, Rig, simplified, with_leak
+
+DRAWN = 1.0
+"""l/min at 100 bar; the leak of the picture."""
+
+EXTERNAL_LEAK = 0.1
+"""l/min at 100 bar past the rod seal; without this leak the fourth term would be zero."""
+
+TERMS = {
+    "valve_n_s": "flow through the valve",
+    "motion_n_s": "motion of the piston",
+    "internal_leakage_n_s": "internal leakage",
+    "external_leakage_n_s": "external leakage",
+}
+DRIVE, HELD, WATCH = 0.15, 0.02, 0.25
+WINDOWS = {"move": (0.0, DRIVE), "stop": (DRIVE, DRIVE + 0.15)}
+"""s after the command to move; all times of this file times Rig.stretch."""
+
+BINS = 8
+FEWEST = 10
+"""Smallest number of samples in a bin of pressure differences."""
+
+
+@lru_cache(maxsize=4)
+def force_rate_table(
+    rig: Rig, law: Law = "laminar", leaks: tuple[float, ...] = FEW_LINES, orifice: float = 0.0
+) -> pd.DataFrame:
+    """The four terms over time for each leak, their sum, and dF/dt from the two chambers (23) as a check.
+
+    ``orifice``: gain of an additional throttle, m³/(s √Pa).
+    """
+    parts = []
+    for leak in leaks:
+        plant = with_leak(simplified(rig.parameters, "none", True), leak, law)
+        leakage = {"external_resistance": resistance_from_flow(EXTERNAL_LEAK)}
+        if orifice:
+            leakage["orifice_gain"] = plant.leakage.orifice_gain + orifice
+        plant = plant.replace(leakage=leakage)
+        _, holding = equilibrium(plant, rig.start)
+        spans = ((HELD, holding), (DRIVE, rig.voltage), (WATCH, 0.0))
+        voltage = np.concatenate([np.full(rig.count(rig.stretch * seconds), volts) for seconds, volts in spans])
+        run = simulate(plant, voltage, rig.sample_time, {"position": rig.start})
+        terms = force_rate_terms(run)
+        c = coefficient_array(plant)
+        rates = np.array([derivative_array(state, c, 0.0) for state in run.states])
+        row_a, row_b = STATE_NAMES.index("pressure_a"), STATE_NAMES.index("pressure_b")
+        area_a, area_b = (getattr(Coefficients(*c), f"area_{chamber}") for chamber in "ab")
+        parts.append(
+            pd.DataFrame(
+                {
+                    "leak_lpm": leak,
+                    "time_s": run.time - rig.count(rig.stretch * HELD) * rig.sample_time,
+                    **dict(zip(TERMS, terms, strict=True)),
+                    "sum_n_s": sum(terms),
+                    "from_chambers_n_s": area_a * rates[:, row_a] - area_b * rates[:, row_b],
+                    "pressure_difference_bar": (run.pressure_a - run.pressure_b) / 1e5,
+                }
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def share_of_leakage(samples: pd.DataFrame) -> float:
+    """Sum of |internal leakage term| over the sum of the sizes of all four terms."""
+    sizes = samples[list(TERMS)].abs().sum()
+    return float(sizes["internal_leakage_n_s"] / sizes.sum())
+
+
+def shares(table: pd.DataFrame, stretch: float = 1.0) -> pd.DataFrame:
+    """Per leak and window: internal leakage's share of all four sizes, and the mean pressure difference."""
+    rows = []
+    for leak, part in table.groupby("leak_lpm"):
+        for window, (first, last) in WINDOWS.items():
+            samples = part[(part["time_s"] >= stretch * first) & (part["time_s"] < stretch * last)]
+            difference = samples["pressure_difference_bar"]
+            rows.append(
+                {
+                    "leak_lpm": leak,
+                    "window": window,
+                    "leakage_share": share_of_leakage(samples),
+                    "mean_difference_bar": float(difference.mean()),
+                    "mean_size_of_difference_bar": float(difference.abs().mean()),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def share_table(rig: Rig) -> pd.DataFrame:
+    """Leakage's share of the sizes of all four terms by law, leak and size of the pressure difference, bar.
+
+    Over the move and the stop of :func:`force_rate_table`; bins with too few samples are left out.
+    """
+    tables = {law: force_rate_table(rig, law) for law in LAWS}
+    moving = {law: table[table["time_s"] >= 0.0] for law, table in tables.items()}
+    largest = max(float(table["pressure_difference_bar"].abs().quantile(0.99)) for table in moving.values())
+    edges = np.linspace(0.0, max(largest, 1e-3), BINS + 1)
+    rows = []
+    for law, table in moving.items():
+        for leak in FEW_LINES:
+            part = table[table["leak_lpm"] == leak]
+            size = part["pressure_difference_bar"].abs()
+            for low, high in pairwise(edges):
+                samples = part[(size >= low) & (size < high)]
+                if len(samples) >= FEWEST:
+                    row = {"law": law, "leak_lpm": leak, "difference_low_bar": low, "difference_high_bar": high}
+                    rows.append(row | {"samples": len(samples), "leakage_share": share_of_leakage(samples)})
+    return pd.DataFrame(rows)

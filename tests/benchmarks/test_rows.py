@@ -1,0 +1,107 @@
+"""Rows measure what they say: counts and cheap rows give sane figures."""
+
+import dataclasses
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from benchmarks.environment_rows import single_cases, single_rate, vector_rate
+from benchmarks.kernel_rows import BareKernel, counted_work, error_of, matching_tolerance, solver_cases
+from benchmarks.resource_rows import array_bytes, inference_cases, memory_cases, profile_cases
+from benchmarks.table import QUICK, UnavailableError, fresh_process, rate, time_in
+from benchmarks.training_rows import study_of_the_pid, validation_error
+from hydro_env import ServoHydraulicVectorEnv
+
+TINY = dataclasses.replace(
+    QUICK, runs=1, seconds=0.005, kernel_sizes=(1, 16), vector_sizes=(2,), cost_sizes=(2,), solver_periods=2, calls=200
+)
+
+
+def test_operations_are_counted():
+    kinds, evaluations = counted_work()
+    assert set(kinds) == {"additions", "multiplications", "divisions", "square roots", "comparisons"}
+    assert 50 < sum(kinds.values()) < 500
+    assert kinds["square roots"] >= 10  # two in each of four edges, opening, friction
+    assert 4.0 < evaluations < 500.0
+
+
+def test_bare_kernel_advances_and_restarts():
+    kernel = BareKernel(16, 2)
+    first = kernel.state.copy()
+    assert kernel.advance() == 16
+    assert not np.array_equal(kernel.state, first)
+    kernel.restart()
+    np.testing.assert_array_equal(kernel.state, first)
+    kernel.close()
+
+
+def test_rate_counts_work():
+    assert rate(lambda: 7, 0.01) > 7 / 0.01
+
+
+def test_rates_of_environments():
+    assert single_rate(gym.make("ServoHydraulic-v0"), 0.01, 20) > 100
+    for mode in ("NextStep", "SameStep", "Disabled"):
+        env = gym.make_vec("ServoHydraulic-v0", num_envs=2, autoreset_mode=mode, episode_duration=0.05)
+        assert vector_rate(env, 0.01) > 100
+
+
+def test_absent_peer_says_so(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "gym_electric_motor", None)
+    motor = next(case for case in single_cases(TINY) if "PMSM" in case.rows[0].name)
+    with pytest.raises(UnavailableError, match="not installed"):
+        motor.measure(0)
+
+
+@pytest.mark.parametrize("make", [solver_cases, inference_cases])
+def test_cheap_rows_are_positive(make):
+    for case in make(TINY):
+        values = case.measure(0)
+        assert len(values) == len(case.rows)
+        assert all(np.isfinite(values))
+        assert min(values) > 0.0
+
+
+def test_step_profile_is_positive_and_nested():
+    values = {case.rows[0].name: case.measure(0)[0] for case in profile_cases(TINY)[:-1]}
+    assert min(values.values()) > 0.0
+
+
+def test_memory_of_arrays():
+    env = ServoHydraulicVectorEnv(64)
+    assert array_bytes(env) > 64 * 400 * 8  # at least the reference
+    arrays, _ = memory_cases(TINY, 512)
+    assert 3000 < arrays.measure(0)[0] < 20_000
+
+
+def test_matching_tolerance_is_the_loosest_that_suffices():
+    exact = np.array([[0.0], [1.0]])
+    assert matching_tolerance(lambda tolerance: exact + tolerance, exact, 1e-4) == pytest.approx(1e-4)
+    with pytest.raises(UnavailableError):
+        matching_tolerance(lambda tolerance: exact + 1.0, exact, 1e-4)
+    assert error_of(exact, exact) == 0.0
+
+
+def test_fresh_process_reports_its_failure():
+    assert fresh_process("print(7)")[1].strip() == "7"
+    with pytest.raises(RuntimeError, match="ValueError: no"):
+        fresh_process("raise ValueError('no')")
+
+
+def test_timed_functions_are_put_back():
+    class Worker:
+        def work(self):
+            return 3
+
+    worker = Worker()
+    with time_in((worker, "work", "work")) as seconds:
+        assert worker.work() == 3
+    assert seconds["work"] > 0.0
+    assert "work" not in vars(worker)
+
+
+def test_validation_error_of_the_pid():
+    settings = study_of_the_pid()
+    error = validation_error(settings, settings.base, 1)
+    assert 0.05 < error < 1.0  # mm

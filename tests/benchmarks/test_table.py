@@ -1,0 +1,125 @@
+"""The table of the benchmark: medians, ratios within a round, files, going on, refusing."""
+
+import copy
+
+import pytest
+import yaml
+
+from benchmarks import run as command
+from benchmarks.run import benchmark_to_folder, measure_group
+from benchmarks.table import (
+    Case,
+    Row,
+    UnavailableError,
+    figure,
+    markdown_table,
+    ratios,
+    read_csv,
+    write_csv,
+)
+from hydro_agents.running.console import ProgressDisplay
+from hydro_env import ConfigurationError
+
+
+def peer_and_own():
+    peer = Row("peer", "steps/s", group="g", values=[100.0, 200.0, 400.0])
+    return [peer, Row("own", "steps/s", "peer", "a note", "g", [300.0, 400.0, 4000.0])]
+
+
+def test_ratio_is_taken_run_by_run():
+    results = peer_and_own()
+    assert ratios(results[1], results) == [3.0, 2.0, 10.0]
+    assert ratios(results[0], results) == []
+
+
+def test_markdown_holds_median_range_and_ratio():
+    text = markdown_table(peer_and_own(), "g")
+    assert "| own | steps/s | 400 | 300–4,000 | 3 | 3.00 × peer (2.00–10.0) | a note |" in text
+    assert len(text.splitlines()) == 4
+
+
+def test_a_row_without_values_says_why():
+    missing = Row("motor", "steps/s", note="not installed: no module", group="g")
+    assert "| motor | steps/s | – | – | 0 |  | not installed: no module |" in markdown_table([missing], "g")
+
+
+def test_csv_returns_every_value(tmp_path):
+    results = peer_and_own()
+    write_csv(tmp_path / "t.csv", results)
+    assert read_csv(tmp_path / "t.csv") == results
+
+
+def test_a_foreign_csv_is_refused(tmp_path):
+    (tmp_path / "t.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ConfigurationError, match="is not a table of hydro benchmark"):
+        read_csv(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (93_572.6, "93,573"), (123.4, "123"), (0.6712, "0.671"), (1e-7, "1.00e-07")]
+)
+def test_figures_are_short(value, text):
+    assert figure(value) == text
+
+
+def groups_of(monkeypatch, **cases):
+    monkeypatch.setattr(command, "GROUPS", {n: (n, lambda extent, c=c: copy.deepcopy(c)) for n, c in cases.items()})
+
+
+def case(name, measure, runs=3):
+    return Case([Row(name, "s")], measure, runs)
+
+
+def unavailable(run):
+    raise UnavailableError("not installed: nothing there")
+
+
+def test_cases_run_in_turn():
+    order = []
+    cases = [case(name, lambda run, name=name: (order.append(name) or 1.0,)) for name in "ab"]
+    measure_group("g", cases, [], lambda: None, ProgressDisplay())
+    assert "".join(order) == "ababab"
+
+
+def test_command_writes_keeps_and_goes_on(tmp_path, monkeypatch):
+    calls = []
+
+    def stopped(run):
+        calls.append(run)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return (1.0,)
+
+    first = [case("one", lambda run: (run + 1.0,)), case("absent", unavailable)]
+    groups_of(monkeypatch, first=first, second=[case("two", stopped)])
+    with pytest.raises(KeyboardInterrupt):
+        benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
+    kept = {r.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0]}
+    assert "## first" in (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="holds results already"):
+        benchmark_to_folder(tmp_path, [], True, False, False, "hydro benchmark")
+    first[0] = case("one", lambda run: pytest.fail("measured again"))
+    benchmark_to_folder(tmp_path, [], True, True, False, "hydro benchmark")
+    kept = {r.name: r.values for r in read_csv(tmp_path / "benchmark.csv")}
+    assert kept == {"one": [1.0, 2.0, 3.0], "absent": [], "two": [1.0, 1.0, 1.0]}
+    circumstances = yaml.safe_load((tmp_path / "benchmark.yaml").read_text(encoding="utf-8"))
+    assert {"machine", "versions", "threads", "quick"} <= set(circumstances)
+    with pytest.raises(ConfigurationError, match="another 'quick'"):
+        benchmark_to_folder(tmp_path, [], False, True, False, "hydro benchmark")
+
+
+def test_unknown_group_is_refused_in_one_line(tmp_path):
+    with pytest.raises(ConfigurationError) as error:
+        benchmark_to_folder(tmp_path / "new", ["speed"], True, False, False, "hydro benchmark")
+    assert "--only speed: unknown group 'speed'; known: kernel, single" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "new").exists()
+
+
+def test_help_names_every_group():
+    import inspect
+
+    from hydro_agents.commands import application as cli
+
+    assert all(f"{name}" in inspect.getsource(cli.benchmark) for name in command.GROUPS)

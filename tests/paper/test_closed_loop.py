@@ -1,0 +1,166 @@
+"""The sampled position loop: closed forms, the nonlinear plant, the figures made from it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hydro_agents.controllers.sampled_loop import (
+    CONTROL_PERIOD,
+    SampledLoop,
+    places_in_reach,
+    sampled_loop,
+    speed_per_command,
+)
+from hydro_env import PlantParameters, equilibrium, simulate
+from paper.closed_loop import (
+    GAIN_MARGIN,
+    achievable,
+    bandwidth,
+    closed_loop_run,
+    limit_table,
+    proportional,
+    sensible_gain,
+    settling_time,
+)
+from paper.frequency import closed_bode_table
+from paper.moves import closed_moves_summary, closed_moves_table
+from paper.rig import Rig, simplified, with_leak
+
+SPEED, LATE = 0.2, 1e-3  # m/s per command, s
+
+
+@pytest.fixture(scope="module")
+def integrator():
+    """A pure integrator: the position after one period is known by hand."""
+    one, zero = np.eye(1), np.zeros(1)
+    return SampledLoop(
+        one, np.array([SPEED * LATE]), np.array([SPEED * (CONTROL_PERIOD - LATE)]), 0.0 * one, zero, zero, 1.0
+    )
+
+
+@pytest.fixture(scope="module")
+def prompt_integrator():
+    one, zero = np.eye(1), np.zeros(1)
+    return SampledLoop(one, zero, np.array([SPEED * CONTROL_PERIOD]), 0.0 * one, zero, zero, 1.0)
+
+
+def plant(leak, law="laminar"):
+    return with_leak(simplified(PlantParameters(), "none", True), leak, law)
+
+
+def test_response_of_an_integrator(integrator):
+    gain, hertz = 60.0, np.array([1.0, 20.0, 90.0])
+    z = np.exp(2j * math.pi * hertz * CONTROL_PERIOD)
+    opened = gain * SPEED * ((CONTROL_PERIOD - LATE) + LATE / z) / (z - 1.0)
+    assert integrator.response(gain, hertz) == pytest.approx(opened / (1.0 + opened))
+    assert integrator.final_value(gain) == pytest.approx(1.0)
+
+
+def test_bandwidth_and_settling_of_an_integrator(prompt_integrator):
+    gain = 200.0
+    k = gain * SPEED * CONTROL_PERIOD  # the error is multiplied by 1 − k in each period
+    cosine = (1.0 + (1.0 - k) ** 2 - 2.0 * k**2) / (2.0 * (1.0 - k))
+    assert bandwidth(prompt_integrator, gain) == pytest.approx(
+        math.acos(cosine) / (2 * math.pi * CONTROL_PERIOD), rel=1e-4
+    )
+    periods = math.ceil(math.log(0.02) / math.log(1.0 - k))
+    assert settling_time(prompt_integrator, gain) == pytest.approx(periods * CONTROL_PERIOD)
+    assert prompt_integrator.step_response(gain, 3) == pytest.approx([1.0 - (1.0 - k) ** n for n in range(4)])
+    assert prompt_integrator.largest_stable_gain() == pytest.approx(2.0 / (SPEED * CONTROL_PERIOD), rel=1e-6)
+
+
+def test_response_is_the_transform_of_the_pulse_response():
+    loop, gain = sampled_loop(plant(2.0), 0.02), 300.0
+    pulse = np.diff(loop.step_response(gain, 4000), prepend=0.0)
+    for hertz in (0.5, 15.0, 66.0, 95.0):
+        z = np.exp(-2j * math.pi * hertz * CONTROL_PERIOD * np.arange(len(pulse)))
+        assert loop.response(gain, np.array([hertz]))[0] == pytest.approx(pulse @ z, rel=1e-3)
+    assert loop.final_value(gain) == pytest.approx(loop.step_response(gain, 4000)[-1], rel=1e-3)
+
+
+@pytest.mark.parametrize(("leak", "hertz"), [(0.01, 20.0), (4.0, 10.0), (4.0, 50.0)])
+def test_response_is_that_of_the_nonlinear_plant(leak, hertz):
+    place, gain, periods, size = 0.02, 300.0, 400, 1e-5
+    reference = place + size * np.sin(2 * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))
+    _, holding = equilibrium(plant(leak), place)
+    run = closed_loop_run(plant(leak), reference, proportional(gain, holding / 10.0), place)
+    late = slice(periods // 2, periods)
+    position = run["position_m"].to_numpy()[::5][:periods][late] - place
+    turning = np.exp(-2j * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))[late]
+    seen = (position - position.mean()) @ turning / ((reference[late] - place) @ turning)
+    assert seen == pytest.approx(sampled_loop(plant(leak), place).response(gain, np.array([hertz]))[0], rel=0.03)
+
+
+@pytest.mark.parametrize("law", ["laminar", "throttle"])
+@pytest.mark.parametrize(("leak", "place"), [(0.01, -0.04), (0.01, 0.02), (1.0, 0.02), (1.0, 0.085)])
+def test_just_inside_the_limit_decays_and_just_outside_swings_up(law, leak, place):
+    """The limit of the figure against the nonlinear plant in a sampled loop."""
+    axis = plant(leak, law)
+    limit = sampled_loop(axis, place).largest_stable_gain()
+    _, holding = equilibrium(axis, place)
+    sizes = {}
+    for share in (0.95, 1.05):
+        run = closed_loop_run(
+            axis, np.full(240, place), proportional(share * limit, holding / 10.0), place, deviation=1e-6
+        )
+        error = (run["position_m"].to_numpy() - place)[::5]
+        error = np.abs(error - error[-80:].mean())
+        sizes[share] = error[-40:].max() / error[60:100].max()
+    assert sizes[0.95] < 0.6
+    assert sizes[1.05] > 1.7
+
+
+def test_speed_per_command_is_what_the_plant_shows():
+    axis = plant(1.0).replace(load={"spring_stiffness": 0.0}, supply={"model": "constant"})
+    rest, holding = equilibrium(axis, 0.0)
+    run = simulate(axis, [holding + 0.02] * 600, 1e-3, rest)
+    assert run.velocity[-100:].mean() / 0.002 == pytest.approx(speed_per_command(axis, 0.0), rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def limits():
+    return limit_table(Rig(), (0.01, 0.3, 4.0))
+
+
+def test_limits_are_those_of_the_loop_and_gains_keep_the_margin(limits):
+    row = limits.query("law == 'throttle' and leak_lpm == 0.3").iloc[4]
+    loop = sampled_loop(with_leak(PlantParameters(), 0.3, "throttle"), places_in_reach(PlantParameters())[4])
+    assert row["limit_per_m"] == pytest.approx(loop.largest_stable_gain())
+    assert row["bandwidth_hz"] == pytest.approx(bandwidth(loop, row["gain_per_m"]))
+    told = achievable(limits)
+    assert len(told) == 2 * 3
+    tight = told.query("law == 'laminar'").iloc[0]
+    assert tight["gain_per_m"] == pytest.approx(sensible_gain(Rig()))
+    assert tight["gain_per_m"] * GAIN_MARGIN <= tight["limit_per_m"] + 1e-9
+    grows = limits.query("law == 'laminar'").pivot(
+        index="leak_lpm", columns="position_mm", values="continuous_limit_per_m"
+    )
+    assert np.all(np.diff(grows[places_in_reach(PlantParameters())[4] * 1e3]) > 0.0)  # 2 ζ ω grows with the leak
+
+
+def test_settling_of_the_linear_loop_is_that_of_the_nonlinear_one():
+    axis, place, gain, step = plant(4.0), 0.022, 474.0, 2e-5
+    loop = sampled_loop(axis, place)
+    _, holding = equilibrium(axis, place)
+    run = closed_loop_run(axis, np.full(400, place + step), proportional(gain, holding / 10.0), place)
+    seen = (run["position_m"].to_numpy()[::5] - place) / step
+    assert seen == pytest.approx(loop.step_response(gain, 400), abs=0.02)
+
+
+def test_closed_loop_table_holds_bandwidth_and_peak_of_its_own_curves():
+    table = closed_bode_table(Rig())
+    for _, part in table.groupby("leak_lpm"):
+        assert part["peak"].iloc[0] == part["gain"].max()
+        level = part["gain"] / part["at_rest"]
+        below = part["frequency_hz"] > part["bandwidth_hz"]
+        assert level[~below].min() > math.sqrt(0.5) > level[below].iloc[0]
+
+
+def test_feedback_hides_the_leak_in_the_moves():
+    table = closed_moves_table(Rig())
+    told = closed_moves_summary(table, Rig())
+    assert told["left_mm"].abs().iloc[-1] > 10.0 * told["left_mm"].abs().iloc[0]
+    assert told["command"].abs().is_monotonic_increasing
+    assert told["largest_mm"].max() < 2.0
+    assert np.allclose(table["error_mm"], table["reference_mm"] - table["position_mm"])

@@ -1,0 +1,75 @@
+"""``hydro reproduce``: the files, the page, wrong use."""
+
+import re
+
+import pandas as pd
+import pytest
+from browser import problems_everywhere
+
+from hydro_agents.commands.application import main
+from hydro_env import ConfigurationError
+from hydro_env.task.sensors import Sensors
+from paper import run as command
+from paper.figures import FIGURES, write_words
+from paper.moves import displacement_table
+from paper.rig import Rig
+
+
+def test_every_figure_has_picture_and_table(folder):
+    keys = sorted(path.stem for path in folder.glob("*.png"))
+    assert keys == sorted(entry.key for entry in command.FIGURES)
+    for key in keys:
+        assert (folder / f"{key}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / f"{key}.svg").read_text(encoding="utf-8")
+        table = pd.read_csv(folder / f"{key}.csv")
+        assert len(table) > 3
+        assert table.notna().any().all()
+    assert len(pd.read_csv(folder / "equations.csv")) == 24
+
+
+def test_the_page_shows_every_figure_and_needs_nothing_else(folder):
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    for path in folder.glob("*.png"):
+        assert f'<section id="{path.stem}">' in page
+    assert page.count('role="img"') == len(list(folder.glob("*.svg")))
+    assert "nan" not in re.sub(r"<[^>]*>", " ", page).split()
+    body = re.sub(r'xmlns(:\w+)?="[^"]*"', "", page)
+    links = {target for target in re.findall(r'href="([^"]*)"', body) if not target.startswith("#")}
+    assert links == {path.name for kind in ("svg", "png", "csv") for path in folder.glob(f"*.{kind}")}
+    assert not re.search(r"""src\s*=|url\((?!["']?#)|@import|<script|<link""", body)
+    ids = re.findall(r'\bid="([^"]*)"', page)
+    assert len(ids) == len(set(ids))
+
+
+def test_nothing_is_cut_off_in_a_browser(browser, folder):
+    assert problems_everywhere(browser, folder / "page.html") == []
+
+
+def test_a_folder_with_results_is_kept_unless_told(folder):
+    with pytest.raises(ConfigurationError, match="--overwrite") as caught:
+        command.reproduce_to_folder(folder, overwrite=False)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_in_place_of_the_folder_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["hydro", "reproduce", "--output", str(tmp_path / "file")])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("hydro: ")
+    assert error.count("\n") == 1
+
+
+def test_recorded_displacement_has_the_noise_of_the_sensor():
+    table = displacement_table(Rig())
+    error = 1e-3 * (table["recorded_position_mm"] - table["true_position_mm"])
+    assert error.std() == pytest.approx(Sensors().position.noise, rel=0.1)
+    assert abs(error.mean()) <= Sensors().position.bias
+    travel = table[table["friction"]].groupby("leak_lpm")["true_position_mm"].max()
+    assert travel.is_monotonic_decreasing
+
+
+def test_displacement_words_name_the_sensor():
+    assert f"{1e3 * Sensors().position.noise:.3f} mm" in write_words(FIGURES[0], displacement_table(Rig()), Rig()).how

@@ -1,0 +1,60 @@
+"""The terms of dF/dt, and the table of equations."""
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+
+from paper.force_rate import TERMS, force_rate_table, share_table, shares
+from paper.page import equation_table
+from paper.rig import Rig
+
+
+@pytest.fixture(scope="module", params=["laminar", "throttle"])
+def table(request):
+    return force_rate_table(Rig(), request.param)
+
+
+def test_the_terms_add_up_to_the_rate_of_the_force(table):
+    """The edges of the stacked areas: what piles up above zero and what hangs below it."""
+    terms = table[list(TERMS)]
+    total = terms.clip(lower=0.0).sum(axis=1) + terms.clip(upper=0.0).sum(axis=1)
+    assert total.to_numpy() == pytest.approx(table["sum_n_s"].to_numpy(), abs=1e-6)
+    largest = table["from_chambers_n_s"].abs().max()
+    assert np.abs(total - table["from_chambers_n_s"]).max() < 1e-6 * largest
+
+
+def test_every_term_is_there_and_leakage_acts_against_the_difference(table):
+    assert (table[list(TERMS)].abs().max() > 0.0).all()
+    against = np.sign(table["internal_leakage_n_s"]) == -np.sign(table["pressure_difference_bar"])
+    assert against.all()
+    assert (table["external_leakage_n_s"] >= 0.0).all()
+
+
+def test_the_share_of_leakage_grows_with_the_leak(table):
+    told = shares(table)
+    for window in ("move", "stop"):
+        part = told[told["window"] == window].sort_values("leak_lpm")
+        assert np.all(np.diff(part["leakage_share"]) > 0.0)
+        assert part["leakage_share"].between(0.0, 1.0).all()
+
+
+def test_the_share_is_that_of_the_samples_at_a_pressure_difference():
+    row = share_table(Rig()).query("law == 'throttle' and leak_lpm == 1.0").iloc[1]
+    seen = force_rate_table(Rig(), "throttle").query("leak_lpm == 1.0 and time_s >= 0.0")
+    size = seen["pressure_difference_bar"].abs()
+    seen = seen[(size >= row["difference_low_bar"]) & (size < row["difference_high_bar"])]
+    assert len(seen) == row["samples"]
+    sizes = seen[list(TERMS)].abs().to_numpy()
+    assert row["leakage_share"] == pytest.approx(sizes[:, 2].sum() / sizes.sum())
+
+
+def test_every_equation_has_a_function_that_exists():
+    table = equation_table()
+    assert list(table["equation"]) == [f"({number})" for number in range(1, 25)]
+    assert list(table.columns) == ["equation", "meaning", "functions", "correction"]
+    assert table.notna().all(axis=None)
+    for names in table["functions"]:
+        for name in names.split(", "):
+            module, _, function = name.rpartition(".")
+            assert callable(getattr(import_module(module), function)), name

@@ -1,0 +1,196 @@
+"""Rigs that lack sensors: what works without them works, the rest says in one line why not."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import assert_one_clear_line, hydro
+
+from hydro_agents.commands.options import exact_task
+from hydro_agents.controllers.registry import make_controller
+from hydro_agents.detection.head_training import HeadTrainingSettings
+from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.opponents import gains_file, shipped
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.training import train_ppo
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.study import results
+from hydro_agents.study.other_rig import default_study
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import read_yaml
+from hydro_env.folders import config_folder
+from hydro_env.task.configuration import task_config
+
+PRESSURES = {"pressure_a": {"fitted": False}, "pressure_b": {"fitted": False}}
+SPOOL = {"spool_position": {"fitted": False}}
+POSITION_ALONE = TaskConfig(sensors=PRESSURES | SPOOL, episode_duration=0.5)
+RIG = """
+supply: {model: constant, pressure: 70 bar}
+sensors: {pressure_a: {fitted: false}, pressure_b: {fitted: false}, spool_position: {fitted: false}}
+"""
+STUDY = """
+controllers:
+  PID: {kind: pid, tune: {evaluations: 12, cases: 7}}
+  Flow linearisation: {kind: flow_linearising}
+  PPO: {kind: ppo, corrects: Flow linearisation, settings: {total_steps: 1024, axes: 16, steps_per_rollout: 16,
+        minibatches: 2, epochs: 1, hidden_sizes: [8], see_estimates: true}}
+evaluation: {plants: 3, detection_episodes: 100}
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """A rig with a position sensor alone, and a study of one PID and one policy that corrects flow linearisation."""
+    rig, study = tmp_path / "rig.yaml", tmp_path / "study.yaml"
+    rig.write_text(RIG)
+    study.write_text(STUDY)
+    return rig, study
+
+
+def mean_error(controller, config):
+    """Mean absolute error in m over four cases."""
+    run = run_cases(config, controller, Cases(np.arange(4)))
+    return float(np.abs(run.reference - run.position).mean())
+
+
+def test_the_pid_needs_the_position_alone():
+    whole = TaskConfig(episode_duration=0.5)
+    pid = mean_error(make_controller("pid", POSITION_ALONE), POSITION_ALONE)
+    assert pid == mean_error(make_controller("pid", whole), whole)
+
+
+@pytest.mark.parametrize("kind", ["flow_linearising", "lqg", "adrc"])
+def test_a_controller_that_reads_pressures_refuses_in_one_line(kind):
+    with pytest.raises(ConfigurationError, match=r"reads pressure_a, pressure_b.* no such sensor") as caught:
+        make_controller(kind, POSITION_ALONE)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_flow_linearisation_takes_the_command_for_the_spool():
+    without, whole = TaskConfig(sensors=SPOOL, episode_duration=0.5), TaskConfig(episode_duration=0.5)
+    seen = mean_error(shipped("flow_linearising", whole), whole)
+    unseen = mean_error(shipped("flow_linearising", without), without)
+    assert seen < unseen < 0.8 * mean_error(shipped("pid", without), without)
+
+
+def test_a_policy_without_pressures_is_trained_saved_and_read_again(tmp_path):
+    base = make_controller("pid", POSITION_ALONE)
+    settings = PPOSettings(
+        total_steps=512, axes=16, steps_per_rollout=16, minibatches=2, epochs=1, hidden_sizes=(8,), torch_threads=1
+    )
+    trained = train_ppo(POSITION_ALONE, settings, base, seed=1)
+    features = PolicyFeatures(POSITION_ALONE, base)
+    assert features.history == ("position", "velocity_estimate", "previous_command", "tracking_error")
+    trained.save(tmp_path / "policy")
+    again = PolicyController.load(tmp_path / "policy")
+    assert mean_error(again, POSITION_ALONE) == mean_error(trained, POSITION_ALONE)
+
+
+def test_the_head_names_the_sensors_that_it_misses():
+    with pytest.raises(ConfigurationError, match="leakage_head: reads spool_position, but this rig has no such sensor"):
+        HeadTrainingSettings().check(TaskConfig(sensors=SPOOL))
+
+
+def test_a_study_leaves_out_what_cannot_work(files, capsys):
+    rig, file = files
+    study = default_study(file, rig=rig)
+    assert list(study.controllers) == ["PID", "PPO"]
+    assert study.controllers["PPO"].corrects == "PID"
+    assert study.controllers["PPO"].settings["see_estimates"] is False
+    assert study.leakage_head is None
+    told = capsys.readouterr().err.splitlines()
+    assert [line.split(":")[1].strip() for line in told] == [
+        "Flow linearisation is left out",
+        "PPO corrects PID instead of Flow linearisation",
+        "no leakage head",
+    ]
+
+
+def test_a_policy_that_corrects_nothing_is_left_out(files, capsys):
+    rig, file = files
+    file.write_text(STUDY.replace("  PID: {kind: pid, tune: {evaluations: 12, cases: 7}}\n", ""))
+    with pytest.raises(ConfigurationError, match="no controller works with the sensors of this rig"):
+        default_study(file, rig=rig)
+
+
+def test_a_study_with_a_position_sensor_alone_tunes_trains_and_reports(files, tmp_path):
+    rig, file = files
+    answer = hydro("study", "--config", file, "--rig", rig, "--output", tmp_path / "study")
+    assert answer.returncode == 0, answer.stderr
+    for name in ("controllers/PID/gains.yaml", "controllers/PPO/policy.safetensors", "report.html", "tuned_study.yaml"):
+        assert (tmp_path / "study" / name).is_file()
+    assert not (tmp_path / "study" / "leakage_head.safetensors").exists()
+    again = default_study(tmp_path / "study" / "tuned_study.yaml")
+    assert again.leakage_head is None
+    assert again.controllers["PID"].tune is None
+
+
+def test_commands_refuse_what_the_rig_cannot_give(files, tmp_path):
+    rig, _ = files
+    head = hydro("train", "head", "--rig", rig, "--output", tmp_path / "head")
+    assert head.returncode == 2
+    assert "leakage_head: reads pressure_a, pressure_b, spool_position" in head.stderr.splitlines()[-1]
+    answer = hydro("record", "--rig", rig, "--controller", "flow_linearising", "--output", tmp_path / "a.csv")
+    assert_one_clear_line(answer, "--controller", "reads pressure_a, pressure_b")
+    assert not (tmp_path / "a.csv").exists()
+
+
+def test_a_recording_has_no_column_for_an_absent_sensor(files, tmp_path):
+    rig, _ = files
+    answer = hydro("record", "--rig", rig, "--duration", "0.2", "--leakage", "1", "--output", tmp_path / "a.csv")
+    assert answer.returncode == 0, answer.stderr
+    heading = (tmp_path / "a.csv").read_text().splitlines()[1]
+    assert heading == "time [s],position [mm],command [V]"
+
+
+def test_check_rig_names_absent_sensors(files):
+    rig, _ = files
+    answer = hydro("check-rig", "--rig", rig)
+    assert answer.returncode == 0
+    assert "no sensor for spool_position" in " ".join(answer.stdout.split())
+
+
+def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, monkeypatch):
+    rig, study = files
+    seen = []
+
+    def evaluated(study, controllers, *rest, **options):
+        seen.append(list(controllers))
+        return SimpleNamespace(errors={})
+
+    monkeypatch.setattr(results, "evaluate_study", evaluated)
+    monkeypatch.setattr(results, "print_summary", lambda *arguments: None)
+    common = ("evaluate", "--config", study, "--rig", rig, "--output", tmp_path / "out", "--overwrite")
+    answer = hydro(*common)
+    assert answer.returncode == 0, answer.stderr
+    assert seen == [["PID"]]
+    assert "hydro: left out: PPO: was trained on other observations" in answer.stderr
+    named = hydro(*common, "--agent", "mine=ppo")
+    assert named.returncode == 2
+    assert named.stderr.splitlines()[-1].startswith("hydro: mine: was trained on other observations")
+    assert hydro("evaluate", "--rig", "symmetric_eha", "--output", tmp_path / "other").returncode == 0
+    assert seen[1:] == [["PID", "Flow linearisation", "PPO"]]
+
+
+def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
+    study = default_study(rig="symmetric_eha").with_shipped_gains()
+    assert study.tuned == []
+    gains = read_yaml(config_folder() / "agents" / "pid_symmetric_eha.yaml")
+    assert study.make("PID").gains.model_dump() == gains
+    assert shipped("ppo", study.task).features.config.plant == study.task.plant
+    assert gains_file("pid", TaskConfig()) is None
+    other = task_config(study.task, control_period=0.002)  # the shipped gains are for another period
+    assert gains_file("pid", other) is None
+    assert default_study(rig=config_folder() / "rigs" / "kovari_2015.yaml").with_shipped_gains().tuned != []
+
+
+def test_a_rig_that_is_named_alone_is_recorded_as_its_file_says(files, tmp_path):
+    rig, _ = files
+    common = ("record", "--duration", "0.1", "--leakage", "1", "--overwrite", "--output", tmp_path / "a.csv")
+    assert "drawn" not in hydro(*common, "--rig", rig).stdout
+    assert "; parameters of the plant drawn by --seed 3" in hydro(*common, "--seed", "3").stdout
+    assert "drawn" in hydro(*common, "--rig", rig, "--task", "default").stdout
+    assert task_config(exact_task(None, rig), rig=rig).randomisation == {}
+    assert exact_task("loaded", rig) == "loaded"
+    assert exact_task(None, None) is None
