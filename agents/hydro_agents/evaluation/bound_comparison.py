@@ -47,6 +47,7 @@ def compare(
     ``failed``.
     """
     cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
+    table = table.drop(columns="seed")
     frames = []
     for name, controller in controllers.items():
         rollout = run_cases(config, controller, cases)
@@ -90,6 +91,7 @@ def convergence(
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
     cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
+    table = table.drop(columns="seed")
     rows: list[dict[str, Any]] = []
     known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():

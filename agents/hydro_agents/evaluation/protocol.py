@@ -47,6 +47,7 @@ class StudyProtocol(PairedProtocol):
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
     seeds: ClassVar[SeedRange] = EVALUATION
+    plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = 4000
 
     def asked(self) -> tuple[str, ...]:
