@@ -25,7 +25,8 @@ from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
 from hydro_agents.learning.tuning import tune
 from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.identify import identify, identify_to_folder
+from hydro_agents.rigs.identification_page import identify_to_folder
+from hydro_agents.rigs.identify import identify
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.running.seeds import LEARNING

@@ -34,8 +34,6 @@ DEBTS = {
     ("agents/hydro_agents/evaluation/bound_comparison.py", "hydro_agents.report.canvas"),
     ("agents/hydro_agents/evaluation/leak_bound_tables.py", "hydro_agents.report.canvas"),
     ("agents/hydro_agents/evaluation/move_trial.py", "hydro_agents.report.canvas"),
-    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.diagnosis_windows"),
-    ("agents/hydro_agents/detection/recording_readers.py", "hydro_agents.rigs.verdict"),
 }
 """Imports that still run upwards; none may be added."""
 

@@ -10,7 +10,6 @@ from hydro_agents.moved import MOVED
 
 PUBLIC = {
     "alarms.alarm": "AlarmSettings LeakAlarm",
-    "alarms.detector": "HeadDetector activity_of",
     "alarms.looks": "looks_at",
     "bound.best_found": "best_found",
     "controllers": "ObservationLayout PID PIDGains",
@@ -35,8 +34,7 @@ PUBLIC = {
     "rigs.check": "check_rig",
     "robustness.conditions": "protocol_named",
     "robustness.participants": "participants",
-    "robustness.running": "replay run_protocol",
-    "robustness.tables": "make_tables",
+    "robustness.running": "replay",
     "running.cases": "Cases",
     "running.folders": "pretrained_folder",
     "running.seeds": "TEST_SEEDS",

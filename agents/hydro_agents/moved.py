@@ -14,7 +14,6 @@ from types import ModuleType
 PACKAGE = "hydro_agents."
 MOVED = {
     "alarms.alarm": "hydro_agents.detection.alarm",
-    "alarms.detector": "hydro_agents.detection.alarm_detectors",
     "alarms.looks": "hydro_agents.detection.looks",
     "bound.best_found": "hydro_agents.evaluation.best_found",
     "diagnosis.diagnose": "hydro_agents.rigs.diagnose",
@@ -22,10 +21,10 @@ MOVED = {
     "evaluation.opponents": "hydro_agents.learning.opponents",
     "leakage.head": "hydro_agents.detection.head",
     "leakage.monitor": "hydro_agents.detection.monitor",
+    "rigs.brief": "hydro_agents.rigs.check_table",
     "robustness.conditions": "hydro_agents.evaluation.robustness_protocol",
     "robustness.participants": "hydro_agents.evaluation.participants",
-    "robustness.running": "hydro_agents.evaluation.robustness_running",
-    "robustness.tables": "hydro_agents.evaluation.robustness_tables",
+    "robustness.running": "hydro_agents.evaluation.tracking",
 }
 """Modules whose names the documentation of version 0.2 used, without the package, and where these names are now."""
 

@@ -8,11 +8,13 @@ from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import scale_of
-from hydro_agents.detection.alarm_detectors import Activity, Cause, EstimatorDetector, HeadDetector
 from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job
+from hydro_agents.detection.detector import Cause, Windows
+from hydro_agents.detection.detectors import HeadDetector
+from hydro_agents.detection.estimator import FollowingDetector
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.head_training import untrained_head
-from hydro_agents.detection.looks import Looks
+from hydro_agents.detection.looks import Activity, Looks
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()
@@ -104,11 +106,11 @@ def test_the_head_is_a_detector_that_stands_lost_samples():
     detector = HeadDetector(head)
     signals = np.random.default_rng(1).normal(0.0, 0.3, (3, len(SIGNALS), detector.window)) * head.scale[:, None]
     signals[2, 1, 50] = np.nan
-    found, expected = detector(signals), head.estimate_windows(signals)
+    found, expected = detector.read(Windows.of(signals), CONFIG), head.estimate_windows(signals)
     np.testing.assert_allclose(1.0 / (1.0 + np.exp(-found.score)), expected.probability, rtol=1e-6)
     np.testing.assert_array_equal(found.flow_lpm, expected.flow_lpm)
-    assert set(found.cause[expected.outside > 0.0]) <= {Cause.UNKNOWN}
-    assert set(found.cause[expected.outside == 0.0]) <= {Cause.SEAL_OR_NOTHING}
+    np.testing.assert_array_equal(found.cause == Cause.UNKNOWN, expected.outside > 0.0)
+    np.testing.assert_array_equal(found.answers, expected.outside == 0.0)
 
 
 def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
@@ -120,17 +122,18 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
         env.step(np.full((2, 1), 0.2 * np.sin(0.15 * step), dtype=np.float32))
     signals = np.stack(columns, axis=-1)
     signals[1, 0] = signals[1, 0, ::-1]  # no axis moves against its command
-    detector = EstimatorDetector(CONFIG, window=81, threads=1)
+    detector = FollowingDetector(threads=1)
     fresh = deepcopy(detector)
-    first, second = detector(signals[:, :, :81]), detector(signals[:, :, 80:161])
-    assert first.cause.tolist() == second.cause.tolist() == [Cause.SEAL_OR_NOTHING, Cause.UNKNOWN]
+    first, second = (detector.read(Windows.of(signals[:, :, n : n + 81]), CONFIG) for n in (0, 80))
+    assert first.cause.tolist() == second.cause.tolist() == [Cause.NONE, Cause.UNKNOWN]
     for found in (first, second):
         assert abs(found.score[0] - 0.3) < 4.0 * found.sigma[0]
-    anew = fresh(signals[:, :, 80:161])
+    anew = fresh.read(Windows.of(signals[:, :, 80:161]), CONFIG)
     assert anew.score[0] == pytest.approx(second.score[0], abs=0.5 * anew.sigma[0]), (
         "the past changes the way, not the end"
     )
-    np.testing.assert_array_equal(detector(signals[:, :, :81]).score, first.score, "it has not followed on: all anew")
+    again = detector.read(Windows.of(signals[:, :, :81]), CONFIG)
+    np.testing.assert_array_equal(again.score, first.score, "it has not followed on: all anew")
     scales = {a.name.lower(): {"highest_baseline": 0.03, "spread": 0.001, "shift": 0.1} for a in Activity}
     alarm = LeakAlarm(AlarmSettings(scales=scales, sums=({"method": "mean", "threshold": 0.1},)))
     result, _ = alarm.update(second, np.array([Activity.MOVING] * 2, dtype=np.int8), alarm.begin(2))
@@ -142,9 +145,11 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
     [
         (("--hours", "-3"), ("hours = -3", "above 0")),
         (("--rate", "0"), ("rate = 0", "above 0")),
-        (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "the estimator has no weights")),
+        (("--detector", "estimator", "--head", "nowhere"), ("--head nowhere", "only the head has weights")),
         (("--head", "nowhere"), ("nowhere.json", "cannot be read")),
-        (("--task", "period_10ms"), ("leakage_head", "other observations")),
+        (("--task", "period_10ms"), ("alarm: the leakage head was trained for a control period of 5 ms",)),
+        (("--detector", "network"), ("kind = 'network'", "must be head, estimator, or module:attribute")),
+        (("--detector", "math:pi"), ("'math:pi': is no leak detector", "it has no threshold, refuses, read")),
     ],
 )
 def test_bad_options_of_the_command_get_one_line_and_leave_nothing(tmp_path, options, parts):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.alarm_detectors import Activity, Evidence, activity_of
 from hydro_agents.detection.alarm_operation import working_references
 from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
 from hydro_agents.detection.alarm_store import Bench
+from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.looks import looks_at
+from hydro_agents.detection.looks import Activity, activity_of, looks_at
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()
@@ -20,12 +20,13 @@ WORK = Operation(first_seed=1_900_000, axes=3, duration=4.0, interval=0.5, after
 class MeanPressure:
     """A detector whose score is the mean pressure of chamber a in bar."""
 
-    window = 200
+    threshold, window = None, 200
 
-    def __call__(self, signals):
-        mean = 1e-5 * signals[:, SIGNALS.index("pressure_a")].mean(axis=1)
-        unknown = np.full(len(mean), np.nan)
-        return Evidence(mean, unknown, unknown, np.zeros(len(mean), dtype=np.int8))
+    def refuses(self, task, samples):
+        return "" if task.control_period == 0.005 else "reads one sample in 5 ms"
+
+    def read(self, windows, task):
+        return Reading.of(1e-5 * windows.signal("pressure_a").mean(axis=1))
 
 
 def position(travel, count=400):
@@ -103,7 +104,7 @@ def test_recorded_looks_equal_those_of_the_running_axes():
         action, memory = CONTROLLER.predict(observation, memory, np.full(2, step == 0), True)
         observation, *_ = env.step(action)
     env.close()
-    recorded = looks_at(np.stack(signals, axis=2), config.control_period, MeanPressure(), 0.5)
+    recorded = looks_at(np.stack(signals, axis=2), config, MeanPressure(), 0.5)
     lived = simulate(CONFIG, CONTROLLER, MeanPressure(), WORK)[0]
     np.testing.assert_allclose(recorded.time, lived.time)
     np.testing.assert_array_equal(recorded.score, lived.score[:2])
@@ -129,6 +130,8 @@ def test_too_short_work_and_recordings_are_refused():
     with pytest.raises(ConfigurationError, match=r"work of 0.5 s is shorter than a window of 1 s"):
         simulate(CONFIG, CONTROLLER, MeanPressure(), Operation(0, 1, 0.5, 0.5))
     with pytest.raises(ConfigurationError, match=r"recording of 0.5 s is shorter than a window of 1 s"):
-        looks_at(np.zeros((1, 5, 100)), 0.005, MeanPressure(), 0.5)
+        looks_at(np.zeros((1, 5, 100)), CONFIG, MeanPressure(), 0.5)
     with pytest.raises(ConfigurationError, match="shape"):
-        looks_at(np.zeros((5, 400)), 0.005, MeanPressure(), 0.5)
+        looks_at(np.zeros((5, 400)), CONFIG, MeanPressure(), 0.5)
+    with pytest.raises(ConfigurationError, match="alarm: reads one sample in 5 ms"):
+        looks_at(np.zeros((1, 5, 400)), TaskConfig(control_period=0.01), MeanPressure(), 0.5)

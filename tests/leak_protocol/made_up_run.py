@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from small_leaks import small
 
-from hydro_agents.detection.detectors import INTERNAL, NONE, UNKNOWN, VALVE
+from hydro_agents.detection.detector import Cause
 from hydro_agents.evaluation.leak_running import LeakRun
 from hydro_agents.evaluation.leak_tables import make_tables
 
@@ -22,15 +22,15 @@ def protocol():
     return small(conditions=CONDITIONS, detectors=detectors, levels=[0.0, 0.3])
 
 
-def cell(detector, condition, level, flagged, factor=1.1, width=0.2, verdict=NONE, silent=0):
+def cell(detector, condition, level, flagged, factor=1.1, width=0.2, verdict=Cause.NONE, silent=0):
     """Windows of which ``flagged`` are reported; estimates beside the truth by ``factor``, intervals of ± ``width``."""
     leak = np.full(COUNT, level if level > 0.0 else 0.01)
     if level < 0.0:
         leak = np.where(np.arange(COUNT) % 2 == 0, 0.01, 1.0)
     reported = np.arange(COUNT) < flagged
-    verdicts = np.where(reported, INTERNAL, verdict)
-    verdicts[COUNT - silent :] = UNKNOWN if silent else verdicts[COUNT - silent :]
-    told = verdicts != UNKNOWN
+    verdicts = np.where(reported, Cause.INTERNAL_LEAK, verdict)
+    verdicts[COUNT - silent :] = Cause.UNKNOWN if silent else verdicts[COUNT - silent :]
+    told = verdicts != Cause.UNKNOWN
     flow = np.where(told, leak * factor, np.nan)
     return pd.DataFrame(
         {
@@ -61,7 +61,7 @@ def run():
         cell("head", "adrc", 0.1, 50),
         cell("head", "null", 0.0, 60),
         cell("head", "null", 0.3, 100, factor=2.0),
-        cell("estimator", "null", 0.0, 0, verdict=VALVE, silent=80),
+        cell("estimator", "null", 0.0, 0, verdict=Cause.VALVE, silent=80),
         cell("estimator", "null", 0.3, 0, silent=100),
     ]
     thresholds = pd.DataFrame({"detector": ["head", "estimator"], "at_1_percent": 0.5, "used": 0.5, "windows": 200})

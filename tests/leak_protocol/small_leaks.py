@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hydro_agents.detection.detectors import NONE, VALVE, Reading
+from hydro_agents.detection.detector import Cause, Reading
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 
 SMALL = {
@@ -29,12 +29,10 @@ class Spread:
     def __init__(self, factor=1.0, samples=60):
         self.factor, self.samples = factor, samples
 
-    def refuses(self, config, samples):
+    def refuses(self, task, samples):
         return "" if samples == self.samples else f"reads {self.samples} samples"
 
-    def read(self, signals, config):
-        score = self.factor * signals[:, 3].std(axis=1)
-        score = np.where(np.abs(signals[:, 3]).max(axis=1) > 0.9, np.nan, score)
-        nothing = np.full(len(score), np.nan)
-        otherwise = np.where(np.abs(signals[:, 3].mean(axis=1)) > 0.01, VALVE, NONE).astype(float)
-        return Reading(score, nothing, nothing, nothing, nothing, otherwise)
+    def read(self, windows, task):
+        spool = windows.signal("spool_position")
+        score = np.where(np.abs(spool).max(axis=1) > 0.9, np.nan, self.factor * spool.std(axis=1))
+        return Reading.of(score, np.where(np.abs(spool.mean(axis=1)) > 0.01, Cause.VALVE, Cause.NONE))

@@ -5,7 +5,7 @@ import pytest
 from small_leaks import SMALL, Spread, small
 
 from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.alarm_detectors import Cause, Evidence
+from hydro_agents.detection.detector import Reading
 from hydro_agents.evaluation import leak_alarm_jobs as alarm_jobs
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
 from hydro_agents.evaluation.leak_bound_jobs import bound_plan
@@ -24,15 +24,16 @@ SETTINGS = AlarmSettings(
 class Level:
     """A score that does not depend on the signals."""
 
-    window = 60
+    threshold, window = None, 60
 
     def __init__(self, score):
         self.score = score
 
-    def __call__(self, signals):
-        nothing = np.full(len(signals), np.nan)
-        cause = np.full(len(signals), Cause.SEAL_OR_NOTHING, dtype=np.int8)
-        return Evidence(np.full(len(signals), self.score), nothing, nothing, cause)
+    def refuses(self, task, samples):
+        return "" if samples == self.window else f"reads {self.window} samples"
+
+    def read(self, windows, task):
+        return Reading.of(np.full(len(windows), self.score))
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from joblib import parallel_config
 from small_leaks import SMALL, Spread, small
 
-from hydro_agents.detection.detectors import INTERNAL, UNKNOWN, VALVE
+from hydro_agents.detection.detector import Cause
 from hydro_agents.evaluation.leak_running import judged, run_leak_protocol
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_env import ConfigurationError
@@ -73,13 +73,13 @@ def test_verdicts_follow_from_score_threshold_and_what_the_detector_says_otherwi
             "detector": "D",
             "failed": [0.0, 0.0, 0.0, 1.0],
             "score": [2.0, 0.0, np.nan, 2.0],
-            "otherwise": [VALVE, VALVE, VALVE, VALVE],
+            "otherwise": [Cause.VALVE] * 4,
             "leak_lpm": [1.0, 0.01, 1.0, 1.0],
         }
     )
     thresholds = pd.DataFrame({"detector": ["D"], "used": [1.0], "at_1_percent": [3.0]})
     found = judged(windows, thresholds, 0.05)
-    assert found["verdict"].tolist() == [INTERNAL, VALVE, UNKNOWN]
+    assert found["verdict"].tolist() == [Cause.INTERNAL_LEAK, Cause.VALVE, Cause.UNKNOWN]
     assert found["flagged"].tolist() == [True, False, False]
     assert found["at_1_percent"].tolist() == [False, False, False]
     assert found["leaking"].tolist() == [True, False, True]

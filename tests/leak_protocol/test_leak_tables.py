@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from made_up_run import tables
 
-from hydro_agents.detection.detectors import VERDICTS
+from hydro_agents.detection.detector import VERDICTS
 from hydro_agents.evaluation.leak_alarm_jobs import ACTIVITIES, LEVELS, _name, alarm_table
 from hydro_agents.running.jobs import JobResult
 

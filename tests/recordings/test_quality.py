@@ -6,7 +6,7 @@ from recorded import CONFIG, changed, healthy
 
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.recordings.quality import check_recording
-from hydro_agents.rigs.diagnosis_windows import cut
+from hydro_agents.recordings.sampling import cut
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
-
-if TYPE_CHECKING:
-    from hydro_agents.detection.alarm_detectors import Detector
-    from hydro_env import TaskConfig
-
-Watching = Literal["head", "estimator"]
 
 
 def alarms(
@@ -21,8 +15,11 @@ def alarms(
     task: Task = None,
     rig: Rig = None,
     detector: Annotated[
-        Watching,
-        typer.Option(help="Detector: the leakage head, or the estimator with the simulator as its model."),
+        str,
+        typer.Option(
+            metavar="head|estimator|MODULE:ATTRIBUTE",
+            help="Detector: the leakage head, the estimator with the simulator as its model, or your own.",
+        ),
     ] = "head",
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
     rate: Annotated[float, typer.Option(help="Accepted false alarms per 100 hours.")] = 1.0,
@@ -58,26 +55,35 @@ def alarms(
     """
     from hydro_agents.detection.alarm_job import SIZES, run_job
     from hydro_agents.detection.alarm_store import PATTERN, Bench
+    from hydro_agents.detection.detectors import HEAD_FILE, DetectorChoice, make_detector
+    from hydro_agents.detection.looks import window_of
     from hydro_agents.evaluation.bound_comparison import markdown
     from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_text
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
+    weights = str(head) if head is not None else None
+    choice = validate(DetectorChoice, {"kind": detector, "weights": weights}, "--detector")
+    if detector != "head" and head is not None:
+        raise ConfigurationError(f"--head {head}: only the head has weights; leave out --head or --detector {detector}")
     given = {"rate": rate, "hours": hours, "axes": axes, "interval": interval, "learning": learning}
     chosen = {name: value for name, value in given.items() if value is not None}
-    sizes = SIZES[detector].model_dump() | chosen
-    job = validate(type(SIZES[detector]), sizes, "alarms")
-    watching, name = _head(config, head) if detector == "head" else _estimator(config, head)
+    usual = SIZES["estimator" if detector == "estimator" else "head"]
+    job = validate(type(usual), usual.model_dump() | chosen, "alarms")
+    watching = make_detector(choice, following=True)
+    window_of(watching, config)  # refuses a task that it cannot read
+    name = f"leakage head {Path(head or HEAD_FILE).name}" if detector == "head" else detector
     controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
     names = ["alarm.yaml", "alarms.md", "*.csv", PATTERN]
     with (
         output_folder(output, "alarms", names, resume=resume, overwrite=overwrite) as folder,
         ProgressDisplay() as display,
     ):
-        bench = Bench(config, controllers, watching, name, folder, together=128 if detector == "head" else 16)
+        bench = Bench(config, controllers, watching, name, folder, together=16 if detector == "estimator" else 128)
         settings, tables = run_job(bench, job, display.update)
         settings.save(folder / "alarm.yaml")
         parts = [f"`{command_line()}`"]
@@ -88,33 +94,3 @@ def alarms(
         write_text(folder / "alarms.md", text + "\n")
     show(text)
     say(f"results in {output}")
-
-
-def _head(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
-    """The leakage head as detector, and its name."""
-    import torch
-
-    from hydro_agents.controllers.base import check_layout
-    from hydro_agents.detection.alarm_detectors import HeadDetector
-    from hydro_agents.detection.head import LeakageHead
-    from hydro_agents.running.folders import pretrained_folder
-    from hydro_env import ConfigurationError
-
-    path = weights or pretrained_folder() / "leakage_head"
-    watching = LeakageHead.load(path)
-    try:
-        check_layout(watching.settings.layout, config)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from None
-    torch.set_num_threads(1)  # the simulation takes the other cores
-    return HeadDetector(watching), f"leakage head {path.name}"
-
-
-def _estimator(config: TaskConfig, weights: Path | None) -> tuple[Detector, str]:
-    """The estimator as detector, and its name."""
-    from hydro_agents.detection.alarm_detectors import EstimatorDetector
-    from hydro_env import ConfigurationError
-
-    if weights is not None:
-        raise ConfigurationError(f"--head {weights}: the estimator has no weights; leave out --head or --detector")
-    return EstimatorDetector(config), "estimator"

@@ -179,7 +179,7 @@ def _end(code: int, message: str) -> NoReturn:
 
 
 def _narrow(line: str) -> list[str]:
-    """A line in parts that fit the terminal; those after the first stand four columns further right."""
+    """A line wrapped to the width of the terminal; its continuation lines are indented by four more columns."""
     indent = " " * (len(line) - len(line.lstrip()) + 4)
     width = shutil.get_terminal_size().columns
     return textwrap.wrap(

@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Rig, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Recording, Rig, command_line, say
 
 
 def diagnose(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING.csv", help="Measured signals, one row per sample.")],
+    recording: Recording,
     columns: Columns = None,
     task: OwnTask = None,
     rig: Rig = None,

@@ -7,13 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, command_line, say
+from hydro_agents.commands.options import Columns, Output, Overwrite, OwnTask, Recording, command_line, say
 
 
 def identify(
-    recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
-    ],
+    recording: Recording,
     rig: Annotated[
         Path,
         typer.Option(
@@ -33,8 +31,8 @@ def identify(
     contradicts the rig, the command ends with one line. See `docs/identify.md`.
     """
     from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.identification_page import identify_to_folder
     from hydro_agents.rigs.identify import identify as identify_recording
-    from hydro_agents.rigs.identify import identify_to_folder
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env.task.configuration import task_config
     from hydro_env.task.rig import read_rig

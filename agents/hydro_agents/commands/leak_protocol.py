@@ -10,9 +10,8 @@ from rich.table import Table
 
 from hydro_agents.commands.robustness import PROTOCOL_FILE, Place
 from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.alarm_detectors import HeadDetector
+from hydro_agents.detection.detectors import make_detector
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.readers import HeadReader, make_detector
 from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
 from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
@@ -69,12 +68,13 @@ def evaluate_leak_protocol(
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
         alarms: list[AlarmJob] = []
         for name, settings in protocol.alarms.items() if protocol.alarm_hours > 0.0 else ():
-            detector = detectors[name]
             if not Path(settings).exists():
                 display.say(f"{name}: no alarm: {settings} does not exist; hydro alarms writes it")
-            elif isinstance(detector, HeadReader):
-                watching = HeadDetector(detector.head)
-                chosen = AlarmSettings.load(settings)
+            else:
+                watching, chosen = (
+                    make_detector(protocol.detectors[name], own, following=True),
+                    AlarmSettings.load(settings),
+                )
                 alarms += alarm_plan(name, watching, chosen, protocol.task, protocol.alarm_hours, digests[name])
         run = run_leak_protocol(protocol, detectors, digests, alarms, output, jobs or default_jobs(), display.update)
         display.update("page", 0, 1)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import say
+from hydro_agents.commands.options import OverwriteFile, check_new_file, say
 from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 
@@ -51,7 +51,7 @@ def _with_an_option_per_question(command: Callable[..., None]) -> Callable[..., 
 @_with_an_option_per_question
 def new_rig(
     output: Annotated[Path, typer.Option("--output", "-o", help="YAML file to write.")] = Path("my_rig.yaml"),
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    overwrite: OverwriteFile = False,
     **texts: str | None,
 ) -> None:
     """Write the file of your rig from its nameplates, data sheets and drawings.
@@ -63,8 +63,7 @@ def new_rig(
     from hydro_agents.rigs.new_rig import new_rig as written_rig
     from hydro_env.files import write_text
 
-    if output.exists() and not overwrite:
-        raise ConfigurationError(f"{output}: exists; --overwrite replaces it, --output takes another file")
+    check_new_file(output, overwrite)
     given = {key: text for key, text in texts.items() if text is not None}
     required = {question.key for question in QUESTIONS if question.required}
     if not required <= given.keys() and sys.stdin.isatty():

@@ -23,6 +23,7 @@ Seed = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
+OverwriteFile = Annotated[bool, typer.Option("--overwrite", help="Replace the file.")]
 Agents = Annotated[
     list[str] | None,
     typer.Option(
@@ -58,6 +59,18 @@ Columns = Annotated[
     Path | None,
     typer.Option("--map", metavar="FILE", help="YAML: the signal of each column, with unit, gain and offset."),
 ]
+Recording = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="Measured signals: CSV, Parquet, MDF4, TDMS or MAT.")
+]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault", metavar="NAME=VALUE", help="A fault, such as valve_null_shift=0.01; repeat the option for several."
+    ),
+]
+PlantSeed = Annotated[
+    int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
+]
 OwnTask = Annotated[
     str | None, typer.Option("--task", metavar="NAME|FILE", help="A name in `configs/tasks` or a YAML file.")
 ]
@@ -68,8 +81,20 @@ Config = Annotated[
 
 
 def exact_task(task: str | None, rig: Path | None) -> str | None:
-    """The task of a command that shows one axis: with a rig alone it is as its file says, and nothing is drawn."""
+    """The task of a command that shows one axis; ``--rig`` alone gives the parameters of its file, without any draw."""
     return "as_given" if task is None and rig is not None else task
+
+
+def check_new_file(output: Path, overwrite: bool) -> None:
+    """Check before the work that a file can be written.
+
+    Raises:
+        ConfigurationError: it exists already and may not be replaced, or is a folder.
+    """
+    if output.is_dir():
+        raise ConfigurationError(f"{output}: is a folder; --output needs a file")
+    if output.exists() and not overwrite:
+        raise ConfigurationError(f"{output}: exists; --overwrite replaces it, --output takes another file")
 
 
 def command_line() -> str:

@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import OwnTask, Rig, command_line, exact_task, say
+from hydro_agents.commands.options import (
+    Faults,
+    OverwriteFile,
+    OwnTask,
+    PlantSeed,
+    Rig,
+    check_new_file,
+    command_line,
+    exact_task,
+    say,
+)
 
 if TYPE_CHECKING:
     from hydro_env import TaskConfig
@@ -30,14 +40,7 @@ def record(
     leakage: Annotated[
         float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn from the task's ranges.")
     ] = None,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            metavar="NAME=VALUE",
-            help="A fault, such as valve_null_shift=0.01; repeat the option for several.",
-        ),
-    ] = None,
+    fault: Faults = None,
     duration: Annotated[
         float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
     ] = None,
@@ -47,10 +50,8 @@ def record(
             help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop; default: drawn."
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
-    ] = 0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    seed: PlantSeed = 0,
+    overwrite: OverwriteFile = False,
 ) -> None:
     """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
 
@@ -77,10 +78,7 @@ def record(
         config = task_config(task, rig=rig, episode_duration=length)
         _record_dataset(str(minari), config, controller, episodes, seed, given)
         return
-    if output.exists() and not overwrite:
-        raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
-    if output.is_dir():
-        raise ConfigurationError(f"{output}: is a folder; --output needs a file")
+    check_new_file(output, overwrite)
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
     mover = opponent(controller, config, "--controller")
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Agents, Rig, Task, exact_task, named_agents, say
+from hydro_agents.commands.options import (
+    Agents,
+    Faults,
+    OverwriteFile,
+    PlantSeed,
+    Rig,
+    Task,
+    check_new_file,
+    exact_task,
+    named_agents,
+    say,
+)
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -27,24 +38,15 @@ def render(
         list[float] | None,
         typer.Option(help="Leak in l/min at 100 bar; repeat it for panels side by side. Default: drawn."),
     ] = None,
-    fault: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--fault",
-            metavar="NAME=VALUE",
-            help="A fault, such as valve_null_shift=0.01; repeat the option for several.",
-        ),
-    ] = None,
+    fault: Faults = None,
     family: Annotated[str, typer.Option(help="Family of references.")] = "point_to_point",
     duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="Length in s.")] = 4.0,
-    seed: Annotated[
-        int, typer.Option("--seed", "-s", min=0, max=2**32 - 1, help="Seed of plant, reference and noise.")
-    ] = 0,
+    seed: PlantSeed = 0,
     speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1 is real time, 0.1 ten times slower.")] = 1.0,
     frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="Approximate rate.")] = 25.0,
     width: Annotated[int, typer.Option(min=160, max=7680, help="Width in pixels.")] = 1280,
     columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly square.")] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    overwrite: OverwriteFile = False,
 ) -> None:
     """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
 
@@ -64,8 +66,7 @@ def render(
         raise ConfigurationError(f"--output {output}: must end in {', '.join(FORMATS)}")
     if output.is_dir() or not output.parent.is_dir():
         raise ConfigurationError(f"--output {output}: must be a file in a folder that exists")
-    if output.exists() and not overwrite:
-        raise ConfigurationError(f"{output}: exists; --overwrite replaces it")
+    check_new_file(output, overwrite)
     if output.suffix.lower() == ".mp4":
         check_mp4()
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=duration)

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_agents.detection.alarm_detectors import Activity, Cause, Evidence, Floats
-from hydro_agents.detection.looks import Looks
+from hydro_agents.detection.detector import Cause, Floats, Reading
+from hydro_agents.detection.looks import Activity, Looks
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 
@@ -103,7 +103,7 @@ class Alarm(NamedTuple):
 
     alarm: Flags  # latched until ``reset``
     total: Floats  # largest of the sums, each divided by its threshold; the alarm rises above 1
-    cause: NDArray[np.int8]  # :class:`~hydro_agents.detection.alarm_detectors.Cause` that most of the last looks named
+    cause: NDArray[np.int8]  # :class:`~hydro_agents.detection.detector.Cause` that most of the last looks named
     learnt: Flags  # whether the axis's own baseline is known for its present activity
 
 
@@ -131,19 +131,19 @@ class LeakAlarm:
             causes=np.zeros((count, len(Cause))),
         )
 
-    def update(self, look: Evidence, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
+    def update(self, look: Reading, activity: NDArray[np.int8], state: AlarmState) -> tuple[Alarm, AlarmState]:
         """Add one look at each axis.
 
-        A look without a score adds nothing. Neither does a look for which the detector names another cause than a leak
-        past the piston.
+        A look without a score adds nothing, nor does one that the detector cannot explain (cause ``UNKNOWN``). A named
+        fault does not clear the seal: an axis may have both.
 
         Args:
-            look: evidence of the detector, each array (N,).
+            look: reading of the detector, each array (N,).
             activity: of each axis, (N,).
             state: memory after the previous look.
         """
         everyone = np.arange(len(state.alarm))
-        counts = np.isfinite(look.score) & (look.cause == Cause.SEAL_OR_NOTHING)
+        counts = np.isfinite(look.score) & (look.cause != Cause.UNKNOWN)
         score = np.where(counts, look.score, 0.0)
         sigma = np.fmax(look.sigma, self._spread[activity])
         shift = self._shift[activity]
@@ -195,6 +195,6 @@ class LeakAlarm:
         state = state if state is not None else self.begin(len(looks.score))
         results: list[Any] = []
         for number in range(len(looks.time)):
-            result, state = self.update(looks.evidence(number), looks.activity[:, number], state)
+            result, state = self.update(looks.reading(number), looks.activity[:, number], state)
             results.append(result)
         return Alarm(*(np.stack(values, axis=1) for values in zip(*results, strict=True))), state

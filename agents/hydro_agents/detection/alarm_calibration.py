@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm, Scale, Sum
-from hydro_agents.detection.alarm_detectors import Activity, Floats
 from hydro_agents.detection.alarm_rates import fit_tail, peaks
 from hydro_agents.detection.alarm_simulation import Onset
-from hydro_agents.detection.looks import Looks
+from hydro_agents.detection.detector import Floats
+from hydro_agents.detection.looks import Activity, Looks
 from hydro_env import ConfigurationError
 
 BLOCK = 20.0

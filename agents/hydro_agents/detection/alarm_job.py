@@ -12,7 +12,6 @@ from pydantic import Field
 
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.alarm_calibration import Candidate, OnsetLooks, calibrate
-from hydro_agents.detection.alarm_detectors import Activity
 from hydro_agents.detection.alarm_proof import (
     delay_table,
     false_alarms,
@@ -23,6 +22,7 @@ from hydro_agents.detection.alarm_proof import (
 )
 from hydro_agents.detection.alarm_simulation import Onset, Operation
 from hydro_agents.detection.alarm_store import Bench
+from hydro_agents.detection.looks import Activity
 from hydro_agents.running.seeds import (
     ALARM_CALIBRATION,
     ALARM_CALIBRATION_ONSETS,

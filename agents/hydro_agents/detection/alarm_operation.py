@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.alarm_detectors import Activity
+from hydro_agents.detection.looks import Activity
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.reference_signals import FAMILIES
 

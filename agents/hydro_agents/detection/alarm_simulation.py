@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.alarm_detectors import Activity, Detector, activity_of
 from hydro_agents.detection.alarm_operation import working_references
+from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.looks import Looks
+from hydro_agents.detection.looks import Activity, Looks, look, window_of
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import LeakageDraw, task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
@@ -86,14 +86,14 @@ class _Work:
 
     def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
         self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
-        self.period = config.control_period
+        self.known, self.period = config, config.control_period
         self.every = max(round(operation.interval / self.period), 1)
         self.change = round(operation.duration / self.period)
         self.end = self.change + round(operation.after / self.period)
-        if self.change < detector.window:
+        self.length = window_of(detector, config)
+        if self.change < self.length:
             raise ConfigurationError(
-                f"alarms: work of {operation.duration:g} s is shorter than a window of "
-                f"{detector.window * self.period:g} s"
+                f"alarms: work of {operation.duration:g} s is shorter than a window of {self.length * self.period:g} s"
             )
         leakage = {**config.leakage.model_dump(), "schedule": "constant"}
         # One period more than is simulated: no axis restarts.
@@ -110,7 +110,7 @@ class _Work:
             **({"parameters": operation.parameters} if operation.parameters else {}),
         }
         self.observation, _ = self.env.reset(seed=[int(seed) for seed in self.seeds], options=options)
-        self.window = np.full((operation.axes, len(SIGNALS), detector.window), np.nan)
+        self.window = np.full((operation.axes, len(SIGNALS), self.length), np.nan)
         self.alive = np.ones(operation.axes, dtype=np.bool_)
         self.controller_memory: Any = None
         self.step = 0
@@ -154,15 +154,14 @@ class _Work:
 
     def looks(self, end: int) -> Looks:
         """Simulate until a step, and return the looks."""
-        length, rows = self.detector.window, []
+        length, rows = self.length, []
         while self.step < end:
             self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale
             if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
                 signals = np.roll(self.window, -(self.step + 1), axis=2)
-                evidence = self.detector(signals)
-                evidence = evidence._replace(score=np.where(self.alive, evidence.score, np.nan))
+                score, *rest = look(self.detector, signals, self.known)
                 flow = self.env.axes.column("leak_flow").copy()
-                rows.append((self.step * self.period, *evidence, activity_of(signals, self.period), flow))
+                rows.append((self.step * self.period, np.where(self.alive, score, np.nan), *rest, flow))
             started = np.full(len(self.seeds), self.step == 0)
             action, self.controller_memory = self.controller.predict(
                 self.observation, self.controller_memory, started, True

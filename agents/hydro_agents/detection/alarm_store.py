@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.alarm_detectors import Detector
 from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Looks, joined
 from hydro_agents.running.weights import load_checkpoint, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 
-KIND = "looks at simulated axes"
+KIND = "looks at simulated axes, 2"
 PATTERN = "looks_*.safetensors"
 
 

@@ -9,28 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
+from hydro_agents.detection.detector import CAUSE_OF_FAULT
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, features_of
 from hydro_agents.detection.manners import OPERATIONS, Operation
 from hydro_agents.detection.sheet import Sheet, sheet_of
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, SIGNED_KINDS, faults_of
+from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, faults_of
 from hydro_env.task.sensors import SENSORS
 
 UNSEEN = ("position_offset",)
 """Faults that are invisible in the measured signals; they get no label."""
 
 LABEL_OF_FAULT = {
-    name: LABELS.index(
-        "sensor_fault"
-        if kind.startswith("sensor_")
-        else "valve_fault"
-        if kind.startswith("valve_")
-        else {"tank_pressure": "return_line", "external_leak": "external_leak"}[kind]
-    )
-    for name, kind in KIND_OF_FAULT.items()
-    if name not in UNSEEN
+    name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items() if name not in UNSEEN
 }
 """Index of the label of each fault."""
 

@@ -13,9 +13,10 @@ import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import PATIENCE, OnsetLooks, delays
-from hydro_agents.detection.alarm_detectors import Activity, Detector
 from hydro_agents.detection.alarm_rates import peaks, poisson_interval
 from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.detector import Detector
+from hydro_agents.detection.looks import Activity
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import JobResult, digest_of_code
@@ -23,8 +24,8 @@ from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import ConfigurationError, TaskConfig
 
-FORMAT = "hydro_env alarm job 1"
-_ROOMS = ("controllers", "running", "detection", "evaluation")
+FORMAT = "hydro_env alarm job 2"
+_ROOMS = ("controllers", "running", "detection", "estimation", "evaluation")
 
 LEVELS = (0.1, 0.3, 1.0)
 ACTIVITIES: tuple[Activity | None, ...] = (None, *Activity)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.detection.detectors import Detector, Reading
+from hydro_agents.detection.detector import Detector, Windows
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.operations import ACTING
 from hydro_agents.evaluation.leak_protocol import HEALTHY, LeakProtocol
@@ -20,12 +20,15 @@ from hydro_agents.running.cases import Cases, ControllerError, run_cases
 from hydro_agents.running.jobs import JobResult, digest_of_code
 from hydro_env import ConfigurationError, TaskConfig
 
-FORMAT = "hydro_env leakage job 1"
+FORMAT = "hydro_env leakage job 2"
 _ROOMS = ("controllers", "running", "detection", "estimation", "evaluation")
 
 TRUTH = ("seed", "leak_lpm", "error_mm", "failed")
 """Columns in addition to those of a reading: the leak at the end of the window, the mean position error of the run, and
 whether the run failed."""
+
+READ = ("score", "probability", "flow_lpm", "low_lpm", "high_lpm")
+"""Columns of a reading, NaN in a window without an answer; besides, ``otherwise`` is its cause."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class WindowJob:
     @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns of its result."""
-        return (*TRUTH, *Reading._fields)
+        return (*TRUTH, *READ, "otherwise")
 
     @property
     def count(self) -> int:
@@ -82,16 +85,16 @@ class WindowJob:
         try:
             signals, truth = windows(self.config, self.acting, self.cases, self.samples)
             good = np.flatnonzero(truth["failed"] == 0.0)
-            reading = self.detector.read(signals[good], self.known) if len(good) else None
+            reading = self.detector.read(Windows.of(signals[good]), self.known) if len(good) else None
         except ControllerError as error:
             return JobResult({}, str(error))
         except ConfigurationError as error:
             return JobResult({}, f"the condition cannot begin: {error}")
-        columns = dict(truth)
-        for name in Reading._fields:
-            columns[name] = np.full(self.count, np.nan)
-            if reading is not None:
-                columns[name][good] = getattr(reading, name)
+        columns = truth | {name: np.full(self.count, np.nan) for name in (*READ, "otherwise")}
+        if reading is not None:
+            for name in READ:
+                columns[name][good] = np.where(reading.answers, getattr(reading, name), np.nan)
+            columns["otherwise"][good] = reading.cause
         return JobResult(columns)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detectors import INTERNAL, UNKNOWN, Detector
+from hydro_agents.detection.detector import Cause, Detector
 from hydro_agents.detection.roc import threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_table
 from hydro_agents.evaluation.leak_bound_jobs import BoundJob, bound_plan
@@ -142,7 +142,7 @@ def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float
         score >= windows["detector"].map(known[column]).to_numpy()  # NaN is above nothing
         for column in ("used", "at_1_percent")
     )
-    verdict = np.where(flagged, float(INTERNAL), windows["otherwise"].to_numpy())
-    verdict = np.where(np.isnan(score), float(UNKNOWN), verdict).astype(int)
+    verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
+    verdict = np.where(np.isnan(score), float(Cause.UNKNOWN), verdict).astype(int)
     leaking = windows["leak_lpm"].to_numpy() > healthy_bound
     return windows.assign(flagged=flagged, at_1_percent=at_1_percent, verdict=verdict, leaking=leaking)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detectors import UNKNOWN, VERDICTS
+from hydro_agents.detection.detector import VERDICTS, Cause
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, LeakProtocol
 from hydro_agents.evaluation.leak_running import LeakRun
 from hydro_agents.running.statistics import Interval, share_interval
@@ -88,7 +88,7 @@ def detection_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
             | _columns("flagged", flagged)
             | _columns("at_1_percent", share(frame["at_1_percent"]))
             | {
-                "cannot_tell": float((frame["verdict"] == UNKNOWN).mean()),
+                "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
                 "per_hour": flagged.value * windows_per_hour,
                 "windows": len(frame),
             }

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.recordings.columns import COMMAND, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, severe_if
 from hydro_agents.recordings.recording import Recording
@@ -89,6 +90,20 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
         chosen = place % rows_per_period == phase
     index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
     return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+
+
+def cut(samples: Sampled, length: int) -> Windows:
+    """Windows of ``length`` samples; a shorter remainder and windows without any sample are left out."""
+    window, place = samples.place // length, samples.place % length
+    chosen = np.unique(window)
+    if len(samples.place):
+        chosen = chosen[(chosen + 1) * length <= samples.place[-1] + 1]
+    signals = np.full((len(chosen), len(samples.signals), length), np.nan)
+    number = np.searchsorted(chosen, window)
+    inside = np.isin(window, chosen)
+    signals[number[inside], :, place[inside]] = samples.signals[:, inside].T
+    begin = np.asarray(chosen * length * samples.period, dtype=np.float64)
+    return Windows(signals, begin, begin + length * samples.period)
 
 
 def _row_distance(time: Floats, period: float) -> float:

@@ -39,6 +39,9 @@ WIDE = 8.6
 
 INK, GREY, PALE, PAPER = (NEUTRALS[name].light for name in ("ink", "grey", "line", "paper"))
 
+MOST_POINTS = 4000
+"""Largest number of points of a line of samples; a longer one shows the lowest and highest value of each stretch."""
+
 STYLE: Any = {
     "svg.hashsalt": "hydro_env",
     "svg.fonttype": "path",  # letters as outlines: the browser needs no font
@@ -269,3 +272,23 @@ def bars_by(
 def dodge(count: int, index: int, width: float) -> float:
     """Offset of one of several controllers that share a place on the axis."""
     return width * (index - 0.5 * (count - 1))
+
+
+def with_gaps(time: Array, values: Array) -> tuple[Array, Array]:
+    """A line that breaks where rows are missing."""
+    steps = np.diff(time)
+    after = np.flatnonzero(steps > 5.0 * np.median(steps[steps > 0.0])) + 1
+    return np.insert(time, after, time[after]), np.insert(values, after, np.nan)
+
+
+def thinned(time: Array, values: Array) -> tuple[Array, Array]:
+    """A line of at most MOST_POINTS points: lowest and highest value of each stretch."""
+    size = -(-len(time) // (MOST_POINTS // 2))
+    if size <= 2:
+        return time, values
+    count = len(time) // size
+    blocks = values[: count * size].reshape(count, size)
+    low = np.where(np.isfinite(blocks), blocks, np.inf).min(axis=1)
+    high = np.where(np.isfinite(blocks), blocks, -np.inf).max(axis=1)
+    ends = np.column_stack([low, high]).ravel()
+    return np.repeat(time[: count * size : size], 2), np.where(np.isfinite(ends), ends, np.nan)

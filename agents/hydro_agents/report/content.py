@@ -51,11 +51,15 @@ class Content:
         """A table, empty if there is none."""
         return self.tables.get(name, pd.DataFrame())
 
+    def part(self, name: str, kind: type[Kind]) -> Kind:
+        """A part that is no table, of a type; the page needs it."""
+        part = self.others[name]
+        assert isinstance(part, kind), f"{name} is a {type(part).__name__}"
+        return part
+
     def other(self, name: str, default: Kind) -> Kind:
         """A part that is no table, of the type of ``default``, which stands for a missing one."""
-        part = self.others.get(name, default)
-        assert isinstance(part, type(default)), f"{name} is a {type(part).__name__}"
-        return part
+        return self.part(name, type(default)) if name in self.others else default
 
     @cached_property
     def facts(self) -> dict[str, str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 from markupsafe import Markup
 
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, Cause
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.report.content import Content, interval, interval_text
 from hydro_agents.report.leak_findings import findings_of
@@ -39,13 +42,6 @@ LEAKAGE = (
     "run",
 )
 """Sections of the page, in order."""
-
-RIGHT_VERDICT = {
-    "valve": "valve fault",
-    "tank": "return line",
-    "external": "external leak",
-}
-"""Verdict that names a fault, by the beginning of the fault's name; the others are faults of sensors."""
 
 SHOWN_LEAK = 0.3
 """l/min at 100 bar, of the table of verdicts with a leak."""
@@ -202,19 +198,17 @@ def confusion_tables(content: Content) -> dict[str, Table]:
 
 
 def _share_cell(verdict: str, right: tuple[str, ...], share: float) -> Cell:
-    meaning = "better" if verdict in right else "silent" if verdict == "cannot tell" else "worse"
+    meaning = "better" if verdict in right else "silent" if verdict == Cause.UNKNOWN.word else "worse"
     return Cell(number(100.0 * share, 0) if share > 0.0 else "", meaning, round(STRONGEST * share))
 
 
 def right_verdicts(content: Content, condition: str, level: float) -> tuple[str, ...]:
     """Correct verdicts: the leak if there is one, else the fault, else none."""
     if level > HEALTHY:
-        return ("internal leak",)
-    changes = str(content.conditions["changes"].get(condition, ""))
-    if '"faults"' not in changes:
-        return ("none",)
-    named = [verdict for start, verdict in RIGHT_VERDICT.items() if f'"{start}' in changes]
-    return tuple(named) or ("sensor fault",)
+        return (Cause.INTERNAL_LEAK.word,)
+    changes = content.conditions["changes"].get(condition)
+    faults = json.loads(changes).get("faults", {}) if isinstance(changes, str) and changes else {}
+    return tuple(CAUSE_OF_FAULT[name].word for name in faults) or (Cause.NONE.word,)
 
 
 def detection_tables(content: Content) -> list[Table]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -79,13 +82,13 @@ def problems(content: Content) -> list[Block]:
 # Cost of a leak -----------------------------------------------------------------------------------------------------
 
 
-@section("What the leak costs even if the axis holds its position", needs=("leak_price",))
+@section("Cost of a leak", needs=("leak_price",))
 def leak_price(content: Content) -> list[Block]:
     """Power, reserve and energy over the leak."""
     return [
         Text(
-            "Feedback hides the leak, but not its cost: the supply delivers the lost oil, which is missing at full "
-            "command. Power and reserve: steady state of the nominal rig, the same for any controller."
+            "Even if the axis holds its position, a leak has its cost: the supply delivers the lost oil, which is "
+            "missing at full command. Power and reserve: steady state of the nominal rig, the same for any controller."
         ),
         *price_plots(content.table("leak_price")),
         price_table(content.table("leak_price")),
@@ -167,6 +170,31 @@ def price_sentence(table: pd.DataFrame, leak: float) -> str:
         f"With any controller, holding {number(float(row['place_mm']), 0)} mm {power} from the supply. Reserve at full "
         f"command, relative to the tightest seal: {listed(left)}."
     )
+
+
+# Recordings ---------------------------------------------------------------------------------------------------------
+
+MEANING = {"severe": "rules out a verdict", "fault": "a sensor is faulty", "note": "does not matter much"}
+"""What the weight of a finding about a recording means."""
+
+
+@section("The recording", needs=("protocol",))
+def recording(content: Content) -> list[Block]:
+    """What is wrong with a recording, and facts about it."""
+    blocks: list[Block] = [Text("Nothing is wrong with time stamps, units, signs, chambers and sensors.")]
+    if content.has("findings"):
+        table = content.table("findings")
+        blocks = [
+            Text("Checks before any verdict: time stamps, units, signs, chambers, and each sensor."),
+            Table("", tuple(table.columns), list(table.itertuples(index=False, name=None)), style="words"),
+        ]
+    return [*blocks, Table("", ("Fact", "Value"), list(content.facts.items()), style="words")]
+
+
+def findings_frame(findings: Iterable[Any]) -> pd.DataFrame:
+    """Findings about a recording (:class:`hydro_agents.recordings.findings.Finding`) as texts."""
+    rows = [(each.signal, each.line().removeprefix(f"{each.signal} "), MEANING[each.weight]) for each in findings]
+    return pd.DataFrame(rows, columns=["Signal", "Finding", "For the verdict"])
 
 
 # Method -------------------------------------------------------------------------------------------------------------

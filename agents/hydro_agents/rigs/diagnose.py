@@ -10,21 +10,21 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.alarm_detectors import HeadDetector
+from hydro_agents.detection.detector import NO_COMMANDS, Detector, Reading, Windows
+from hydro_agents.detection.detectors import HeadDetector
+from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.looks import looks_at
-from hydro_agents.detection.recording_readers import head_misfit, read_estimator, read_head
+from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
-from hydro_agents.recordings.sampling import Sampled
+from hydro_agents.recordings.sampling import Sampled, cut
 from hydro_agents.report.canvas import WIDE, render
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.rigs.diagnosis_page import write_page
 from hydro_agents.rigs.diagnosis_picture import paint
-from hydro_agents.rigs.diagnosis_windows import Windows, cut
-from hydro_agents.rigs.verdict import Limits, Reading, Verdict, judge
+from hydro_agents.rigs.verdict import Limits, Verdict, judge
 from hydro_agents.running.folders import output_folder
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.files import write_text, write_whole
@@ -55,16 +55,16 @@ class Watched(NamedTuple):
         return f"The alarm on top of the leakage head{rate} {when}."
 
 
-def watch(samples: Sampled, head: LeakageHead, settings: AlarmSettings) -> Watched:
+def watch(samples: Sampled, head: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
     """Run an alarm over a recording, as if the axis had been switched on at its start."""
     rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
-    if count < head.settings.window:
+    if count < window_of(head, task):
         return Watched(None, rate, "the recording is shorter than a window of the head")
     if count > MOST_GAPS * len(samples.place):
         return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
     signals = np.full((1, len(samples.signals), count), np.nan)
     signals[0, :, samples.place] = samples.signals.T
-    looks = looks_at(signals, samples.period, HeadDetector(head), settings.interval)
+    looks = looks_at(signals, task, head, settings.interval)
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
     return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
 
@@ -87,7 +87,7 @@ class Diagnosis(NamedTuple):
 def diagnose(
     path: Path,
     config: TaskConfig,
-    head: LeakageHead,
+    head: LeakageHead | Detector,
     columns: ColumnMap | None = None,
     window: float = 2.0,
     alarm: AlarmSettings | None = None,
@@ -98,7 +98,7 @@ def diagnose(
     Args:
         path: the recording, CSV.
         config: the task whose rig was recorded.
-        head: the leakage head.
+        head: the leakage head, or another detector, that reads beside the estimator.
         columns: the signal of each column; default: the names that ``hydro record`` writes.
         window: s, of the windows that the estimator reads; the head has its own.
         alarm: settings of an alarm that watches the recording.
@@ -107,13 +107,14 @@ def diagnose(
     Raises:
         ConfigurationError: the recording cannot be read at all.
     """
+    second = HeadDetector(head) if isinstance(head, LeakageHead) else head
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     windows = cut(checked.samples, max(round(window / config.control_period), 2))
     limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
     estimator, reading, watched = None, None, None
-    note = head_misfit(head, config, windows)
-    if not checked.severe and len(windows.begin):
+    note = second.refuses(config, windows.samples)
+    if not checked.severe and len(windows):
         fits = 2 * int(windows.commanded.sum())
 
         def done(finished: int) -> None:
@@ -121,10 +122,11 @@ def diagnose(
                 progress("estimator", finished, fits)
 
         done(0)
-        estimator = read_estimator(windows, config, done)
+        estimator = EstimatorDetector(threads=None).read(windows, config, done)
         if not note:
-            reading = read_head(windows, head)
-            watched = watch(checked.samples, head, alarm) if alarm is not None else None
+            chosen = np.flatnonzero(windows.commanded)
+            reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
+            watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
     verdict = judge(checked.findings, estimator, reading, limits)
     return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
 
@@ -151,10 +153,10 @@ def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:
     for name, reading in (("estimator", diagnosis.estimator), ("head", diagnosis.head)):
         if reading is not None:
             columns |= {
-                f"{name}_leak": np.round(reading.leak, 5),
-                f"{name}_low": np.round(reading.low, 5),
-                f"{name}_high": np.round(reading.high, 5),
-                f"{name}_counts": reading.holds,
+                f"{name}_leak": np.round(reading.flow_lpm, 5),
+                f"{name}_low": np.round(reading.low_lpm, 5),
+                f"{name}_high": np.round(reading.high_lpm, 5),
+                f"{name}_counts": reading.answers,
                 f"{name}_fault": reading.fault,
                 f"{name}_remark": reading.why,
             }

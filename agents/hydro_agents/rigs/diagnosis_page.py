@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydro_agents.detection.detector import Reading
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.report.canvas import WIDE, Plot, make_plot
 from hydro_agents.report.page import Page, make_page
 from hydro_agents.rigs.diagnosis_picture import paint
-from hydro_agents.rigs.verdict import Kind, Reading, combined, named_fault
+from hydro_agents.rigs.verdict import Kind, combined, named_fault
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, number, setting
 from hydro_env import PlantParameters
@@ -68,10 +69,10 @@ def render_page(diagnosis: Diagnosis, origin: Origin) -> Page:
         findings=findings_table(diagnosis),
         plot=_plot(diagnosis),
         table=leak_table(diagnosis),
-        more=max(len(diagnosis.windows.begin) - MOST_ROWS, 0),
+        more=max(len(diagnosis.windows) - MOST_ROWS, 0),
         alarm=diagnosis.alarm.line() if diagnosis.alarm is not None else "",
         head=head_line(diagnosis.head),
-        note=diagnosis.note,
+        note=f"{sentence(diagnosis.note)}." if diagnosis.note else "",
         facts=Table("", ("Fact", "Value"), facts),
     )
 
@@ -106,7 +107,7 @@ def head_line(reading: Reading | None) -> str:
     """The result of the leakage head for the whole recording, for comparison; empty if it was not used."""
     if reading is None:
         return ""
-    if not reading.holds.any():
+    if not reading.answers.any():
         return "The leakage head gives no valid reading."
     leak, _ = combined(reading)
     fault = named_fault(reading)
@@ -114,10 +115,10 @@ def head_line(reading: Reading | None) -> str:
 
 
 def _counts(diagnosis: Diagnosis) -> str:
-    parts = [f"{len(diagnosis.windows.begin)} windows"]
+    parts = [f"{len(diagnosis.windows)} windows"]
     for name, reading in (("estimator", diagnosis.estimator), ("leakage head", diagnosis.head)):
         if reading is not None:
-            parts.append(f"{int(reading.holds.sum())} read by the {name}")
+            parts.append(f"{int(reading.answers.sum())} read by the {name}")
     return ", ".join(parts)
 
 
@@ -141,7 +142,7 @@ def leak_table(diagnosis: Diagnosis) -> Table | None:
     if not readings:
         return None
     rows = []
-    for window in range(min(len(diagnosis.windows.begin), MOST_ROWS)):
+    for window in range(min(len(diagnosis.windows), MOST_ROWS)):
         begin, end = diagnosis.windows.begin[window], diagnosis.windows.end[window]
         cells = [f"{number(float(begin), 1)} to {number(float(end), 1)} s"]
         for _, reading in readings:
@@ -152,6 +153,6 @@ def leak_table(diagnosis: Diagnosis) -> Table | None:
 
 
 def _shown(reading: Reading, window: int) -> str:
-    value, low, high = reading.leak[window], reading.low[window], reading.high[window]
+    value, low, high = reading.flow_lpm[window], reading.low_lpm[window], reading.high_lpm[window]
     text = f"{number(value, 3)} [{number(max(low, 0.0), 3)}, {number(max(high, 0.0), 3)}]"
-    return text if reading.holds[window] else "–"
+    return text if reading.answers[window] else "–"

@@ -10,16 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Reading
 from hydro_agents.recordings.findings import Finding, Weight
-from hydro_agents.report.canvas import GREY, INK, PAPER, looks_of
+from hydro_agents.report.canvas import GREY, INK, PAPER, looks_of, thinned, with_gaps
 from hydro_agents.report.palette import MEANINGS
-from hydro_agents.rigs.verdict import Kind, Reading
+from hydro_agents.rigs.verdict import Kind
 
 if TYPE_CHECKING:
     from hydro_agents.rigs.diagnose import Diagnosis
-
-MOST_POINTS = 4000
-"""Largest number of points of a line; a longer line shows the lowest and highest value of each stretch."""
 
 GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
 COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
@@ -76,13 +74,14 @@ def _paint_reading(axes: Axes, place: NDArray[Any], reading: Reading, colour: st
         clipped: NDArray[Any] = np.clip(values, LOWEST, HIGHEST)
         return clipped
 
-    counts, known = reading.holds, np.isfinite(reading.leak)
+    counts, known = reading.answers, np.isfinite(reading.flow_lpm)
     for chosen, options, label in (
         (known & counts, {"markerfacecolor": colour}, name),
         (known & ~counts, {"markerfacecolor": PAPER, "alpha": 0.5}, f"{name}, does not count"),
     ):
         if chosen.any():
-            value, low, high = (shown(values[chosen]) for values in (reading.leak, reading.low, reading.high))
+            parts = (reading.flow_lpm, reading.low_lpm, reading.high_lpm)
+            value, low, high = (shown(values[chosen]) for values in parts)
             axes.errorbar(
                 place[chosen], value, yerr=[value - low, high - value], fmt=marker, color=colour, markersize=4.5,
                 capsize=2, linewidth=1.2, label=label, **options,
@@ -126,26 +125,6 @@ def _mark(axes: Axes, finding: Finding, last: float) -> None:
         xytext=(-3 if right else 3, 0), textcoords="offset points", ha="right" if right else "left", va="top",
         fontsize=8, color=INK,
     )  # fmt: skip
-
-
-def with_gaps(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A line that breaks where rows are missing."""
-    steps = np.diff(time)
-    after = np.flatnonzero(steps > 5.0 * np.median(steps[steps > 0.0])) + 1
-    return np.insert(time, after, time[after]), np.insert(values, after, np.nan)
-
-
-def thinned(time: NDArray[Any], values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A line of at most MOST_POINTS points: lowest and highest value of each stretch."""
-    size = -(-len(time) // (MOST_POINTS // 2))
-    if size <= 2:
-        return time, values
-    count = len(time) // size
-    blocks = values[: count * size].reshape(count, size)
-    low = np.where(np.isfinite(blocks), blocks, np.inf).min(axis=1)
-    high = np.where(np.isfinite(blocks), blocks, -np.inf).max(axis=1)
-    ends = np.column_stack([low, high]).ravel()
-    return np.repeat(time[: count * size : size], 2), np.where(np.isfinite(ends), ends, np.nan)
 
 
 def _title(diagnosis: Diagnosis) -> str:

@@ -1,8 +1,7 @@
-"""``hydro identify``: from a recording and a rig file to the identified rig, page and pictures."""
+"""``hydro identify``: from a recording and a rig file to the identified rig."""
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,22 +12,14 @@ from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
-from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.rigs.advice import Advice, advise
 from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
-from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, rig_yaml
-from hydro_agents.rigs.identification_page import write_page
+from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant
 from hydro_agents.rigs.identification_shown import share_in_words, shown
 from hydro_agents.rigs.parts import POSITION, HeldBack, Parts, parts_of, simulate_held_back
-from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
-from hydro_env.files import read_yaml, write_text
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import SENSORS
-
-PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
-FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
-JOB = "identify"
 
 LEAST_SHARE = 0.9
 """Smallest share of the position's variance on the held-back part of a model that describes the axis."""
@@ -145,34 +136,6 @@ def identify(
     held_back = simulate_held_back(parts.held_back, parts.begin, config, plant, found_biases(fit))
     advice = advise(fit, config, plant)
     return Identification(recording, checked, rig, config, parts, fit, plant, held_back, combinations(fit), advice)
-
-
-def identify_to_folder(folder: Path, found: Identification, overwrite: bool, command: str) -> list[str]:
-    """Write page, numbers and, if the model describes the axis, the rig; returns the lines for the user.
-
-    Raises:
-        ConfigurationError: the folder cannot be written, or the model does not describe the axis; in this case page and
-            numbers are written, but no rig.
-    """
-    with output_folder(folder, JOB, FILES, overwrite=overwrite):
-        write_text(folder / RESULT_FILE, json.dumps(as_json(found, command), indent=1, allow_nan=False) + "\n")
-        write_page(folder / PAGE_FILE, found, command)
-        if found.describes:
-            notes = [
-                f"Found by: {command}",
-                f"hydro_env {__version__}; {found.verdict()}.",
-                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
-            ]
-            text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
-            write_text(folder / RIG_FILE, text)
-    if not found.describes:
-        raise ConfigurationError(f"{found.recording.source}: {found.verdict()}; see {folder / PAGE_FILE}")
-    findings = [finding.line() for finding in [*found.checked.findings, *found.parts.findings]]
-    open_ones = [name for name, known in zip(found.fit.names, found.fit.determined, strict=True) if not known]
-    lines = [*findings, *found.noted]
-    if open_ones:
-        lines.append(f"Not determined: {', '.join(open_ones)}")
-    return [*lines, str(folder / PAGE_FILE), str(folder / RIG_FILE), found.verdict()]
 
 
 def as_json(found: Identification, command: str) -> dict[str, Any]:

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.model import Model, noise_of
 from hydro_agents.estimation.unknowns import priors_of, starts_of
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding, Weight
-from hydro_agents.recordings.sampling import Sampled
-from hydro_agents.rigs.diagnosis_windows import Windows, cut
+from hydro_agents.recordings.sampling import Sampled, cut
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
 from hydro_env.task.sensors import SENSORS
@@ -85,10 +85,10 @@ def parts_of(samples: Sampled, source: str) -> Parts:
         raise ConfigurationError(f"{source}: holds {duration:.3g} s of samples; at least {needed:g} s are needed")
     windows = cut(samples, length)
     signals, filled = _with_commands(windows.signals)
-    windows = windows._replace(signals=signals)
+    windows = Windows(signals, windows.begin, windows.end)
     usable = windows.commanded & (np.isfinite(signals[:, POSITION]).mean(axis=1) > 0.5)
     windows = windows.part(usable)
-    count = len(windows.begin)
+    count = len(windows)
     if count < FEWEST_WINDOWS - 1:
         raise ConfigurationError(
             f"{source}: only {count} windows of {length * samples.period:g} s have all commands and a position; "
@@ -128,9 +128,9 @@ def _travel(windows: Windows) -> Floats:
 
 def _liveliest(windows: Windows) -> Windows:
     """At most MOST_WINDOWS windows: from each section of the recording, the one with the longest travel."""
-    if len(windows.begin) <= MOST_WINDOWS:
+    if len(windows) <= MOST_WINDOWS:
         return windows
-    sections, travel = np.array_split(np.arange(len(windows.begin)), MOST_WINDOWS), _travel(windows)
+    sections, travel = np.array_split(np.arange(len(windows)), MOST_WINDOWS), _travel(windows)
     return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
 
 
@@ -139,7 +139,7 @@ def _held_back(windows: Windows) -> tuple[float, Floats]:
     span = float(windows.end[0] - windows.begin[0])
     most = max(round(LONGEST_HELD_BACK / span), 1)
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
-    stretches = np.split(np.arange(len(windows.begin)), breaks)
+    stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
     return float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1)
 

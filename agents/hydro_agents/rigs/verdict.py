@@ -28,24 +28,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from hydro_agents.running.text import decimals_for, number
-
-Floats = NDArray[np.float64]
 
 MOST = 0.5
 """Share of the windows that counts as "most"."""
 
 CHANGED = 3.0
 """Change of the leak within the recording that the verdict mentions, in standard deviations of a window's reading."""
-
-HALF_WIDTH = 1.645
-"""Half width of a 90 % interval, in standard deviations."""
-
-
-NO_COMMANDS = "commands are missing in the window"
-"""Why a window is not read."""
-
 
 SHORTER = "shorter ones (--window 0.5) may fit between the gaps, and read the leak less exactly"
 
@@ -54,9 +45,9 @@ class Kind(StrEnum):
     """The four verdicts."""
 
     HEALTHY = "healthy"
-    LEAK = "internal leak"
+    LEAK = Cause.INTERNAL_LEAK.word
     OTHER = "something else"
-    UNKNOWN = "cannot tell"
+    UNKNOWN = Cause.UNKNOWN.word
 
 
 class Leak(NamedTuple):
@@ -71,18 +62,6 @@ class Leak(NamedTuple):
         decimals = min(decimals_for(self.high - self.low, 2), 4)
         parts = (number(max(part, 0.0), decimals) for part in self)
         return "{} [{}, {}] l/min at 100 bar".format(*parts)
-
-
-class Reading(NamedTuple):
-    """Readings of a detector from B windows."""
-
-    leak: Floats  # (B,), l/min at 100 bar; NaN: no reading
-    low: Floats  # (B,), 90 % interval
-    high: Floats  # (B,)
-    holds: NDArray[np.bool_]  # (B,), whether the reading is valid
-    fault: tuple[str, ...]  # (B,), fault besides the piston seal that the window shows; empty: none
-    why: tuple[str, ...]  # (B,), why the reading is invalid; empty if it is valid
-    misfits: NDArray[np.bool_]  # (B,), the detector ran, but its model does not describe the window
 
 
 class Limits(NamedTuple):
@@ -103,7 +82,7 @@ class Verdict(NamedTuple):
     def line(self) -> str:
         """The verdict in one line."""
         if self.kind is Kind.LEAK and self.leak is not None:
-            return f"internal leak of {self.leak.text()}{f'; {self.why}' if self.why else ''}"
+            return f"{self.kind.value} of {self.leak.text()}{f'; {self.why}' if self.why else ''}"
         if self.kind is Kind.HEALTHY and self.leak is not None:
             return f"healthy: leak past the piston {self.leak.text()}"
         seal = f"; leak past the piston {self.leak.text()}" if self.kind is Kind.OTHER and self.leak is not None else ""
@@ -120,18 +99,18 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         limits: of leaks.
     """
     readings = {"estimator": estimator, "leakage head": head}
-    leader = next((name for name, reading in readings.items() if reading is not None and reading.holds.any()), "")
+    leader = next((name for name, reading in readings.items() if reading is not None and reading.answers.any()), "")
     reading = readings.get(leader)
     severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
     if severe:
         more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
         return Verdict(Kind.UNKNOWN, severe[0].line() + more, None, "")
     sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
-    besides = f"sensor fault: {sensors[0].line()}" if sensors else ""
-    if estimator is not None and _share(estimator.misfits) > MOST:
+    besides = f"{Cause.SENSOR.word}: {sensors[0].line()}" if sensors else ""
+    if estimator is not None and _share(estimator.cause == Cause.UNKNOWN) > MOST:
         if besides:
             return Verdict(Kind.OTHER, besides, None, "estimator")
-        share = number(100.0 * _share(estimator.misfits), 0)
+        share = number(100.0 * _share(estimator.cause == Cause.UNKNOWN), 0)
         why = f"the model does not describe this rig: it explains too little in {share} % of the windows; check --rig"
         return Verdict(Kind.UNKNOWN, why, None, "estimator")
     if reading is None:
@@ -160,9 +139,10 @@ def _without_pressures(findings: Sequence[Finding]) -> bool:
 
 
 def named_fault(reading: Reading) -> str:
-    """The fault other than the piston seal in most valid windows; empty if there is none."""
-    named = Counter(fault for fault, holds in zip(reading.fault, reading.holds, strict=True) if holds and fault)
-    return named.most_common(1)[0][0] if named and named.total() >= MOST * reading.holds.sum() else ""
+    """The fault other than the piston seal in most windows with an answer; empty if there is none."""
+    answers = reading.answers
+    named = Counter(fault for fault, answered in zip(reading.fault, answers, strict=True) if answered and fault)
+    return named.most_common(1)[0][0] if named and named.total() >= MOST * answers.sum() else ""
 
 
 def combined(reading: Reading) -> tuple[Leak, str]:
@@ -171,7 +151,7 @@ def combined(reading: Reading) -> tuple[Leak, str]:
     Windows of one axis share its unknown parameters; many windows are therefore no more precise than one. The interval
     is that of a typical window, widened if the windows scatter more than their intervals.
     """
-    leak, low, high = (values[reading.holds] for values in (reading.leak, reading.low, reading.high))
+    leak, low, high = (values[reading.answers] for values in (reading.flow_lpm, reading.low_lpm, reading.high_lpm))
     change = ""
     third = len(leak) // 3
     if third >= 2:

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.rigs.verdict import NO_COMMANDS, Kind, Limits, Reading, combined, judge
+from hydro_agents.rigs.verdict import Kind, Limits, combined, judge
 
 LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
@@ -13,15 +14,15 @@ STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
 WRONG = Finding("position", "reads metres", Weight.SEVERE)
 
 
-def reading(*leaks, width=0.01, holds=True, fault="", why="", misfits=False):
+def reading(*leaks, width=0.01, cause=Cause.NONE, fault="", why=""):
     """Windows with these leaks; the other arguments hold for all."""
     leak, count = np.array(leaks, dtype=np.float64), len(leaks)
-    flags = np.full(count, holds), np.full(count, misfits)
-    return Reading(leak, leak - width, leak + width, flags[0], (fault,) * count, (why,) * count, flags[1])
+    texts = {"fault": (fault,) * count, "why": (why,) * count}
+    return Reading.of(leak, np.full(count, cause), flow_lpm=leak, low_lpm=leak - width, high_lpm=leak + width, **texts)
 
 
 def misfit(count=4):
-    return reading(*[0.5] * count, holds=False, misfits=True, why="the model does not explain the readings")
+    return reading(*[0.5] * count, cause=Cause.UNKNOWN, why="the model does not explain the readings")
 
 
 HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
@@ -62,14 +63,14 @@ CASES = {
     "nothing read": ([], None, None, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
     "standstill": (
         [],
-        reading(0.2, holds=False, why="more motion is needed"),
+        reading(0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
         None,
         Kind.UNKNOWN,
         "cannot tell: more motion is needed",
     ),
     "gaps": (
         [],
-        reading(0.2, holds=False, why=NO_COMMANDS),
+        reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS),
         None,
         Kind.UNKNOWN,
         "cannot tell: commands are missing in every window; shorter ones (--window 0.5)",
@@ -80,7 +81,7 @@ CASES = {
     "estimator leads": ([], HEALTHY, LEAK, Kind.HEALTHY, "healthy"),
     "head leads where the estimator reads nothing": (
         [],
-        reading(0.2, holds=False, why="commands are missing in the window"),
+        reading(0.2, cause=Cause.UNDETERMINED, why="commands are missing in the window"),
         LEAK,
         Kind.LEAK,
         "internal leak",

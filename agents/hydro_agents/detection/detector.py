@@ -1,0 +1,192 @@
+"""What a leak detector is: it reads windows of measured signals and gives one reading for each.
+
+A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol,
+``hydro alarms`` and ``hydro diagnose`` use all detectors through this interface. A detector of your own::
+
+    class PressureDrop:
+        threshold = None  # the leakage protocol computes it
+
+        def refuses(self, task, samples):
+            return ""  # it reads windows of every length and of every axis
+
+        def read(self, windows, task):
+            difference = windows.signal("pressure_a") - windows.signal("pressure_b")
+            return Reading.of(-np.abs(difference).mean(axis=1))
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydro_agents.detection.features import SIGNALS
+from hydro_env import TaskConfig
+from hydro_env.task.faults import KIND_OF_FAULT
+
+Floats = NDArray[np.float64]
+
+HALF_WIDTH = 1.645
+"""Half width of a 90 % interval, in standard deviations."""
+
+NO_COMMANDS = "commands are missing in the window"
+
+
+class Cause(IntEnum):
+    """What may explain a window; the words of all tables, pages and messages."""
+
+    word: str  # in tables
+    in_full: str  # in a sentence
+
+    def __new__(cls, number: int, word: str, in_full: str = "") -> Cause:
+        """A cause with its words."""
+        cause = int.__new__(cls, number)
+        cause._value_, cause.word, cause.in_full = number, word, in_full or word
+        return cause
+
+    NONE = 0, "none"
+    INTERNAL_LEAK = 1, "internal leak", "leak past the piston"
+    EXTERNAL_LEAK = 2, "external leak", "external leak past the rod seal"
+    VALVE = 3, "valve fault", "fault of the valve"
+    SENSOR = 4, "sensor fault", "fault of a sensor"
+    RETURN_LINE = 5, "return line", "raised pressure in the return line"
+    UNKNOWN = 6, "cannot tell", "unlike all that the detector knows"
+    UNDETERMINED = 7, "cannot tell", "the window does not determine the leak"
+
+
+VERDICTS = tuple(dict.fromkeys(cause.word for cause in Cause))
+"""The words of the verdicts on a window; a window without an answer has the last one, whatever the reason."""
+
+
+def _cause_of_kind(kind: str) -> Cause:
+    if kind.startswith("valve_"):
+        return Cause.VALVE
+    return {"tank_pressure": Cause.RETURN_LINE, "external_leak": Cause.EXTERNAL_LEAK}.get(kind, Cause.SENSOR)
+
+
+CAUSE_OF_FAULT = {name: _cause_of_kind(kind) for name, kind in KIND_OF_FAULT.items()}
+"""The cause that names each fault of :mod:`hydro_env.task.faults`."""
+
+
+@dataclass(frozen=True)
+class Windows:
+    """N windows of T measured samples."""
+
+    signals: Floats
+    """(N, 5, T) in SI units, in the order of :data:`~hydro_agents.detection.features.SIGNALS`: position (m), pressures
+    of chambers a and b (Pa), spool position and command (fractions of full stroke). NaN: lost, or no such sensor. The
+    command of a sample is the one that acts until one latency after it."""
+
+    begin: Floats  # (N,), s; NaN: unknown
+    end: Floats  # (N,), s
+
+    @classmethod
+    def of(cls, signals: NDArray[Any]) -> Windows:
+        """Windows (N, 5, T) whose times do not matter."""
+        unknown = np.full(len(signals), np.nan)
+        return cls(np.asarray(signals, dtype=np.float64), unknown, unknown)
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    @property
+    def samples(self) -> int:
+        """T."""
+        return int(self.signals.shape[2])
+
+    def signal(self, name: str) -> Floats:
+        """One signal, (N, T), by its name in :data:`~hydro_agents.detection.features.SIGNALS`."""
+        return self.signals[:, SIGNALS.index(name)]
+
+    @property
+    def commanded(self) -> NDArray[np.bool_]:
+        """Windows whose commands are all known, (N,): a simulation needs every command."""
+        return np.asarray(np.isfinite(self.signal("previous_command")).all(axis=1))
+
+    def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
+        """Some of the windows."""
+        return Windows(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+
+class Reading(NamedTuple):
+    """What a detector reads in N windows; each field (N,), NaN: no value.
+
+    Values may be given for windows without an answer (:attr:`answers`); they do not count.
+    """
+
+    score: Floats  # rises with the evidence of a leak past the piston
+    sigma: Floats  # standard deviation of the score
+    probability: Floats  # of a leak past the piston, 0 to 1
+    flow_lpm: Floats  # the leak, l/min at 100 bar
+    low_lpm: Floats  # 90 % interval of the leak
+    high_lpm: Floats
+    cause: NDArray[np.int8]  # Cause that it names besides a leak past the piston; UNKNOWN, UNDETERMINED: no answer
+    fault: tuple[str, ...]  # the same in words, with sizes if it knows them; empty: none
+    why: tuple[str, ...]  # the reason for no answer; empty for an answer
+
+    @classmethod
+    def of(cls, score: ArrayLike, cause: ArrayLike | None = None, **known: Any) -> Reading:
+        """A reading with some of the fields; all others are unknown.
+
+        Args:
+            score: (N,), NaN: no answer.
+            cause: (N,); default: ``NONE``, or ``UNDETERMINED`` without a score.
+            known: other fields by name.
+        """
+        score = np.asarray(score, dtype=np.float64)
+        if cause is None:
+            cause = np.where(np.isnan(score), Cause.UNDETERMINED, Cause.NONE)
+        unknown, no_text = np.full(len(score), np.nan), ("",) * len(score)
+        values: dict[str, Any] = {
+            name: no_text if name in ("fault", "why") else known.get(name, unknown) for name in cls._fields
+        }
+        return cls(**(values | known | {"score": score, "cause": np.asarray(cause, dtype=np.int8)}))
+
+    @property
+    def answers(self) -> NDArray[np.bool_]:
+        """Windows for which the detector gives an answer, (N,)."""
+        return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
+
+    def among(self, chosen: NDArray[np.int64], count: int, why: str) -> Reading:
+        """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
+        result = Reading.of(np.full(count, np.nan), why=(why,) * count)
+        spread: dict[str, Any] = {}
+        for name, values, empty in zip(self._fields, self, result, strict=True):
+            whole = np.array(empty, dtype=object if isinstance(values, tuple) else None)
+            whole[chosen] = values
+            spread[name] = tuple(whole.tolist()) if isinstance(values, tuple) else whole
+        return Reading(**spread)
+
+
+class Detector(Protocol):
+    """Anything that reads windows of measured signals.
+
+    A detector with a memory of earlier windows is copied with ``deepcopy`` before it reads another run. ``hydro
+    alarms`` gives windows of ``window`` control periods to a detector with such an attribute, and windows of 2 s to any
+    other.
+    """
+
+    threshold: float | None
+    """Score at which it reports a leak; ``None``: the protocol computes it from validation windows."""
+
+    def refuses(self, task: TaskConfig, samples: int) -> str:
+        """The reason why it cannot read windows of ``samples`` samples of a task; empty if it can."""
+        ...
+
+    def read(self, windows: Windows, task: TaskConfig) -> Reading:
+        """Read windows.
+
+        Args:
+            windows: N windows.
+            task: as known to the detector: rig, ranges and sensors, not the drawn plants.
+        """
+        ...
+
+
+def logit(probability: NDArray[Any]) -> Floats:
+    """Logarithm of the odds, finite for 0 and 1."""
+    inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
+    return np.asarray(np.log(inside / (1.0 - inside)))

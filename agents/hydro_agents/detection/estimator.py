@@ -1,0 +1,255 @@
+"""The estimator with the simulator as model, as a detector.
+
+Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, its edges,
+its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak on an axis with a
+worn valve. Windows without signs of wear are fitted again without it: the simpler model gives the leak more precisely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
+from hydro_agents.estimation.estimate import Estimate, estimate
+from hydro_agents.estimation.following import Follower
+from hydro_agents.estimation.unknowns import (
+    BIASES,
+    EXTERNAL_LEAKAGE,
+    EXTERNAL_RESISTANCE,
+    LEAKAGE,
+    Prior,
+    default_unknowns,
+)
+from hydro_agents.running.text import number
+from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_env.task.randomisation import own_value
+from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
+
+Progress = Callable[[int], None]
+
+SURE = 3.0
+"""Distance of an estimate from its healthy range that names a fault, in standard deviations."""
+
+WIDE_BIAS = 3.0
+"""Standard deviation of a sensor's offset, relative to the largest offset of the data sheet."""
+
+DETERMINED = 0.05
+"""Largest standard deviation of a valid reading, in l/min at 100 bar, or as a share of the leak."""
+
+LEAST_DEVIATION = 0.1
+"""Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
+
+LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
+"""Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
+offset of a sensor relative to its data sheet."""
+
+MISFIT = "the model does not explain the readings"
+UNDETERMINED = "the window does not determine the leak; more motion is needed"
+
+
+class Wear(NamedTuple):
+    """A fault that an unknown names, and its words."""
+
+    cause: Cause
+    what: str
+    factor: float  # displayed units per unit of the unknown
+    unit: str
+
+
+WEAR = {
+    "valve.null_shift": Wear(Cause.VALVE, "null shift of the valve", 100.0, "% of full stroke"),
+    "valve.underlap": Wear(Cause.VALVE, "worn edges of the valve, underlap", 100.0, "%"),
+    "valve.rated_flow": Wear(Cause.VALVE, "rated flow of the valve", 1.0 / LITRE_PER_MINUTE, "l/min"),
+    "supply.tank_pressure": Wear(Cause.RETURN_LINE, "pressure in the return line", 1e-5, "bar"),
+    EXTERNAL_LEAKAGE: Wear(Cause.EXTERNAL_LEAK, Cause.EXTERNAL_LEAK.in_full, 1.0, "l/min at 100 bar"),
+    "pressure_a_bias": Wear(Cause.SENSOR, "offset of the pressure sensor of chamber a", 1e-5, "bar"),
+    "pressure_b_bias": Wear(Cause.SENSOR, "offset of the pressure sensor of chamber b", 1e-5, "bar"),
+    "spool_position_bias": Wear(Cause.SENSOR, "offset of the spool sensor", 100.0, "% of full stroke"),
+}
+"""By unknown. An offset of the position is no fault: its zero is arbitrary."""
+
+
+class EstimatorDetector:
+    """The estimator: its score is the leak above the healthy bound, in standard deviations.
+
+    It reads windows with all commands; any sensor may be absent. A window that the model does not explain, or with a
+    negative leak, has the cause ``UNKNOWN``; one with too little motion, ``UNDETERMINED``.
+
+    Args:
+        changes: of the task that gives unknowns and priors.
+        unknowns: additional names (:mod:`hydro_agents.estimation.unknowns`).
+        threads: worker threads; ``None`` takes one per core.
+    """
+
+    threshold: float | None = None
+
+    def __init__(
+        self, changes: Mapping[str, Any] | None = None, unknowns: tuple[str, ...] = (), threads: int | None = 1
+    ) -> None:
+        self.changes, self.unknowns, self.threads = dict(changes or {}), unknowns, threads
+
+    def refuses(self, task: TaskConfig, samples: int) -> str:
+        """An empty text: the estimator reads every rig and every length."""
+        del task, samples
+        return ""
+
+    def read(self, windows: Windows, task: TaskConfig, progress: Progress | None = None) -> Reading:
+        """Read windows.
+
+        Args:
+            windows: N windows.
+            task: rig, ranges and sensors.
+            progress: called with the number of finished fits, at most two per window with commands.
+        """
+        chosen = np.flatnonzero(windows.commanded)
+        if not len(chosen):
+            return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows))
+        signals, expected = windows.signals[chosen], task_config(task, **self.changes)
+        worn = self._fit(signals, expected, True, progress)
+        excess = _excess(worn, task)
+        value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
+        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1))
+        if len(simple):
+            again = None if progress is None else lambda done: progress(len(chosen) + done)
+            plain, rows = self._fit_again(signals, simple, expected, again)
+            better = plain.holds[rows]
+            value[simple[better]] = plain.value(LEAKAGE)[rows][better]
+            deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
+        return self._reading(worn, excess, value, deviation, task).among(chosen, len(windows), NO_COMMANDS)
+
+    def names(self, task: TaskConfig, worn: bool) -> tuple[str, ...]:
+        """Unknowns of a fit, with or without wear."""
+        own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
+        return tuple(dict.fromkeys(own))
+
+    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
+        priors = wear_priors(task) if worn else None
+        return estimate(signals, task, self.names(task, worn), priors=priors, threads=self.threads, progress=progress)
+
+    def _fit_again(
+        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+    ) -> tuple[Estimate, NDArray[np.int64]]:
+        """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
+        return self._fit(signals[simple], task, False, progress), np.arange(len(simple))
+
+    def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
+        """The score and its standard deviation, (N,) each."""
+        bound = task.leakage.class_bounds[0]
+        spread = np.hypot(deviation, LEAST_DEVIATION * bound)
+        return (value - bound) / spread, deviation / spread
+
+    def _reading(self, worn: Estimate, excess: Floats, value: Floats, deviation: Floats, task: TaskConfig) -> Reading:
+        fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
+        known = deviation <= np.maximum(DETERMINED, DETERMINED * value)
+        causes = np.array([wear.cause for wear in WEAR.values()])
+        cause = np.where(excess.max(axis=1) > 0.0, causes[excess.argmax(axis=1)], Cause.NONE)
+        score, sigma = self._score(value, deviation, task)
+        return Reading.of(
+            score,
+            np.where(~fits, Cause.UNKNOWN, np.where(known, cause, Cause.UNDETERMINED)),
+            sigma=sigma,
+            probability=ndtr((value - task.leakage.class_bounds[0]) / deviation),
+            flow_lpm=value,
+            low_lpm=value - HALF_WIDTH * deviation,
+            high_lpm=value + HALF_WIDTH * deviation,
+            fault=_in_words(worn, excess > 0.0),
+            why=tuple(np.where(~fits, MISFIT, np.where(known, "", UNDETERMINED)).tolist()),
+        )
+
+
+class FollowingDetector(EstimatorDetector):
+    """The estimator for successive windows of the same axes: its score is the leak itself, in l/min at 100 bar.
+
+    If a window begins with the last sample of the previous one, the search starts from the previous estimate, which is
+    faster; otherwise it starts afresh. The detector remembers the windows: use a ``deepcopy`` for another run.
+    """
+
+    window = 401
+    """Control periods; the windows of an alarm touch."""
+
+    def __init__(
+        self, changes: Mapping[str, Any] | None = None, unknowns: tuple[str, ...] = (), threads: int | None = None
+    ) -> None:
+        super().__init__(changes, unknowns, threads)
+        self._followers: dict[tuple[bool, str, int], Follower] = {}
+
+    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
+        del progress
+        key = worn, task.model_dump_json(), signals.shape[2]
+        if key not in self._followers:
+            self._followers[key] = Follower(
+                task,
+                self.names(task, worn),
+                window=signals.shape[2],
+                priors=wear_priors(task) if worn else None,
+                threads=self.threads,
+            )
+        return self._followers[key].window_of(signals)
+
+    def _fit_again(
+        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+    ) -> tuple[Estimate, NDArray[np.int64]]:
+        return self._fit(signals, task, False), simple  # a follower needs all axes
+
+    def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
+        return value, deviation
+
+
+def wear_priors(task: TaskConfig) -> dict[str, Prior]:
+    """Priors of the parameters that wear or drift, wide enough for the faults of :mod:`hydro_env.task.faults`."""
+    valve, tank = task.plant.valve, task.plant.supply.tank_pressure
+    wide = {
+        "valve.null_shift": Prior(valve.null_shift, 0.01),
+        "valve.underlap": Prior(max(valve.underlap, 1e-3), 0.6, True),
+        "valve.rated_flow": Prior(valve.rated_flow, 0.2, True),
+        "supply.tank_pressure": Prior(tank, 3e5),
+        EXTERNAL_LEAKAGE: Prior(0.0, 1.0),
+    }
+    for channel in ("pressure_a", "pressure_b", "spool_position"):
+        wide[f"{channel}_bias"] = Prior(0.0, WIDE_BIAS * getattr(task.sensors, channel).bias)
+    return {name: prior for name, prior in wide.items() if prior.deviation > 0.0}
+
+
+def healthy_range(task: TaskConfig, name: str) -> tuple[float, float]:
+    """Lowest and highest value of an unknown on an axis without a fault, from the ranges of the task."""
+    if name == "valve.null_shift":
+        middle, reach = task.plant.valve.null_shift, LARGEST_NULL_SHIFT
+    elif name == "supply.tank_pressure":
+        middle, reach = task.plant.supply.tank_pressure, LARGEST_BACK_PRESSURE
+    elif name in BIASES:
+        middle, reach = 0.0, LARGEST_BIAS * getattr(task.sensors, name.removesuffix("_bias")).bias
+    else:
+        path = EXTERNAL_RESISTANCE if name == EXTERNAL_LEAKAGE else name
+        own = own_value(task.plant, path)
+        bounds = task.randomisation[path].bounds(own) if path in task.randomisation else (own, own)
+        if name != EXTERNAL_LEAKAGE:
+            return bounds
+        middle, reach = 0.0, flow_from_resistance(min(bounds))
+    return middle - reach, middle + reach
+
+
+def _excess(found: Estimate, task: TaskConfig) -> Floats:
+    """Distance of each unknown of WEAR beyond its healthy range, (N, unknowns), in standard deviations above SURE."""
+    excess = np.full((len(found), len(WEAR)), -np.inf)
+    for column, name in enumerate(WEAR):
+        if name in found.names:
+            value, (low, high) = found.value(name), healthy_range(task, name)
+            excess[:, column] = np.maximum(low - value, value - high) / found.deviation(name) - SURE
+    return np.where(np.isnan(excess), -np.inf, excess)
+
+
+def _in_words(found: Estimate, faulty: NDArray[np.bool_]) -> tuple[str, ...]:
+    """The faults of each window as text; the size of a fault is the median over all windows that show it."""
+    texts: list[list[str]] = [[] for _ in faulty]
+    for (name, wear), rows in zip(WEAR.items(), faulty.T, strict=True):
+        if rows.any():
+            size = number(wear.factor * float(np.median(found.value(name)[rows])))
+            for row in np.flatnonzero(rows):
+                texts[row].append(f"{wear.what} ({size} {wear.unit})")
+    return tuple(" and ".join(text) for text in texts)
