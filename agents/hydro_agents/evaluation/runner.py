@@ -170,7 +170,7 @@ def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
 
 
 def _statuses(rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
-    """One row per participant and condition: a failure if any part failed."""
+    """One row per participant and condition: the first failure if any part failed."""
     table = pd.DataFrame(rows, columns=STATUS)
-    table = table.sort_values("message", ascending=False, kind="stable").drop_duplicates(STATUS[:2])
-    return table.sort_index(ignore_index=True)
+    table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
+    return table.drop_duplicates(STATUS[:2]).sort_index(ignore_index=True)
