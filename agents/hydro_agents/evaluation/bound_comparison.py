@@ -11,7 +11,7 @@ from pydantic import Field
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.best_found import BoundSettings, best_found
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
@@ -42,7 +42,8 @@ def compare(
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    cases, table = tracking_cases(settings, THRESHOLDS if settings.validation else EVALUATION)
+    cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
+    table = table.drop(columns="seed")
     frames = []
     for name, controller in controllers.items():
         rollout = run_cases(config, controller, cases)
@@ -85,7 +86,8 @@ def convergence(
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
-    cases, table = tracking_cases(settings, THRESHOLDS if settings.validation else EVALUATION)
+    cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
+    table = table.drop(columns="seed")
     rows: list[dict[str, Any]] = []
     known: dict[BoundSettings, pd.Series] = {}
     for setting, values in variations.items():

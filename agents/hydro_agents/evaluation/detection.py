@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.roc import (
     area_under_roc,
     average_precision,
@@ -19,10 +19,18 @@ from hydro_agents.detection.roc import (
     roc_curve,
     threshold_at_false_alarm_rate,
 )
-from hydro_agents.running.cases import Cases, Rollout
+from hydro_agents.evaluation.parts import Cell
+from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
+
+if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.evaluation.participants import Participants
+    from hydro_agents.evaluation.protocol import StudyProtocol
 
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
@@ -63,21 +71,41 @@ def signal_columns(names: tuple[str, ...]) -> list[int]:
     return [names.index(name) for name in SIGNALS]
 
 
-def detection_table(controller: str, cases: Cases, rollout: Rollout, head: LeakageHead) -> pd.DataFrame:
-    """One row per episode: the leak, and the head's estimate from the whole episode."""
+def episodes(protocol: StudyProtocol, chosen: Participants) -> Iterator[Cell]:
+    """The head on whole episodes under every controller; nothing without a head."""
+    if chosen.head is None:
+        return
+    cases = detection_cases(protocol.task, protocol.detection_episodes)
+    for name, controller in chosen.controllers.items():
+        digest = fingerprint(controller, chosen.head)
+        job = Job(watched, (controller, chosen.head), (protocol.task, cases), digest)
+        yield Cell(name, next(iter(protocol.conditions)), {"controller": name}, (job,))
+
+
+def watched(pair: tuple[Controller, LeakageHead], config: TaskConfig, cases: Cases) -> Columns:
+    """The episodes of a controller, as the head reads them.
+
+    Raises:
+        ControllerError: the controller failed.
+    """
+    controller, head = pair
+    columns = signal_columns(head.settings.layout.names)
+    return detection_columns(cases, run_cases(config, controller, cases, columns, states=False), head)
+
+
+def detection_columns(cases: Cases, rollout: Rollout, head: LeakageHead) -> Columns:
+    """Per episode: the leak, and the head's estimate from the whole episode."""
     assert rollout.signals is not None
+    assert cases.leakage_flow_lpm is not None
     estimate = head.estimate_signals(rollout.signals)
-    return pd.DataFrame(
-        {
-            "controller": controller,
-            "seed": cases.seeds,
-            "leakage_flow_lpm": cases.leakage_flow_lpm,
-            "class": [LEAKAGE_CLASSES[code] for code in rollout.leakage_class],
-            "probability": estimate.probability,
-            "estimated_flow_lpm": estimate.flow_lpm,
-            "flagged": estimate.probability >= head.settings.threshold,
-        }
-    )
+    return {
+        "seed": cases.seeds,
+        "leakage_flow_lpm": cases.leakage_flow_lpm,
+        "class": np.array([LEAKAGE_CLASSES[code] for code in rollout.leakage_class]),
+        "probability": estimate.probability,
+        "estimated_flow_lpm": estimate.flow_lpm,
+        "flagged": estimate.probability >= head.settings.threshold,
+    }
 
 
 def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:

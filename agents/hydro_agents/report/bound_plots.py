@@ -13,7 +13,7 @@ from hydro_agents.estimation.known_windows import KnownWindows
 from hydro_agents.estimation.move_design import Move
 from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
 from hydro_agents.evaluation.leak_bound_tables import ORDINARY, shown
-from hydro_agents.evaluation.protocol import DRAWN_FAMILIES
+from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis, ticks
 
 

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.learning.progress import validation_errors
 from hydro_agents.learning.trainers import Trainer, trainer
 from hydro_agents.report.training_plots import ERROR, learning_plots
@@ -136,7 +136,7 @@ class LadderSettings(Group):
 
     def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
         """The cases, and a table with level, family and plant of each; on validation plants or test plants."""
-        return tracking_cases(self.evaluation, EVALUATION if test else LADDER)
+        return self.evaluation.cases(EVALUATION if test else LADDER)
 
 
 class Resolved(NamedTuple):

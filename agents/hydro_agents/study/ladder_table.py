@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.tables import ERROR
+from hydro_agents.evaluation.metrics import ERROR, METRICS
 from hydro_agents.running.text import markdown
 
 
