@@ -6,19 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.best_found import BoundSettings, Told, best_found
-from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES, PairedCondition
+from hydro_agents.evaluation.paired_cases import PairedCondition
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
-from hydro_agents.report.canvas import WIDE, looks_of, render
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
@@ -102,39 +99,6 @@ def convergence(
         found = errors.loc[f"{name} {value}", list(settings.families)]
         rows.append({"setting": name, "value": value, **found, "mean": found.mean()})
     return pd.DataFrame(rows)
-
-
-def convergence_picture(table: pd.DataFrame) -> bytes:
-    """A PNG of :func:`convergence`: the error of steps, and of all other families, over each setting."""
-
-    def paint(figure: Figure) -> None:
-        settings = list(table["setting"].unique())
-        smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
-        looks = looks_of(["steps", "other families"])
-        panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
-        for place, setting in zip(panels, settings, strict=True):
-            rows = table[table["setting"] == setting]
-            lines = {"steps": rows.get("step"), "other families": rows[smooth].mean(axis=1) if smooth else None}
-            for name, values in lines.items():
-                if values is not None:
-                    ticks = np.arange(len(rows))
-                    place.plot(ticks, 1e3 * values, marker=looks[name].marker, label=name, **looks[name].stroke)
-                    place.set_xticks(ticks, rows["value"].astype(str))
-            place.set(title=setting.replace("_", " "), yscale="log")
-        panels[0].set_ylabel("mean error, µm")
-        panels[0].legend(loc="center right")
-
-    return render(paint, (WIDE, 3.0), "png")[0]
-
-
-def markdown(table: pd.DataFrame, decimals: int = 4) -> str:
-    """A table of numbers as Markdown; its index is the first column."""
-    head = [str(table.index.name or ""), *map(str, table.columns)]
-    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * len(table.columns)]
-    for label, row in table.iterrows():
-        cells = [f"{value:.{decimals}f}" if isinstance(value, float) else str(value) for value in row]
-        lines.append("| " + " | ".join([str(label), *cells]) + " |")
-    return "\n".join(lines)
 
 
 def _protocol(config: TaskConfig, settings: ComparisonSettings, parts: tuple[str, ...]) -> RobustnessProtocol:

@@ -95,10 +95,10 @@ class Identification(NamedTuple):
             return (
                 f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
             )
-        told = "the axis stood still on the held-back part"
+        outcome = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
-            told = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
-        return f"{known} of {count} unknowns determined; {told}"
+            outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
+        return f"{known} of {count} unknowns determined; {outcome}"
 
 
 def identify(
