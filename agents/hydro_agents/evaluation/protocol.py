@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import Field
@@ -18,12 +18,18 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.detection import LeakBounds
-from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES, PairedCases, PairedCondition, PairedProtocol
+from hydro_agents.evaluation.paired_cases import (
+    DRAWN_FAMILIES,
+    PairedCases,
+    PairedCondition,
+    PairedProtocol,
+    PlantSeeds,
+)
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.runner import FAILED, run, tables_of
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.seeds import EVALUATION, SEEDS_PER_FAMILY, SeedRange
+from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
@@ -52,7 +58,7 @@ class StudyProtocol(PairedProtocol):
 
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
-    seeds: ClassVar[SeedRange] = EVALUATION
+    seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = 4000
 
