@@ -347,6 +347,6 @@ def test_a_state_that_was_given_is_never_changed(head):
 
 def test_inference_needs_no_torch():
     tree = Path("agents/hydro_agents/detection")
-    for name in ("head", "monitor", "features", "balance", "sheet", "spool"):
+    for name in ("head", "monitor", "features", "balance", "balance_parts", "damaged_signals", "intervals", "sheet"):
         assert "torch" not in (Path(__file__).parents[2] / tree / f"{name}.py").read_text().replace("PyTorch", "")
     assert len(SIGNALS) == 5

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import threshold_at_false_alarm_rate
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_agents.detection.detector import Detector, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.head import LeakageHead
 from hydro_agents.running.cases import Cases, Rollout
 from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
@@ -54,23 +54,28 @@ def detection_cases(config: TaskConfig, count: int) -> Cases:
 
 
 def signal_columns(names: tuple[str, ...]) -> list[int]:
-    """Columns of the observation that the head reads."""
+    """Columns of the observation that a detector reads."""
     return [names.index(name) for name in SIGNALS]
 
 
-def detection_table(controller: str, cases: Cases, rollout: Rollout, head: LeakageHead) -> pd.DataFrame:
-    """One row per episode: the leak, and the head's estimate from the whole episode."""
+def detection_table(
+    controller: str, cases: Cases, rollout: Rollout, detector: Detector, config: TaskConfig
+) -> pd.DataFrame:
+    """One row per episode: the leak, and the detector's reading of the whole episode."""
     assert rollout.signals is not None
-    estimate = head.estimate_signals(rollout.signals)
+    assert detector.threshold is not None
+    layout = ObservationLayout.of(config)
+    scale = np.array([layout.scale[column] for column in signal_columns(layout.names)])
+    reading = detector.read(Windows.of(rollout.signals.astype(np.float64) * scale[:, None]), config)
     return pd.DataFrame(
         {
             "controller": controller,
             "seed": cases.seeds,
             "leakage_flow_lpm": cases.leakage_flow_lpm,
             "class": [LEAKAGE_CLASSES[code] for code in rollout.leakage_class],
-            "probability": estimate.probability,
-            "estimated_flow_lpm": estimate.flow_lpm,
-            "flagged": estimate.probability >= head.settings.threshold,
+            "probability": reading.probability,
+            "estimated_flow_lpm": reading.flow_lpm,
+            "flagged": reading.score >= detector.threshold,
         }
     )
 

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import check_head
+from hydro_agents.detection.monitor import HeadDetector, check_head
 from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_cases,
@@ -149,7 +149,7 @@ def evaluate(
                 report = _reporter(progress, f"detection, {name}", len(watched))
                 columns = signal_columns(head.settings.layout.names)
                 rollout = run_cases(config, controller, watched, columns, states=False, progress=report)
-                estimates = detection_table(name, watched, rollout, head)
+                estimates = detection_table(name, watched, rollout, HeadDetector(head), config)
         except ControllerError as error:
             errors[name] = f"{name}: {error}"
             warnings.warn(errors[name], stacklevel=2)
