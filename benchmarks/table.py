@@ -17,7 +17,7 @@ from statistics import median
 from typing import Any
 from unittest import mock
 
-from hydro_agents.report.text import number
+from hydro_agents.running.text import markdown, number
 from hydro_env.errors import ConfigurationError
 from hydro_env.files import write_whole
 
@@ -87,10 +87,8 @@ def cells(row: Row, rows: Sequence[Row]) -> list[str]:
 
 def markdown_table(rows: Sequence[Row], group: str) -> str:
     """The rows of a group: median, lowest–highest, and ratio to the row for comparison."""
-    lines = [HEADINGS, ("---", "---", "---:", "---", "---:", "---", "---")]
-    return "\n".join(
-        f"| {' | '.join(line)} |" for line in [*lines, *(cells(row, rows) for row in rows if row.group == group)]
-    )
+    lines = [cells(row, rows) for row in rows if row.group == group]
+    return markdown(HEADINGS, lines, left=(0, 1, 3, 5, 6))
 
 
 def write_markdown(path: Path, rows: Sequence[Row], titles: Mapping[str, str], heading: str) -> None:

@@ -17,7 +17,7 @@ MOVED = {
     "alarms.looks": "hydro_agents.detection.looks",
     "bound.best_found": "hydro_agents.evaluation.best_found",
     "diagnosis.diagnose": "hydro_agents.rigs.diagnose",
-    "diagnosis.picture": "hydro_agents.rigs.diagnosis_picture",
+    "diagnosis.picture": "hydro_agents.rigs.diagnosis_page",
     "evaluation.opponents": "hydro_agents.learning.opponents",
     "leakage.head": "hydro_agents.detection.head",
     "leakage.monitor": "hydro_agents.detection.monitor",

@@ -9,11 +9,11 @@ from hydro_agents.evaluation.bound_comparison import (
     TRUTH,
     ComparisonSettings,
     convergence,
-    convergence_picture,
-    markdown,
     summary,
     travel,
 )
+from hydro_agents.report.bound_plots import convergence_picture
+from hydro_agents.running.text import frame_markdown
 from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro
 from tests.published import assert_published
@@ -57,8 +57,8 @@ def test_the_summary_has_both_frames():
     table = summary(pd.DataFrame(rows), "family")
     assert list(table.columns) == ["PID", NOMINAL, TRUTH, "PID, true position", "floor, true position"]
     np.testing.assert_allclose(table.loc["mean"], [0.2, 0.1, 0.0, 0.23, 0.03])
-    assert markdown(travel(pd.DataFrame(rows)), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
-    assert markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
+    assert frame_markdown(travel(pd.DataFrame(rows)), 1).splitlines()[-1] == "| mean | 2.0 | 2.0 | 2.0 |"
+    assert frame_markdown(table).splitlines()[-1] == "| mean | 0.2000 | 0.1000 | 0.0000 | 0.2300 | 0.0300 |"
 
 
 def test_convergence_varies_one_setting_at_a_time():

@@ -9,9 +9,9 @@ import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.protocol import ProtocolSettings, evaluate, tracking_cases
+from hydro_agents.evaluation.protocol import ProtocolSettings, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases
-from hydro_agents.running.seeds import TEST_SEEDS
+from hydro_agents.running.seeds import EVALUATION, TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
@@ -22,7 +22,7 @@ STRONG, WEAK = PID(PIDGains(proportional=200.0), CONFIG), PID(PIDGains(proportio
 
 def test_levels_share_plants_and_families_do_not():
     settings = ProtocolSettings(plants=4, leak_levels=(0.01, 1.0, 4.0), families=("sine", "step"))
-    cases, table = tracking_cases(settings)
+    cases, table = settings.cases(EVALUATION)
     assert len(cases) == len(table) == 3 * 2 * 4
     seeds = {}
     for seed, leak, family, row in zip(
@@ -37,14 +37,14 @@ def test_levels_share_plants_and_families_do_not():
 
 
 def test_seeds_of_the_protocol_do_not_move():
-    cases, table = tracking_cases(ProtocolSettings(plants=3))
+    cases, table = ProtocolSettings(plants=3).cases(EVALUATION)
     assert len(cases) == 7 * 6 * 3
     assert cases.seeds.dtype == np.int64
     for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
         assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
     assert list(table["plant"][:3]) == [0, 1, 2]
     assert list(dict.fromkeys(table["family"])) == list(REFERENCE_FAMILIES[:-1])
-    largest, _ = tracking_cases(ProtocolSettings(plants=10_000, leak_levels=(1.0,)))
+    largest, _ = ProtocolSettings(plants=10_000, leak_levels=(1.0,)).cases(EVALUATION)
     assert len(set(largest.seeds)) == 60_000
     watched = detection_cases(CONFIG, 200_000).seeds
     assert watched[0] == 2_500_000
@@ -98,7 +98,7 @@ def evaluation():
 
 def test_every_case_is_in_the_table_with_its_own_error(evaluation):
     result, _, _ = evaluation
-    cases, table = tracking_cases(SETTINGS)
+    cases, table = SETTINGS.cases(EVALUATION)
     for name, controller in (("strong", STRONG), ("weak", WEAK)):
         own = result.cases[result.cases["controller"] == name]
         np.testing.assert_array_equal(own["seed"], cases.seeds)
@@ -137,8 +137,7 @@ def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
     assert set(result.curves["curve"]) == {"roc", "precision_recall"}
     assert set(result.detection_rates["controller"]) == {"strong", "weak"}
     assert result.bounds == (0.03, 0.1, 0.3)
-    names = [("tracking, strong", 12), ("detection, strong", 100), ("tracking, weak", 12), ("detection, weak", 100)]
-    assert phases == [(name, done, total) for name, total in names for done in (0, total)]
+    assert phases == [("evaluation", done, 4) for done in range(5)]  # both controllers track and are watched
 
 
 def test_the_head_sees_each_episode_under_each_controller(evaluation):

@@ -5,13 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.running.statistics import (
-    conditional_value_at_risk,
-    geometric_ratio_interval,
-    mean_interval,
-    ratio_interval,
-    share_interval,
-)
+from hydro_agents.running.resampling import mean_interval, ratio_interval
+from hydro_agents.running.statistics import conditional_value_at_risk, share_interval
 
 
 def test_mean_interval_is_that_of_the_normal_distribution():
@@ -48,19 +43,7 @@ def test_constant_values_have_no_spread():
     assert mean_interval(np.full(10, 0.25)) == (0.25, 0.25, 0.25)
 
 
-def test_the_seed_is_zero_where_none_is_given():
-    values, others = np.random.default_rng(8).lognormal(size=(2, 3, 12))
-    assert mean_interval(values[0]) == mean_interval(values[0], seed=0)
-    assert ratio_interval(values[0], others[0]) == ratio_interval(values[0], others[0], seed=0)
-    assert geometric_ratio_interval(values, others) == geometric_ratio_interval(values, others, seed=0)
-    for function, arguments in (
-        (ratio_interval, (values[0], others[0])),
-        (geometric_ratio_interval, (values, others)),
-    ):
-        assert function(*arguments, seed=3) != function(*arguments, seed=4)
-
-
-def test_an_interval_is_the_percentile_bootstrap_of_2000_samples():
+def test_an_interval_is_the_percentile_bootstrap():
     values = np.random.default_rng(9).lognormal(size=15)
     generator = np.random.default_rng(0)
     means = [generator.choice(values, 15).mean() for _ in range(20_000)]
@@ -84,8 +67,13 @@ def test_one_varying_sample_is_enough_for_an_interval():
 
 def test_intervals_are_reproducible():
     values = np.random.default_rng(3).lognormal(size=20)
-    assert mean_interval(values, seed=4) == mean_interval(values, seed=4)
-    assert mean_interval(values, seed=4) != mean_interval(values, seed=5)
+    assert mean_interval(values) == mean_interval(values)
+
+
+def test_strata_keep_the_number_of_plants_of_each():
+    values, strata = np.repeat([1.0, 9.0], 5), np.repeat(["sine", "step"], 5)
+    assert mean_interval(values, strata) == (5.0, 5.0, 5.0)
+    assert mean_interval(values).low < 5.0
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.8, 3.0])
@@ -121,13 +109,3 @@ def test_share_interval_is_wilsons():
     assert share_interval(0, 50)[:2] == (0.0, 0.0)
     assert share_interval(0, 50).high == pytest.approx(z**2 / (50 + z**2), rel=1e-5)
     assert math.isnan(share_interval(0, 0).value)
-
-
-def test_geometric_ratio_weighs_every_group_the_same():
-    generator = np.random.default_rng(0)
-    theirs = generator.uniform(1.0, 2.0, (2, 40)) * np.array([[100.0], [1.0]])
-    found = geometric_ratio_interval(theirs * np.array([[0.5], [2.0]]), theirs)
-    assert found.value == pytest.approx(1.0)
-    assert found.low == pytest.approx(1.0)
-    noisy = geometric_ratio_interval(theirs * generator.uniform(0.7, 0.9, theirs.shape), theirs)
-    assert noisy.low < noisy.value < noisy.high < 0.9

@@ -10,16 +10,16 @@ import pytest
 from hydro_agents.detection.detector import Reading
 from hydro_agents.evaluation.detection import (
     LeakBounds,
+    detection_columns,
     detection_curves,
     detection_rates,
     detection_summary,
-    detection_table,
     signal_columns,
 )
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.tables import per_plant, ratio_table, summary_table
+from hydro_agents.evaluation.tables import ratio_table, summary_table
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.statistics import geometric_ratio_interval, mean_interval, ratio_interval, share_interval
+from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 
 PLANTS = 4
@@ -53,11 +53,6 @@ def errors(controller, **chosen):
     return np.array([frame[frame["plant"] == plant]["mean_error_mm"].mean() for plant in range(PLANTS)])
 
 
-def test_means_per_plant():
-    np.testing.assert_allclose(per_plant(CASES[CASES["controller"] == "base"]), errors("base"))
-    assert per_plant(CASES, "failed").shape == (PLANTS,)
-
-
 @pytest.mark.parametrize("by", ["leakage_flow_lpm", "family"])
 def test_summary_of_every_metric(by):
     table = summary_table(CASES, by)
@@ -65,8 +60,6 @@ def test_summary_of_every_metric(by):
     for row in table.to_dict("records"):
         own = CASES[(CASES["controller"] == row["controller"]) & (CASES[by] == row[by])]
         values = own[row["metric"]].to_numpy()
-        expected = mean_interval(per_plant(own, row["metric"]))
-        assert (row["mean"], row["low"], row["high"]) == expected
         assert row["mean"] == pytest.approx(values.mean())
         assert row["low"] < row["mean"] < row["high"]
         assert row["worst"] == values.max()
@@ -90,7 +83,7 @@ def test_ratios_overall_per_level_and_per_family():
     better = {"": 0.75, "0.01": 1.0, "4.0": 0.5, "step": 1.0, "sine": 0.5}
     for row in table.to_dict("records")[:-1]:
         mine, theirs = (errors(name, **chosen[row["group"], row["value"]]) for name in ("other", "base"))
-        assert (row["ratio"], row["low"], row["high"]) == pytest.approx(tuple(ratio_interval(mine, theirs)))
+        assert row["low"] <= row["ratio"] <= row["high"]
         assert row["ratio"] == pytest.approx(mine.mean() / theirs.mean())
         assert row["share_of_cases_better"] == better[row["value"]]
 
@@ -102,7 +95,7 @@ def test_with_equal_weights_every_family_counts_the_same():
     )
     ratios = mine.mean(axis=1) / theirs.mean(axis=1)
     assert row["ratio"] == pytest.approx(math.sqrt(ratios[0] * ratios[1]))
-    assert (row["ratio"], row["low"], row["high"]) == pytest.approx(tuple(geometric_ratio_interval(mine, theirs)))
+    assert row["low"] <= row["ratio"] <= row["high"]
     assert math.isnan(row["share_of_cases_better"])
     assert row["value"] == "geometric mean of the families' ratios"
     assert (row["controller"], row["against"]) == ("other", "base")
@@ -225,12 +218,10 @@ def test_one_row_per_episode():
 
     probability = np.array([0.2, 0.5, 0.7])
     cases = Cases(np.array([7, 8, 9]), np.array([0.01, 0.4, 3.0]))
-    rollout = SimpleNamespace(
-        signals=np.repeat(probability[:, None, None], 5, axis=1), leakage_class=np.array([0, 2, 3])
-    )
-    table = detection_table("mine", cases, rollout, Detector(), TASK)
-    assert table.to_dict("list") == {
-        "controller": ["mine"] * 3,
+    signals = np.repeat(probability[:, None, None], 5, axis=1)
+    rollout = SimpleNamespace(signals=signals, leakage_class=np.array([0, 2, 3]))
+    columns = detection_columns(cases, rollout, Detector(), TASK)
+    assert {name: values.tolist() for name, values in columns.items()} == {
         "seed": [7, 8, 9],
         "leakage_flow_lpm": [0.01, 0.4, 3.0],
         "class": ["healthy", "moderate", "severe"],

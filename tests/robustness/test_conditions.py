@@ -7,9 +7,9 @@ from command_line import ROOT
 from small_protocol import SMALL, small
 
 from hydro_agents.evaluation.conditions import file_sha256
-from hydro_agents.evaluation.protocol import ProtocolSettings, tracking_cases
+from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
-from hydro_agents.running.seeds import ROBUSTNESS
+from hydro_agents.running.seeds import EVALUATION, ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 
 PROTOCOLS = ROOT / "configs" / "protocols"
@@ -70,7 +70,7 @@ def test_cases_are_paired_over_conditions_and_leaks_and_disjoint_from_the_ordina
     own = np.concatenate([everything.cases_in(name)[0].seeds for name in everything.conditions])
     assert own.min() >= ROBUSTNESS.first
     assert own.max() < ROBUSTNESS.first + ROBUSTNESS.count
-    assert not set(own.tolist()) & set(tracking_cases(ProtocolSettings(plants=9_000))[0].seeds.tolist())
+    assert not set(own.tolist()) & set(ProtocolSettings(plants=9_000).cases(EVALUATION)[0].seeds.tolist())
 
 
 def test_a_user_reference_is_followed():

@@ -45,6 +45,7 @@ CASES = pd.DataFrame(
             "mean_error_mm": error,
             "valve_travel_per_s": 0.5 if name == "PPO" else 1.0,
             "supply_energy_j": 300.0,
+            "steady_state_error_sensor_mm": 0.1,
             "reversals_per_s": 2.0,
             "failed": float((name, plant, family) == ("PPO", 2, "step")),
         }

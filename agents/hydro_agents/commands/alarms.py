@@ -58,10 +58,10 @@ def alarms(
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
     from hydro_agents.detection.monitor import HEAD_FILE
-    from hydro_agents.evaluation.bound_comparison import markdown
     from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.text import frame_markdown
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_text
     from hydro_env.task.configuration import task_config
@@ -90,7 +90,7 @@ def alarms(
         parts = [f"`{command_line()}`"]
         for name, table in tables.items():
             write_text(folder / f"{name}.csv", table.to_csv(index=False))
-            parts.append(f"## {name.replace('_', ' ')}\n\n{markdown(table.set_index(table.columns[0]), 3)}")
+            parts.append(f"## {name.replace('_', ' ')}\n\n{frame_markdown(table.set_index(table.columns[0]), 3)}")
         text = "\n\n".join(parts)
         write_text(folder / "alarms.md", text + "\n")
     show(text)

@@ -40,13 +40,13 @@ def bound(
         ComparisonSettings,
         compare,
         convergence,
-        convergence_picture,
-        markdown,
         summary,
         travel,
     )
+    from hydro_agents.report.bound_plots import convergence_picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.text import frame_markdown
     from hydro_agents.study.settings import StudySettings
     from hydro_env.files import validate, write_whole
     from hydro_env.folders import config_file
@@ -61,7 +61,7 @@ def bound(
         if converge:
             table = convergence(config, settings, VARIATIONS, display.update)
             table.index = pd.Index(table["setting"] + " " + table["value"].astype(str), name="setting")
-            text = markdown(table.drop(columns=["setting", "value"]))
+            text = frame_markdown(table.drop(columns=["setting", "value"]))
             write_whole(output / "convergence.png", convergence_picture(table))
             write_whole(output / "convergence.md", f"`{command_line()}`, mean error in mm\n\n{text}\n".encode())
         else:
@@ -69,9 +69,9 @@ def bound(
             for reason in unfit:
                 display.say(f"left out: {reason}")
             frame = compare(config, controllers, settings, display.update)
-            parts = [markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
+            parts = [frame_markdown(summary(frame, by)) for by in ("family", "leakage_flow_lpm")]
             price = "Valve travel, full strokes per second:"
-            text = "\n\n".join(["Mean |error|, mm:", *parts, price, markdown(travel(frame), 2)])
+            text = "\n\n".join(["Mean |error|, mm:", *parts, price, frame_markdown(travel(frame), 2)])
             frame.to_csv(output / "bound.csv", index=False)
             write_whole(output / "bound.md", f"`{command_line()}`\n\n{text}\n".encode())
     show(text)

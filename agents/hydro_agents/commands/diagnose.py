@@ -34,7 +34,7 @@ def diagnose(
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.recordings.columns import read_map
     from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
-    from hydro_agents.rigs.diagnose import diagnose_to_folder
+    from hydro_agents.rigs.diagnosis_page import diagnose_to_folder
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import pretrained_folder
     from hydro_env.task.configuration import task_config

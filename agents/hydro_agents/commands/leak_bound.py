@@ -54,8 +54,9 @@ def leak_bound(
     machine. It writes all numbers as CSV, tables as Markdown and a picture.
     """
     from hydro_agents.evaluation.leak_bound_survey import SurveySettings, checked, survey
-    from hydro_agents.evaluation.leak_bound_tables import as_markdown, picture
+    from hydro_agents.evaluation.leak_bound_tables import as_markdown
     from hydro_agents.learning.opponents import opponent
+    from hydro_agents.report.bound_plots import bound_picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole
@@ -72,6 +73,6 @@ def leak_bound(
         text = as_markdown(table)
         write_text(output / "leak_bound.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "leak_bound.md", f"`{command_line()}`\n\n{text}\n")
-        write_whole(output / "leak_bound.png", picture(table))
+        write_whole(output / "leak_bound.png", bound_picture(table))
     show(text)
     say(f"results in {output}")

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import joblib
-from rich.box import SIMPLE
-from rich.table import Table
 
 from hydro_agents.commands.robustness import PROTOCOL_FILE, Place
 from hydro_agents.detection.alarm import AlarmSettings
@@ -21,11 +19,11 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.leak_page import write_leak_report
 from hydro_agents.report.leakage import PAGE_FILE, level_text
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
-from hydro_agents.running.text import number
+from hydro_agents.running.text import Table, number
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 
@@ -97,12 +95,10 @@ def _print_shares(tables: LeakTables, protocol: LeakProtocol, display: ProgressD
     """Print the share of windows that each detector reports under the base condition, by size of the leak."""
     content = Content(tables.by_name(), others={"base": protocol.base})
     title = f"Windows reported as a leak, %: {content.label(protocol.base)}"
-    table = Table(title=title, title_justify="left", box=SIMPLE, pad_edge=False, collapse_padding=True)
-    table.add_column("detector")
     levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
-    for level in levels:
-        table.add_column(level_text(level), justify="right", no_wrap=True)
-    for detector in content.detectors:
-        shares = (content.share(detector, protocol.base, level).value for level in levels)
-        table.add_row(detector, *(number(share, 1) for share in shares))
-    display.console.lines(table)
+    rows = [
+        (name, *(number(content.share(name, protocol.base, level).value, 1) for level in levels))
+        for name in content.detectors
+    ]
+    shown = Table(title, ("detector", *map(level_text, levels)), rows)
+    display.console.lines(console_table(shown, whole=True))

@@ -40,8 +40,9 @@ def design_test_move(
     your machine. `move.csv` holds the reference for your own axis.
     """
     from hydro_agents.estimation.move_design import MoveSettings, design, limits_of
-    from hydro_agents.evaluation.move_trial import gain, move_table, picture, trial, trial_markdown
+    from hydro_agents.evaluation.move_trial import gain, move_table, trial, trial_markdown
     from hydro_agents.learning.opponents import opponent
+    from hydro_agents.report.bound_plots import move_picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_env.files import validate, write_text, write_whole
@@ -69,6 +70,6 @@ def design_test_move(
         text = f"{move_table(best.move)}\n\n{gain(best)}\n\n{trial_markdown(table)}"
         write_text(output / "trial.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "test_move.md", f"`{command_line()}`\n\n{text}\n")
-        write_whole(output / "test_move.png", picture(best.move, windows, table, config.control_period))
+        write_whole(output / "test_move.png", move_picture(best.move, windows, table, config.control_period))
     show(text)
     say(f"results in {output}")

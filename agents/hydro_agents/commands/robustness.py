@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
-from rich.box import SIMPLE
-from rich.table import Table
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import file_sha256
@@ -25,11 +23,12 @@ from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.robustness import PAGE_FILE
 from hydro_agents.report.robustness_page import write_robustness_report
-from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.running.text import Table
 from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
@@ -119,12 +118,9 @@ def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study
 def _print_ranking(results: Results, display: ProgressDisplay) -> None:
     """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     title = f"Ratios to {results.grid.controllers[0]}; conditions and families weighted equally"
-    table = Table(title=title, box=SIMPLE, pad_edge=False, collapse_padding=True)
-    table.add_column("controller")
-    for heading in ("error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for _, row in results.table("ranking").iterrows():
-        table.add_row(
+    header = ("controller", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
+    rows = [
+        (
             str(row["controller"]),
             f"{row['equal_weight']:.3f}",
             f"{row['equal_weight_low']:.2f}–{row['equal_weight_high']:.2f}",
@@ -132,7 +128,9 @@ def _print_ranking(results: Results, display: ProgressDisplay) -> None:
             str(row["failures"]),
             f"{row['limit_cycles']}/{row['standstills']}",
         )
-    display.console.lines(table)
+        for _, row in results.table("ranking").iterrows()
+    ]
+    display.console.lines(console_table(Table(title, header, rows), whole=True))
     absent = results.status[results.status["status"] == NOT_APPLICABLE]
     for condition, rows in absent.groupby("condition", sort=False):
         display.console.lines(

@@ -141,7 +141,7 @@ def gain_rows(gains: Group) -> list[GainRow]:
 
 
 def gains_text(gains: Group) -> str:
-    """The gains as YAML; a comment beside each tells it in the units of a PLC, and what it does."""
+    """The gains as YAML; beside each a comment with its value in the units of a PLC, and its meaning."""
     lines = ["# A command of 1 is 10 V; lengths in m, times in s. Beside each gain: the same for a PLC."]
     for row in gain_rows(gains):
         entry = yaml.safe_dump({row.name: row.value}).strip()
@@ -150,7 +150,7 @@ def gains_text(gains: Group) -> str:
 
 
 def controller_from_gains(path: str | Path, config: TaskConfig) -> Controller:
-    """The classical controller whose gains a file holds; the names of the gains tell which one it is.
+    """The classical controller whose gains a file holds; the names of the gains identify it.
 
     Raises:
         ConfigurationError: the file cannot be read, or holds the gains of no controller.

@@ -17,11 +17,9 @@ from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
-CONTROL_PERIOD = 5e-3
-"""s; of the controller."""
+CONTROL_PERIOD = 5e-3  # s
 
-COMMAND_LATENCY = 1e-3
-"""s; from sampling to the new command."""
+COMMAND_LATENCY = 1e-3  # s, from sampling to the new command
 
 REACH_SHARE = 0.9
 """Share of the reachable range over which a position loop is examined."""

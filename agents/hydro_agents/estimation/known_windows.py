@@ -31,11 +31,9 @@ from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
 
-SLOWER = 16.0
-"""Factor by which slow motion is slower."""
+SLOWER = 16.0  # factor of the slow motion
 
-SMALLEST_STEP = 1e-6
-"""m; steps of this size count as rest."""
+SMALLEST_STEP = 1e-6  # m; steps of this size count as rest
 
 
 @dataclass(frozen=True)
@@ -199,4 +197,3 @@ MOTIONS: dict[str, Callable[[TaskConfig], TaskConfig]] = {
     "slow motion": slow,
     "at rest": at_rest,
 }
-"""The task of each motion."""

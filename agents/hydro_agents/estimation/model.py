@@ -38,6 +38,9 @@ lowest point, for example at rest; long ones would reach across it.
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
 
+LONGEST_INTERVAL = 10.0
+"""s; a longer gap between two samples must be a mistake."""
+
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
 _RESISTANCE, _ORIFICE, _EXTERNAL = (
@@ -241,7 +244,3 @@ def _resistance(flow_lpm: Array) -> Array:
     """Leakage resistance in Pa s/m³ of leaks in l/min at 100 bar, including negative ones for finite differences."""
     with np.errstate(divide="ignore"):
         return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE)
-
-
-LONGEST_INTERVAL = 10.0
-"""s; a longer gap between two samples must be a mistake."""

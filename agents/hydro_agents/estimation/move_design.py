@@ -24,8 +24,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT
 
 Array = NDArray[np.float64]
 
-STROKES = 4
-"""Number of strokes; the last one returns to the start."""
+STROKES = 4  # the last one returns to the start
 
 LEAST_SPEED = 0.1
 """Smallest speed of a stroke, as a share of the largest."""

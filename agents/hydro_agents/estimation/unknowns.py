@@ -33,13 +33,11 @@ PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LE
 """Parameters of the plant; the leaks have their own names."""
 
 NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, *BIASES, *GAINS, *STARTS, *PATHS)
-"""All possible names of unknowns."""
 
 
 START = tuple(
     f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
-"""Start states of every window."""
 
 _SHARE_UNKNOWN = 0.1
 """Relative standard deviation of a parameter that the task does not draw."""

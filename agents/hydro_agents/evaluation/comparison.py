@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.evaluation.metrics import COMPARED
-from hydro_agents.evaluation.tables import ERROR
+from hydro_agents.evaluation.metrics import COMPARED, ERROR
 from hydro_agents.running.resampling import (
     RESAMPLES,
     Weights,
@@ -20,6 +19,7 @@ from hydro_agents.running.resampling import (
     plant_weights,
     seed_weights,
 )
+from hydro_agents.running.statistics import Interval
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]
@@ -35,6 +35,8 @@ class Grid:
     """
 
     def __init__(self, cases: pd.DataFrame, bound: pd.DataFrame | None = None) -> None:
+        missing = {name: 0 for name in ("condition", "training_seed") if name not in cases}
+        cases = cases.assign(**missing) if missing else cases
         self.controllers = [str(name) for name in cases["controller"].unique()]
         plants = cases[["family", "plant"]].drop_duplicates()
         situations = cases[["condition", "leakage_flow_lpm"]].drop_duplicates()
@@ -64,10 +66,27 @@ class Grid:
             self._known[controller, metric] = self._array(self._rows[controller], metric)
         return self._known[controller, metric]
 
-    def weights(self, controller: str, seeds: int, plants: Mask | slice = slice(None)) -> Weights:
+    def weights(self, controller: str, seeds: int, plants: Mask | NDArray[np.intp] | slice = slice(None)) -> Weights:
         """Weights of a controller's training seeds, and of some plants; the latter are the same for all controllers."""
         number = self.controllers.index(controller)
         return Weights(seed_weights(seeds, RESAMPLES, number), self._plant_weights[:, plants])
+
+    def mean(self, controller: str, metric: str, plants: Mask, situations: Mask) -> Interval:
+        """Mean of a metric over some plants and situations of a controller."""
+        chosen = self.values(controller, metric)[:, plants][:, :, situations]
+        used = np.flatnonzero(~np.isnan(chosen).all(axis=(0, 2)))
+        weights = self.weights(controller, len(chosen), np.flatnonzero(plants)[used])
+        return interval(means(chosen[:, used], weights), len(used))
+
+    def ratio(self, controller: str, against: str, metric: str) -> Interval:
+        """Ratio of the means of a metric over the plants that both controllers have."""
+        mine, theirs = self.values(controller, metric), self.values(against, metric)
+        absent = np.isnan(mine).all(axis=0) | np.isnan(theirs).all(axis=0)
+        one, other = (
+            means(np.where(absent, np.nan, values), self.weights(name, len(values)))
+            for name, values in ((controller, mine), (against, theirs))
+        )
+        return interval(one / other, int(np.any(~absent, axis=1).sum()))
 
     def compare(self, controller: str, against: str, plants: Mask, situations: Mask) -> dict[str, float]:
         """Columns of one row of a comparison over some plants and situations of both controllers."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -12,10 +13,19 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.detection.detector import Detector, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.running.cases import Cases, Rollout
+from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.evaluation.parts import Cell
+from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
 from hydro_agents.running.statistics import share_interval
 from hydro_env import LEAKAGE_CLASSES, TaskConfig
+
+if TYPE_CHECKING:
+    from hydro_agents.controllers.base import Controller
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.evaluation.participants import Participants
+    from hydro_agents.evaluation.protocol import StudyProtocol
 
 Floats = NDArray[np.float64]
 
@@ -58,26 +68,45 @@ def signal_columns(names: tuple[str, ...]) -> list[int]:
     return [names.index(name) for name in SIGNALS]
 
 
-def detection_table(
-    controller: str, cases: Cases, rollout: Rollout, detector: Detector, config: TaskConfig
-) -> pd.DataFrame:
-    """One row per episode: the leak, and the detector's reading of the whole episode."""
+def episodes(protocol: StudyProtocol, chosen: Participants) -> Iterator[Cell]:
+    """The head on whole episodes under every controller; nothing without a head."""
+    if chosen.head is None:
+        return
+    cases = detection_cases(protocol.task, protocol.detection_episodes)
+    for name, controller in chosen.controllers.items():
+        digest = fingerprint(controller, chosen.head)
+        job = Job(watched, (controller, chosen.head), (protocol.task, cases), digest)
+        yield Cell(name, next(iter(protocol.conditions)), {"controller": name}, (job,))
+
+
+def watched(pair: tuple[Controller, LeakageHead], config: TaskConfig, cases: Cases) -> Columns:
+    """The episodes of a controller, as the head reads them.
+
+    Raises:
+        ControllerError: the controller failed.
+    """
+    controller, head = pair
+    columns = signal_columns(head.settings.layout.names)
+    rollout = run_cases(config, controller, cases, columns, states=False)
+    return detection_columns(cases, rollout, HeadDetector(head), config)
+
+
+def detection_columns(cases: Cases, rollout: Rollout, detector: Detector, config: TaskConfig) -> Columns:
+    """Per episode: the leak, and the detector's reading of the whole episode."""
     assert rollout.signals is not None
+    assert cases.leakage_flow_lpm is not None
     assert detector.threshold is not None
     layout = ObservationLayout.of(config)
     scale = np.array([layout.scale[column] for column in signal_columns(layout.names)])
     reading = detector.read(Windows.of(rollout.signals.astype(np.float64) * scale[:, None]), config)
-    return pd.DataFrame(
-        {
-            "controller": controller,
-            "seed": cases.seeds,
-            "leakage_flow_lpm": cases.leakage_flow_lpm,
-            "class": [LEAKAGE_CLASSES[code] for code in rollout.leakage_class],
-            "probability": reading.probability,
-            "estimated_flow_lpm": reading.flow_lpm,
-            "flagged": reading.score >= detector.threshold,
-        }
-    )
+    return {
+        "seed": cases.seeds,
+        "leakage_flow_lpm": cases.leakage_flow_lpm,
+        "class": np.array([LEAKAGE_CLASSES[code] for code in rollout.leakage_class]),
+        "probability": reading.probability,
+        "estimated_flow_lpm": reading.flow_lpm,
+        "flagged": reading.score >= detector.threshold,
+    }
 
 
 def detection_rates(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFrame:

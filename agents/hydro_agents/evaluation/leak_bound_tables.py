@@ -1,4 +1,4 @@
-"""The bound as tables and as a picture, and as the section of a page."""
+"""The bound as tables."""
 
 from __future__ import annotations
 
@@ -6,16 +6,11 @@ from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
 
 from hydro_agents.estimation.information import TASK
 from hydro_agents.estimation.known_windows import MOTIONS
-from hydro_agents.evaluation.bound_comparison import markdown
 from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
-from hydro_agents.report.canvas import COLOURS, WIDE, looks_of, render, row_axis, ticks
-from hydro_agents.running.text import number, setting
+from hydro_agents.running.text import frame_markdown, number, setting
 
 ORDINARY = next(iter(MOTIONS))
 
@@ -69,52 +64,4 @@ def _spread(values: pd.Series[float]) -> str:
 
 def as_markdown(table: pd.DataFrame) -> str:
     """All tables of :func:`tables` as Markdown."""
-    return "\n\n".join(f"{title}:\n\n{markdown(part)}" for title, part in tables(table).items())
-
-
-def picture(table: pd.DataFrame) -> bytes:
-    """A PNG: the bound over the length of the window for each set of unknowns, by sensors, and over the leak."""
-    length, leak = shown(table)
-    ordinary, whole = table["motion"] == ORDINARY, table["sensors"] == ALL_SENSORS
-    window, level, drawn = table["window_s"] == length, table["leakage_flow_lpm"] == leak, table["unknowns"] == TASK
-
-    def paint(figure: Figure) -> None:
-        left, centre, right = figure.subplots(1, 3, width_ratios=(1.0, 0.9, 1.0))
-        _lines(left, table[ordinary & whole & level], "window_s", "unknowns")
-        left.set(xscale="log", xlabel="window, s", title=f"Sets of unknowns (leak of {leak:g} l/min)")
-        ticks(left.xaxis, sorted(table["window_s"].unique()))
-        _rows_of_sensors(centre, table[ordinary & drawn & window & level])
-        centre.set_title(f"Sensors, {length:g} s")
-        positive = table["leakage_flow_lpm"] > 0.0  # the axis is logarithmic
-        _lines(right, table[whole & drawn & window & positive], "leakage_flow_lpm", "motion")
-        right.set(xscale="log", xlabel="leak, l/min at 100 bar", title=f"Motion, {length:g} s")
-        ticks(right.xaxis, sorted(table.loc[positive, "leakage_flow_lpm"].unique()))
-
-    return render(paint, (1.5 * WIDE, 4.2), "png")[0]
-
-
-def _lines(axes: Axes, rows: pd.DataFrame, across: str, by: str) -> None:
-    medians = rows.pivot_table("sigma_lpm", across, by, aggfunc="median", sort=False).sort_index()
-    for name, look in looks_of(medians.columns).items():
-        axes.plot(medians.index, medians[name], marker=look.marker, label=name, **look.stroke)
-    axes.set(yscale="log", ylabel="smallest standard deviation, l/min")
-    decades(axes.yaxis, medians.min(axis=None), medians.max(axis=None))
-    axes.legend(fontsize=7.5)
-
-
-def _rows_of_sensors(axes: Axes, rows: pd.DataFrame) -> None:
-    names = [str(name) for name in rows["sensors"].unique()]
-    groups = [rows.loc[rows["sensors"] == name, "sigma_lpm"] for name in names]
-    low, median, high = np.array([np.quantile(group, [0.1, 0.5, 0.9]) for group in groups]).T
-    axes.errorbar(median, range(len(names)), xerr=[median - low, high - median], fmt="o", color=COLOURS[0])
-    row_axis(axes, names)
-    axes.set(xscale="log", xlabel="smallest standard deviation, l/min; 10 to 90 % of the plants")
-    decades(axes.xaxis, low.min(), high.max())
-
-
-def decades(axis: Axis, low: float, high: float) -> None:
-    """Ticks of a logarithmic axis as plain numbers: 1, 2 and 5 of each decade, or 1 alone where there are many."""
-    exponents = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    steps = (1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)
-    values = np.outer(10.0**exponents, steps).ravel()
-    ticks(axis, [float(value) for value in values if 0.8 * low <= value <= 1.25 * high])
+    return "\n\n".join(f"{title}:\n\n{frame_markdown(part)}" for title, part in tables(table).items())

@@ -27,6 +27,10 @@ REVERSAL_THRESHOLD = 0.005
 ones."""
 
 
+ERROR = "mean_error_mm"
+"""The metric by which controllers are compared."""
+
+
 class Metric(NamedTuple):
     """A figure of one episode: its column in every CSV file, and how tables and pages show it.
 

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
@@ -15,11 +14,8 @@ from hydro_agents.estimation.information import WORN_VALVE, information, ratios_
 from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows, known_windows, leak_cases
 from hydro_agents.estimation.move_design import Design, Move, moved
 from hydro_agents.estimation.unknowns import LEAKAGE
-from hydro_agents.evaluation.bound_comparison import markdown
-from hydro_agents.evaluation.leak_bound_tables import decades
-from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis
 from hydro_agents.running.seeds import EVALUATION
-from hydro_agents.running.text import number, setting
+from hydro_agents.running.text import frame_markdown, number, setting
 from hydro_env import TaskConfig
 
 Array = NDArray[np.float64]
@@ -122,7 +118,7 @@ def move_table(move: Move) -> str:
     last = (f"{1e3 * move.strokes[-1].end:.1f}", f"{move.last_hold:.2f}", "–", "–")
     frame = pd.DataFrame([*rows, last], columns=["hold at, mm", "for, s", "then move to, mm", "in, s"])
     frame.index = pd.Index(range(1, len(frame) + 1), name="")
-    return markdown(frame)
+    return frame_markdown(frame)
 
 
 def gain(best: Design) -> str:
@@ -136,30 +132,4 @@ def gain(best: Design) -> str:
 
 def trial_markdown(table: pd.DataFrame) -> str:
     """The table of :func:`trial_table` as Markdown."""
-    return markdown(trial_table(table))
-
-
-def picture(move: Move, windows: KnownWindows, table: pd.DataFrame, period: float) -> bytes:
-    """A PNG: the move and the measured positions of all test axes, and the bound by motion on each of them."""
-    leak = table["leakage_flow_lpm"].max()
-
-    def paint(figure: Figure) -> None:
-        left, right = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
-        time = period * np.arange(windows.signals.shape[2])
-        left.plot(time, 1e3 * windows.signals[:, 0].T, color=GREY, linewidth=0.6, alpha=0.6)
-        left.plot(time, 1e3 * move.reference(period), color=COLOURS[1], label="reference")
-        left.plot([], [], color=GREY, linewidth=0.6, label=f"{windows.count} axes, measured")
-        left.set(xlabel="time, s", ylabel="position, mm", title="The test move")
-        left.legend()
-        rows = table[table["leakage_flow_lpm"] == leak]
-        names = list(rows["motion"].unique())
-        for place, (name, look) in enumerate(looks_of(names).items()):
-            values = rows.loc[rows["motion"] == name, "sigma_lpm"]
-            right.plot(values, np.full(len(values), place), look.marker, color=look.colour, alpha=0.5)
-            right.plot([values.median()] * 2, [place - 0.3, place + 0.3], color=look.colour, linewidth=2.5)
-        row_axis(right, names)
-        right.set(xscale="log", xlabel="smallest standard deviation, l/min; bar: median")
-        decades(right.xaxis, rows["sigma_lpm"].min(), rows["sigma_lpm"].max())
-        right.set_title(f"Bound of a leak of {leak:g} l/min")
-
-    return render(paint, (1.2 * WIDE, 3.4), "png")[0]
+    return frame_markdown(trial_table(table))

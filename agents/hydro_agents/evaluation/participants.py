@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.robustness_protocol import ControllerChoice, RobustnessProtocol
+from hydro_agents.evaluation.paired_cases import ControllerChoice, PairedProtocol
 from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
@@ -21,6 +21,9 @@ from hydro_agents.running.seeds import SEED_MARK
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.mistakes import did_you_mean
+
+if TYPE_CHECKING:
+    from hydro_agents.detection.head import LeakageHead
 
 CONDITION_MARK = "@"
 """Separates a name from the condition for which a controller was tuned or trained, as in ``PID@period_2ms``."""
@@ -67,9 +70,10 @@ class Participants:
 
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
-    best_found: Callable[[TaskConfig, Cases], Rollout] | None = None  # the search of the bound; default: the project's
+    head: LeakageHead | None = None  # watches the episodes of a study
+    searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
 
-    def of(self, name: str, condition: str, protocol: RobustnessProtocol) -> Controller | str:
+    def of(self, name: str, condition: str, protocol: PairedProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.
 
         Without a controller for this condition, the general one runs if the observations are those that it knows.
@@ -88,7 +92,7 @@ class Participants:
 
 def participants(
     controllers: Mapping[str, Controller | str | Path],
-    protocol: RobustnessProtocol,
+    protocol: PairedProtocol,
     special: Mapping[str, Controller | str | Path] | None = None,
 ) -> Participants:
     """Make the controllers of a protocol.

@@ -38,7 +38,8 @@ class Part(NamedTuple):
 
 
 PARTS = {
-    "tracking": Part("cases", "hydro_agents.evaluation.tracking:tracking"),
+    "tracking": Part("cases", "hydro_agents.evaluation.tracking:tracking", ("robustness", "study")),
+    "episodes": Part("detection", "hydro_agents.evaluation.detection:episodes", ("study",)),
     "standstill": Part("limit_cycles", "hydro_agents.evaluation.tracking:standstill"),
     "best_found": Part("bound", "hydro_agents.evaluation.tracking:best"),
     "frequency": Part("frequency", "hydro_agents.evaluation.experiments:frequency"),

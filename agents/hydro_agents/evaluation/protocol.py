@@ -1,45 +1,42 @@
-"""The robustness protocol: the same plants, references and noise for every controller, at every leak level.
+"""Compare controllers on test plants: the same plants, references and noise for each, at every leak level.
 
-An evaluation is a list of independent cases, each a pure function of configuration and seed; it uses test seeds only.
+An evaluation is a protocol with one condition, the task itself; it uses test seeds only.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pandas as pd
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.monitor import HeadDetector, check_head
-from hydro_agents.evaluation.detection import (
-    LeakBounds,
-    detection_cases,
-    detection_curves,
-    detection_rates,
-    detection_summary,
-    detection_table,
-    signal_columns,
+from hydro_agents.detection.monitor import check_head
+from hydro_agents.evaluation.detection import LeakBounds
+from hydro_agents.evaluation.paired_cases import (
+    DRAWN_FAMILIES,
+    PairedCases,
+    PairedCondition,
+    PairedProtocol,
+    PlantSeeds,
 )
-from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.tables import ratio_table, summary_table
+from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.runner import FAILED, run, tables_of
 from hydro_agents.learning.opponents import opponent
-from hydro_agents.running.cases import Cases, ControllerError, run_cases
-from hydro_agents.running.seeds import EVALUATION, SEEDS_PER_FAMILY, SeedRange
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
-from hydro_env.files import Group, validate
+from hydro_agents.running.cases import ControllerError
+from hydro_agents.running.seeds import SEEDS_PER_FAMILY
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import validate
 from hydro_env.mistakes import known_name
-from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
-
-DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
+from hydro_env.task.configuration import task_config
 
 
-class ProtocolSettings(Group):
+class ProtocolSettings(PairedCases):
     """Size of an evaluation."""
 
     leak_levels: tuple[float, ...] = Field(
@@ -49,15 +46,19 @@ class ProtocolSettings(Group):
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
-    @model_validator(mode="after")
-    def _possible(self) -> ProtocolSettings:
-        for level in self.leak_levels:
-            if not 0.0 < level <= LEAKAGE_LIMIT:
-                raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
-        for name in ("leak_levels", "families"):
-            if len(set(getattr(self, name))) != len(getattr(self, name)):
-                raise ValueError(f"{name}: has a duplicate entry")
-        return self
+
+class StudyProtocol(PairedProtocol):
+    """The evaluation of a study as a protocol with one condition: the task itself."""
+
+    kind: Literal["study"] = "study"
+    title: str = "Evaluation"
+    seeds: PlantSeeds = "EVALUATION"
+    plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
+    detection_episodes: int = 4000
+
+    def asked(self) -> tuple[str, ...]:
+        """Tracking; detection needs a head, which the participants have."""
+        return ("tracking", "episodes")
 
 
 @dataclass(frozen=True)
@@ -79,27 +80,6 @@ class Evaluation:
     def controllers(self) -> list[str]:
         """Names of the controllers that have results, in their order."""
         return [str(name) for name in self.cases["controller"].unique()]
-
-
-def tracking_cases(settings: ProtocolSettings, seeds: SeedRange = EVALUATION) -> tuple[Cases, pd.DataFrame]:
-    """All cases of the tracking part, and a table with level, family and plant of each.
-
-    Args:
-        settings: levels, families and number of plants.
-        seeds: those of the plants.
-    """
-    rows = [
-        (level, family, plant)
-        for level in settings.leak_levels
-        for family in settings.families
-        for plant in range(settings.plants)
-    ]
-    table = pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant"])
-    # A family has the same plants at every level; families have different plants.
-    family_number = table["family"].map({name: i for i, name in enumerate(REFERENCE_FAMILIES)})
-    numbers = seeds.of_family(family_number.to_numpy(), table["plant"].to_numpy())
-    cases = Cases(numbers, table["leakage_flow_lpm"].to_numpy(), table["family"].to_numpy().astype(str))
-    return cases, table
 
 
 def evaluate(
@@ -133,49 +113,18 @@ def evaluate(
         raise ConfigurationError("evaluate: needs at least one controller")
     if head is not None:
         check_head(head, config, "leakage head")
-    cases, table = tracking_cases(settings)
-    watched = detection_cases(config, settings.detection_episodes)
-    preview = max(config.references.preview_times, default=0.0)
     ready = {name: opponent(controller, config, name) for name, controller in controllers.items()}
-    tracking, detection, errors = [], [], {}
-    for name, controller in ready.items():
-        try:
-            report = _reporter(progress, f"tracking, {name}", len(cases))
-            rollout = run_cases(config, controller, cases, progress=report)
-            assert cases.families is not None
-            metrics = rollout_metrics(rollout, cases.families, config.control_period, preview)
-            estimates = pd.DataFrame()
-            if head is not None:
-                report = _reporter(progress, f"detection, {name}", len(watched))
-                columns = signal_columns(head.settings.layout.names)
-                rollout = run_cases(config, controller, watched, columns, states=False, progress=report)
-                estimates = detection_table(name, watched, rollout, HeadDetector(head), config)
-        except ControllerError as error:
-            errors[name] = f"{name}: {error}"
-            warnings.warn(errors[name], stacklevel=2)
-            continue
-        tracking.append(table.assign(controller=name, seed=cases.seeds, **metrics))
-        detection.append(estimates)
-    if not tracking:
+    protocol = StudyProtocol(task=config, conditions={"task": PairedCondition()}, **settings.model_dump())
+    report = None if progress is None else lambda _, done, total: progress("evaluation", done, total)
+    results = run(protocol, Participants(ready, head=head), jobs=1, progress=report)
+    errors: dict[str, str] = {}
+    for row in results.status[results.status["status"] == FAILED].to_dict("records"):
+        errors.setdefault(str(row["controller"]), f"{row['controller']}: {row['message']}")
+    for message in errors.values():
+        warnings.warn(message, stacklevel=2)
+    if len(errors) == len(ready):
         raise ControllerError("; ".join(errors.values()))
-    all_cases, episodes = (pd.concat(frames, ignore_index=True) for frames in (tracking, detection))
-    nothing = pd.DataFrame()
-    return Evaluation(
-        cases=all_cases,
-        levels=summary_table(all_cases, "leakage_flow_lpm"),
-        families=summary_table(all_cases, "family"),
-        ratios=ratio_table(all_cases, [name for name in ready if name not in errors]),
-        detection=episodes,
-        detection_rates=nothing if head is None else detection_rates(episodes, config),
-        detection_summary=nothing if head is None else detection_summary(episodes, head.settings.threshold, config),
-        curves=nothing if head is None else detection_curves(episodes, config),
-        bounds=LeakBounds.of(config),
-        errors=errors,
-    )
-
-
-def _reporter(progress: Callable[[str, int, int], None] | None, phase: str, total: int) -> Callable[[int], None] | None:
-    if progress is None:
-        return None
-    progress(phase, 0, total)
-    return lambda done: progress(phase, done, total)
+    rows = {part: table[~table["controller"].isin(list(errors))] for part, table in results.rows.items()}
+    results = replace(results, rows={part: table.reset_index(drop=True) for part, table in rows.items()})
+    tables = {name: results.table(name) for name in tables_of("study")}
+    return Evaluation(**tables, bounds=LeakBounds.of(config), errors=errors)

@@ -3,71 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
-from hydro_agents.evaluation.conditions import Condition, Name, Protocol
+from hydro_agents.evaluation.conditions import Name
+from hydro_agents.evaluation.paired_cases import PairedProtocol, check_grid, paired
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY
+from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY
 from hydro_agents.running.tasks import Factor, read_settings
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError
 from hydro_env.files import Group, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept
-from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
-from hydro_env.task.rig import merged
+from hydro_env.task.configuration import Family
 
-DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")
 """Parts about the task alone."""
-
-
-class ControllerChoice(Group):
-    """A variant of a controller that was tuned or trained for a condition."""
-
-    kind: str = Field(description="as in a study: pid, ppo, or module:attribute")
-    settings: dict[str, Any] = Field(default_factory=dict, description="gains, or the path of a YAML file")
-    weights: str | None = Field(
-        None, description="weights of a trained controller: a path, or a name in agents/hydro_agents/pretrained"
-    )
-
-
-class RobustnessCondition(Condition):
-    """One condition; the controllers do not know it."""
-
-    leak_levels: tuple[float, ...] | None = Field(None, min_length=1, description="l/min at 100 bar; default: protocol")
-    families: tuple[Family, ...] | None = Field(None, min_length=1, description="default: those of the protocol")
-    plants: int | None = Field(None, ge=3, le=SEEDS_PER_FAMILY, description="per level and family; default: protocol")
-    controllers: dict[str, ControllerChoice] = Field(
-        default_factory=dict, description="by name; controllers tuned or trained for this condition"
-    )
-
-    @model_validator(mode="after")
-    def _possible(self) -> RobustnessCondition:
-        check_grid(self.leak_levels or (), self.families or ())
-        return self
-
-
-def check_grid(levels: tuple[float, ...], families: tuple[str, ...]) -> None:
-    """Check leak levels and families of references.
-
-    Raises:
-        ValueError: a level is above the limit, 'user' is not the only family, or an entry is duplicate.
-    """
-    for level in levels:
-        if not 0.0 < level <= LEAKAGE_LIMIT:
-            raise ValueError(f"leak_levels: {level:g} l/min: must be within 0 (excluded) to {LEAKAGE_LIMIT:g}")
-    if "user" in families and len(families) > 1:
-        raise ValueError("families: 'user' must stand alone")
-    for name, values in (("leak_levels", levels), ("families", families)):
-        if len(set(values)) != len(values):
-            raise ValueError(f"{name}: has a duplicate entry")
 
 
 class Sweep(Group):
@@ -93,14 +48,11 @@ class Sweep(Group):
         }
 
 
-class RobustnessProtocol(Protocol[RobustnessCondition]):
+class RobustnessProtocol(PairedProtocol):
     """A robustness protocol; ``configs/protocols`` holds some. The key ``sweep`` of a file adds conditions."""
 
     kind: Literal["robustness"] = "robustness"
     title: str = "Robustness"
-    leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    families: tuple[Family, ...] = Field(DRAWN_FAMILIES, min_length=1)
-    plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     chunk: int = Field(128, ge=1, le=256, description="cases of a job; fixed, so that no result depends on the machine")
     standstill_leak_levels: tuple[float, ...] = Field(
         (0.03, 1.0, 8.0),
@@ -114,7 +66,6 @@ class RobustnessProtocol(Protocol[RobustnessCondition]):
 
     @model_validator(mode="after")
     def _possible(self) -> RobustnessProtocol:
-        check_grid(self.leak_levels, self.families)
         check_grid(self.standstill_leak_levels, ())
         self.check_conditions("bound_conditions", self.bound_conditions)
         if "all" in self.conditions:
@@ -150,45 +101,17 @@ class RobustnessProtocol(Protocol[RobustnessCondition]):
                     own = file.parent / choice["weights"]
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
 
-    def changed_task(self, name: str) -> TaskConfig:
-        """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
-        condition = self.conditions[name]
-        if condition.families == ("user",):
-            alone = merged(condition.task, {"references": {"weights": {"user": 1.0}}})
-            condition = condition.model_copy(update={"task": alone})
-        return condition.task_on(self.task, f"conditions.{name}")
-
-    def parameters_in(self, name: str) -> dict[str, dict[str, float | str]]:
-        """Parameters that a condition fixes in every plant, for the option ``parameters`` of ``reset``."""
-        return self.conditions[name].parameters_on(self.task_in(name))
-
-    def cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of a condition, and a table with leak, family, plant and seed of each.
-
-        A plant has the same seed at every leak level and in every condition.
-        """
-        condition = self.conditions[name]
-        families = condition.families or self.families
-        table = _grid(condition.leak_levels or self.leak_levels, families, condition.plants or self.plants)
-        return self._cases(name, table), table
-
     def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
         levels = self.conditions[name].leak_levels or self.standstill_leak_levels
-        table = _grid(levels, ("user",), self.standstill_plants)
-        return self._cases(name, table), table
+        table = paired(levels, ("user",), self.standstill_plants, LEDGER[self.seeds])
+        return self.cases_of(name, table), table
 
     def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
         _, table = self.cases_in(name)
         table = table[table["plant"] < self.bound_plants].reset_index(drop=True)
-        return self._cases(name, table), table
-
-    def _cases(self, name: str, table: pd.DataFrame) -> Cases:
-        families = table["family"].to_numpy().astype(str)
-        drawn = None if (families == "user").all() else families
-        levels = table["leakage_flow_lpm"].to_numpy(dtype=np.float64)
-        return Cases(table["seed"].to_numpy(np.int64), levels, drawn, self.parameters_in(name))
+        return self.cases_of(name, table), table
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, description, changes (JSON), control period, number of cases."""
@@ -207,17 +130,6 @@ class RobustnessProtocol(Protocol[RobustnessCondition]):
                 for name, condition in self.conditions.items()
             ]
         )
-
-
-def _grid(levels: Sequence[float], families: Sequence[str], plants: int) -> pd.DataFrame:
-    """One row per leak level, family and plant, with its seed."""
-    rows = [
-        (level, family, plant, ROBUSTNESS.of_family(REFERENCE_FAMILIES.index(family), plant))
-        for level in levels
-        for family in families
-        for plant in range(plants)
-    ]
-    return pd.DataFrame(rows, columns=["leakage_flow_lpm", "family", "plant", "seed"])
 
 
 def protocol_named(name: str) -> tuple[RobustnessProtocol, Path]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.metrics import COMPARED, METRICS
+from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.participants import sees_table
 from hydro_agents.evaluation.runner import FAILED, Results, table
-from hydro_agents.evaluation.tables import ERROR
 from hydro_agents.running.resampling import interquartile_means, interval, means
 from hydro_agents.running.seeds import SEED_MARK
 

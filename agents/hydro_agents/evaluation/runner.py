@@ -88,7 +88,7 @@ class Results:
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables"}
+_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables", "study": "hydro_agents.evaluation.tables"}
 """Modules that register the tables of a kind of protocol."""
 
 
@@ -156,8 +156,9 @@ def run(
             frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
     statuses = _statuses([*refused, *ran])
     if protocol.measured[0] not in frames:
-        reasons = statuses.loc[statuses["message"] != "", "message"]
-        raise ControllerError(f"no controller ran under any condition; the first reason: {reasons.iloc[0]}")
+        reasons = statuses[statuses["message"] != ""].drop_duplicates("controller")
+        told = "; ".join(f"{row['controller']}: {row['message']}" for row in reasons.to_dict("records"))
+        raise ControllerError(f"no controller ran under any condition; {told}")
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
     return Results(protocol, chosen, rows, statuses, reused, facts)
 
@@ -169,7 +170,7 @@ def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
 
 
 def _statuses(rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
-    """One row per participant and condition: a failure if any part failed."""
+    """One row per participant and condition: the first failure if any part failed."""
     table = pd.DataFrame(rows, columns=STATUS)
-    table = table.sort_values("message", ascending=False, kind="stable").drop_duplicates(STATUS[:2])
-    return table.sort_index(ignore_index=True)
+    table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
+    return table.drop_duplicates(STATUS[:2]).sort_index(ignore_index=True)

@@ -1,39 +1,74 @@
-"""The tables of the tracking part: means with intervals, worst cases, and ratios to the first controller."""
+"""The tables of a study's evaluation: means with intervals, worst cases, ratios to the first controller, detection."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.detection import detection_curves, detection_rates, detection_summary
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.running.statistics import (
-    conditional_value_at_risk,
-    geometric_ratio_interval,
-    mean_interval,
-    ratio_interval,
-)
+from hydro_agents.evaluation.runner import Results, table
+from hydro_agents.running.statistics import conditional_value_at_risk
 
-ERROR = "mean_error_mm"
-"""The metric by which controllers are compared."""
-
-
-def per_plant(frame: pd.DataFrame, metric: str = ERROR) -> NDArray[np.float64]:
-    """Mean of a metric for each plant, (plants,)."""
-    means: NDArray[np.float64] = frame.groupby("plant")[metric].mean().to_numpy(dtype=np.float64)
-    return means
-
-
+KIND = "study"
 RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "high", "share_of_cases_better"]
 
 
+@table("cases", KIND)
+def cases(results: Results) -> pd.DataFrame:
+    """One row per controller, level, family and plant."""
+    rows = results.part("tracking")
+    return rows[["leakage_flow_lpm", "family", "plant", "controller", "seed", *METRICS]]
+
+
+@table("levels", KIND)
+def levels(results: Results) -> pd.DataFrame:
+    """Every metric per controller and leak level."""
+    return summary_table(results.part("tracking"), "leakage_flow_lpm")
+
+
+@table("families", KIND)
+def families(results: Results) -> pd.DataFrame:
+    """Every metric per controller and family of references."""
+    return summary_table(results.part("tracking"), "family")
+
+
+@table("ratios", KIND)
+def ratios(results: Results) -> pd.DataFrame:
+    """Mean error of every controller over that of the first."""
+    return ratio_table(results.part("tracking"), results.grid.controllers)
+
+
+@table("detection_rates", KIND)
+def rates(results: Results) -> pd.DataFrame:
+    """Share of episodes flagged, by class and size of the leak."""
+    episodes = results.part("episodes")
+    return episodes if episodes.empty else detection_rates(episodes, results.protocol.task)
+
+
+@table("detection_summary", KIND)
+def detection(results: Results) -> pd.DataFrame:
+    """Areas under the curves, rates, and errors of the size, per controller."""
+    episodes, head = results.part("episodes"), results.participants.head
+    return episodes if episodes.empty else detection_summary(episodes, head.settings.threshold, results.protocol.task)
+
+
+@table("curves", KIND)
+def curves(results: Results) -> pd.DataFrame:
+    """ROC, and precision over recall, per controller."""
+    episodes = results.part("episodes")
+    return episodes if episodes.empty else detection_curves(episodes, results.protocol.task)
+
+
 def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
-    """Every metric per controller and value of the column ``by``."""
-    rows = []
+    """Every metric per controller and value of the column ``by``: mean with interval, worst case, mean of the worst."""
+    grid, rows = Grid(cases), []
     for (controller, group), frame in cases.groupby(["controller", by], sort=False):
+        plants = grid.family == group if by == "family" else np.ones(len(grid.family), dtype=np.bool_)
+        situations = grid.leak == group if by != "family" else np.ones(len(grid.leak), dtype=np.bool_)
         for metric, about in METRICS.items():
             rows.append(
                 {
@@ -41,7 +76,7 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
                     by: group,
                     "metric": metric,
                     "unit": about.unit,
-                    **mean_interval(per_plant(frame, metric)).columns("mean"),
+                    **grid.mean(controller, metric, plants, situations).columns("mean"),
                     "worst": float(frame[metric].max()),
                     "cvar_5_percent": conditional_value_at_risk(frame[metric].to_numpy()),
                     "cases": len(frame),
@@ -56,23 +91,16 @@ def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     The ratios are over all cases, per level, per family, and over all with equal weight for each family (otherwise
     large steps outweigh the rest).
     """
-    rows: list[dict[str, Any]] = []
-    base = cases[cases["controller"] == names[0]]
-    families = cases["family"].unique()
+    grid, rows = Grid(cases), []
+    plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
+    parts = [("all", "", plants, leaks)]
+    parts += [("level", str(leak), plants, grid.leak == leak) for leak in cases["leakage_flow_lpm"].unique()]
+    parts += [("family", str(family), grid.family == family, leaks) for family in cases["family"].unique()]
     for name in names[1:]:
-        own, who = cases[cases["controller"] == name], {"controller": name, "against": names[0]}
-        parts = [("all", "", own, base)]
-        for group, column in (("level", "leakage_flow_lpm"), ("family", "family")):
-            for value in cases[column].unique():
-                parts.append((group, str(value), own[own[column] == value], base[base[column] == value]))
-        for group, label, mine, theirs in parts:
-            better = float(np.mean(mine[ERROR].to_numpy() < theirs[ERROR].to_numpy()))
-            ratio = ratio_interval(per_plant(mine), per_plant(theirs)).columns("ratio")
-            rows.append({**who, "group": group, "value": label, **ratio, "share_of_cases_better": better})
-        mine_by_family, theirs_by_family = (
-            np.array([per_plant(frame[frame["family"] == family]) for family in families]) for frame in (own, base)
-        )
-        ratio = geometric_ratio_interval(mine_by_family, theirs_by_family).columns("ratio")
-        label = "geometric mean of the families' ratios"
-        rows.append({**who, "group": "equal_weight", "value": label, **ratio, "share_of_cases_better": np.nan})
+        found = [grid.compare(name, names[0], *part) for _, _, *part in parts]
+        for (group, value, *_), row in zip(parts, found, strict=True):
+            figures = [row[column] for column in ("ratio", "ratio_low", "ratio_high", "share_better")]
+            rows.append((name, names[0], group, value, *figures))
+        equal = [found[0][column] for column in ("equal_weight", "equal_weight_low", "equal_weight_high")]
+        rows.append((name, names[0], "equal_weight", "geometric mean of the families' ratios", *equal, np.nan))
     return pd.DataFrame(rows, columns=RATIO_COLUMNS)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
+from hydro_agents.evaluation.paired_cases import PairedProtocol
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.parts import Cell
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
@@ -26,7 +27,7 @@ BestFound = Callable[[TaskConfig, Cases], Rollout]
 """Runs cases under the best commands that a search finds."""
 
 
-def tracking(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
         yield from _cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
@@ -40,19 +41,20 @@ def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[C
 
 
 def best(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
-    """The best found on some cases of the conditions that the protocol names."""
+    """Searches for the best commands, on some cases of the conditions that the protocol names."""
     from hydro_agents.evaluation.best_found import best_found
 
     # One thread: as many jobs as cores run side by side.
-    searching = chosen.best_found or partial(best_found, settings={"threads": 1})
+    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
     for condition in protocol.bound_conditions:
         cases, table = protocol.bound_cases_in(condition)
-        arguments = (protocol.task_in(condition), cases, table)
-        yield _cell(protocol, BEST_FOUND, condition, searching, *arguments, work=searched)
+        for name, search in searches.items():
+            arguments = (protocol.task_in(condition), cases, table)
+            yield _cell(protocol, name, condition, search, *arguments, work=searched)
 
 
 def _cells(
-    protocol: RobustnessProtocol,
+    protocol: PairedProtocol,
     chosen: Participants,
     condition: str,
     task: TaskConfig,
@@ -69,7 +71,7 @@ def _cells(
 
 
 def _cell(
-    protocol: RobustnessProtocol,
+    protocol: PairedProtocol,
     name: str,
     condition: str,
     participant: Any,
@@ -132,7 +134,7 @@ def _metrics(rollout: Rollout, config: TaskConfig, families: NDArray[np.str_]) -
     return {name: values.astype(np.float64) for name, values in found.items()}
 
 
-def replay(protocol: RobustnessProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
+def replay(protocol: PairedProtocol, chosen: Participants, row: Mapping[Any, Any]) -> Rollout:
     """Run one case again with its traces.
 
     Args:

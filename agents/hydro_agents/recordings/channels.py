@@ -16,13 +16,13 @@ from hydro_env.task.sensors import Sensor
 Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
-MOST_MISSING, MOST_SATURATED = 0.2, 0.6
-"""Largest shares of a channel that may be missing, and that may be at an end: a cavitating pressure stays at zero."""
+MOST_MISSING = 0.2  # share of a channel
 
-SHORTEST_STUCK = 0.1
-"""s, and at least STUCK_SAMPLES samples: a working sensor's noise does not stay within one step for so long."""
+MOST_SATURATED = 0.6
+"""Largest share of a channel at an end of its range: a cavitating pressure stays at zero."""
 
-STUCK_SAMPLES = 20
+SHORTEST_STUCK, STUCK_SAMPLES = 0.1, 20  # s, and samples
+"""A reading is stuck if it stays equal for at least both: the noise of a working sensor leaves one step earlier."""
 
 ACTIVE_COMMAND = 0.01
 """Range of the command, as a fraction of full command, over which a sensor without noise must change."""
@@ -47,8 +47,7 @@ LEAST_PRESSURE = 0.2
 
 PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
 
-OVERRANGE = 1.05
-"""Readings may exceed the rig's limits by 5 %."""
+OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
 
 class Channels(NamedTuple):

@@ -36,8 +36,7 @@ LONGEST_STEP = 2.0
 TIME_HEADING = "time [s]"
 """Heading of the common time of channels with their own stamps."""
 
-MOST_LINES = 200
-"""Lines in which the headings must stand."""
+MOST_LINES = 200  # in which the headings must stand
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -248,7 +247,6 @@ _READERS: dict[str, tuple[str, Callable[[Path, Any], Columns]]] = {
     ".tdms": ("nptdms", _read_tdms),
     ".mat": ("scipy.io", _read_mat),
 }
-"""Library and reader by suffix of the file."""
 
 
 class Found(NamedTuple):

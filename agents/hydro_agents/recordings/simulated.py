@@ -24,13 +24,10 @@ Floats = NDArray[np.float64]
 WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b": "bar", "spool_position": "%"} | {
     "command": "V"
 }
-"""Unit of each column."""
 
-_FORMAT = "%.7g"
-"""Enough digits for the 16-bit steps of every sensor."""
+_FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
 
-LONGEST_RECORDING = 3600.0
-"""s"""
+LONGEST_RECORDING = 3600.0  # s
 
 
 class Recorded(NamedTuple):

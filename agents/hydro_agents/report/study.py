@@ -24,8 +24,8 @@ from hydro_agents.report.study_tables import (
 )
 from hydro_agents.report.traces import Example, example_limits, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
+from hydro_agents.running.resampling import RESAMPLES
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import RESAMPLES
 from hydro_agents.running.text import family_name, listed, setting, span
 
 STUDY = (

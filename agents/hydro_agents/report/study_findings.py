@@ -9,7 +9,8 @@ import pandas as pd
 
 from hydro_agents.report.content import Content, interval_text, percent
 from hydro_agents.report.sections import Finding
-from hydro_agents.running.statistics import Interval, conditional_value_at_risk, ratio_interval, share_interval
+from hydro_agents.running.resampling import ratio_interval
+from hydro_agents.running.statistics import Interval, conditional_value_at_risk, share_interval
 from hydro_agents.running.text import family_name, listed, number, unbroken
 
 FEWEST_PLANTS = 3

@@ -26,7 +26,7 @@ from hydro_agents.report.canvas import (
     ticks,
 )
 from hydro_agents.report.content import Content
-from hydro_agents.running.statistics import mean_interval
+from hydro_agents.running.resampling import mean_interval
 from hydro_agents.running.text import family_name, number, setting
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

@@ -24,8 +24,7 @@ from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
-DURATION = 8.0
-"""s, of each candidate."""
+DURATION = 8.0  # s, of each candidate
 
 LEAST_GAIN = 0.8
 """A motion is recommended if it lowers the standard deviation to less than this share of the present one."""

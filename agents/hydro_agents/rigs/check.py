@@ -28,8 +28,7 @@ from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
-LEAKS = (0.01, 0.3, 1.0, 4.0)
-"""l/min at 100 bar: a healthy seal, and three leaking ones."""
+LEAKS = (0.01, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from rich.box import SIMPLE_HEAD
 from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
+from rich.table import Table as ConsoleTable
 
 from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, Row, beyond_dead_band, check_rig, leak_text
-from hydro_agents.running.console import PlainConsole
+from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
+from hydro_agents.running.text import Table, markdown
 from hydro_env import PlantParameters
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure, speed_limits
@@ -170,10 +169,13 @@ def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> 
         files = [folder / CSV_FILE, folder / TABLE_FILE]
     console = PlainConsole()
     console.print(title, soft_wrap=True)
-    console.print(_brief(rows, given.plant))
+    facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
+    for name, text in brief(rows, given.plant):
+        facts.add_row(name, text)
+    console.print(facts)
     for line in _assumed(rig, given.plant):
         console.print(line)
-    console.print(_table(rows))
+    console.print(console_table(_table(rows), left=(0, 1, 3)))
     return files
 
 
@@ -191,13 +193,6 @@ def _summary(rig: Rig) -> str:
     )
 
 
-def _brief(rows: list[Row], parameters: PlantParameters) -> Table:
-    table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    for name, text in brief(rows, parameters):
-        table.add_row(name, text)
-    return table
-
-
 def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | str]:
     if rig is None:
         return []
@@ -209,18 +204,10 @@ def _assumed(rig: Path | None, parameters: PlantParameters) -> list[Padding | st
 
 
 def _table(rows: list[Row]) -> Table:
-    """The table, narrow enough for a terminal of 80 columns."""
-    table = Table(box=SIMPLE_HEAD, header_style="bold", padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in HEADINGS[1:]:
-        table.add_column(heading, justify="right" if heading == "value" else "left")
-    group = ""
-    for row in rows:
-        if row.group != group:
-            table.add_section()
-            table.add_row(Text(row.group, style="bold"))
-        table.add_row(row.quantity, row.at, row.text(4), row.unit)
-        group = row.group
-    return table
+    """The figures by group, narrow enough for a terminal of 80 columns."""
+    first = {row.group: place for place, row in reversed(list(enumerate(rows)))}
+    breaks = {place: group for group, place in first.items()}
+    return Table("", HEADINGS[1:], [(row.quantity, row.at, row.text(4), row.unit) for row in rows], breaks=breaks)
 
 
 def check_csv(rows: list[Row]) -> str:
@@ -231,7 +218,6 @@ def check_csv(rows: list[Row]) -> str:
 
 def check_markdown(rows: list[Row], title: str) -> str:
     """The table as Markdown."""
-    cells = [HEADINGS, ("---", "---", "---", "---:", "---")]
-    cells += [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
-    table = "\n".join("| " + " | ".join(cell.replace("|", r"\|") for cell in line) + " |" for line in cells)
+    cells = [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
+    table = markdown(HEADINGS, cells, left=(0, 1, 2, 4))
     return f"# {title}\n\n{table}\n\n{NOTE}\n"

@@ -1,4 +1,4 @@
-"""``hydro diagnose``: from a recording to verdict, table, picture and page."""
+"""``hydro diagnose``: from a recording to the readings of both detectors and the verdict."""
 
 from __future__ import annotations
 
@@ -20,18 +20,8 @@ from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, cut
-from hydro_agents.report.canvas import WIDE, render
-from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.rigs.diagnosis_page import write_page
-from hydro_agents.rigs.diagnosis_picture import paint
 from hydro_agents.rigs.verdict import Limits, Verdict, judge
-from hydro_agents.running.folders import output_folder
 from hydro_env import PlantParameters, TaskConfig
-from hydro_env.files import write_text, write_whole
-
-PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv", "findings.csv", "diagnosis.png"
-FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
-JOB = "diagnose"
 
 Progress = Callable[[str, int, int], None]
 
@@ -129,19 +119,6 @@ def diagnose(
             watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
     verdict = judge(checked.findings, estimator, reading, limits)
     return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
-
-
-def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
-    """Write page, table, findings and picture; returns the lines for the user, the verdict last."""
-    with output_folder(folder, JOB, FILES, overwrite=overwrite):
-        (picture,) = render(lambda figure: paint(figure, diagnosis), (WIDE, 9.5), "png")
-        write_text(folder / TABLE_FILE, leak_table(diagnosis).to_csv(index=False, lineterminator="\n"))
-        write_text(folder / FINDINGS_FILE, findings_table(diagnosis.checked.findings))
-        write_whole(folder / PICTURE_FILE, picture)
-        write_page(folder / PAGE_FILE, diagnosis, command)
-    lines = [finding.line() for finding in diagnosis.checked.findings]
-    lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
-    return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:

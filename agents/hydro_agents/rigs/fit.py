@@ -56,8 +56,10 @@ ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
 MOST_ATTEMPTS = 2
 """Number of common fits; before a further one, unexplained windows are fitted again."""
 
-ITERATIONS, TOLERANCE = 40, 0.1
-"""Largest number of iterations of a common fit, which ends when a step with little damping lowers its cost by less."""
+ITERATIONS = 40  # of a common fit, at the most
+
+TOLERANCE = 0.1
+"""A common fit ends when a step with little damping lowers its cost by less."""
 
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
@@ -122,18 +124,18 @@ def fit_windows(
         progress: called with phase, done, total.
     """
 
-    def told(phase: str, done: int, total: int) -> None:
+    def report(phase: str, done: int, total: int) -> None:
         if progress is not None:
             progress(phase, done, total)
 
     measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
-    told("windows", 0, len(signals))
+    report("windows", 0, len(signals))
     alone = estimate(signals, config, list(priors), settings=ROUGHLY)
-    told("windows", len(signals), len(signals))
+    report("windows", len(signals), len(signals))
     fits: list[tuple[Model, Joint, Array]] = []
     for attempt in range(MOST_ATTEMPTS):
-        model, joint, misfit = _common_fit(signals, config, priors, alone, lambda *at: told("common fit", *at))
+        model, joint, misfit = _common_fit(signals, config, priors, alone, lambda *at: report("common fit", *at))
         fits.append((model, joint, misfit))
         if (misfit < WELL_FITTED).all() or attempt + 1 == MOST_ATTEMPTS:
             break
@@ -145,7 +147,7 @@ def fit_windows(
         )
         better = np.flatnonzero(again.misfit < alone.misfit)
         alone.replace(better, again, better)
-    told("common fit", 1, 1)
+    report("common fit", 1, 1)
     model, joint, misfit = min(fits, key=lambda one: float(np.median(one[2])))
     return _summary(model, joint, priors, misfit)
 

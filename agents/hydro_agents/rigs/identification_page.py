@@ -18,8 +18,7 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.sections import Block, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
-from hydro_agents.rigs.found_rig import hull, path_of, rig_yaml
-from hydro_agents.rigs.identification_shown import share_in_words, shown
+from hydro_agents.rigs.found_rig import hull, path_of, rig_yaml, share_in_words, shown
 from hydro_agents.rigs.identify import Identification, as_json
 from hydro_agents.rigs.parts import HeldBack
 from hydro_agents.running.folders import output_folder

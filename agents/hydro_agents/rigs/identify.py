@@ -14,8 +14,7 @@ from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.rigs.advice import Advice, advise
 from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
-from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant
-from hydro_agents.rigs.identification_shown import share_in_words, shown
+from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, share_in_words, shown
 from hydro_agents.rigs.parts import POSITION, HeldBack, Parts, parts_of, simulate_held_back
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.task.rig import Rig
@@ -96,10 +95,10 @@ class Identification(NamedTuple):
             return (
                 f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
             )
-        told = "the axis stood still on the held-back part"
+        outcome = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
-            told = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
-        return f"{known} of {count} unknowns determined; {told}"
+            outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
+        return f"{known} of {count} unknowns determined; {outcome}"
 
 
 def identify(

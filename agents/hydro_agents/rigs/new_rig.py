@@ -13,8 +13,7 @@ from hydro_env.task.rig import Rig, rig_from
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, UNITS
 
 BAR = 1e5
-STEEL = 7850.0
-"""Density in kg/m³."""
+STEEL = 7850.0  # kg/m³
 
 Answers = Mapping[str, float | str]
 

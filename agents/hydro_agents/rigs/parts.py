@@ -31,15 +31,16 @@ FITTED_SHARE = 0.7
 """Share of the recording, from its start, for the fit."""
 
 MOST_WINDOWS = 12
-"""More windows would take longer and add little; from each section of the recording, the one with most motion is
-used."""
+"""More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
 LONGEST_HELD_BACK = 10.0  # s
 
 LONGEST_FILL = 3
 """Largest number of successive missing commands that are interpolated; their readings stay missing."""
 
-FULL_COMMAND, MOST_SATURATED = 0.99, 0.9
+FULL_COMMAND = 0.99  # of the largest command
+
+MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
 START_FROM = 0.2

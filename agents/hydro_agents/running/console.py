@@ -7,15 +7,19 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskID, TextColumn
 from rich.table import Column
+from rich.table import Table as ConsoleTable
 from rich.text import Text
+
+from hydro_agents.running.text import Table
 
 SECONDS_BETWEEN_LINES = 10.0
 SECONDS_OF_SILENCE = 20.0
@@ -43,6 +47,28 @@ class PlainConsole(Console):
             self.quiet = True
             if self.file is sys.stdout:
                 discard_output()
+
+
+def console_table(table: Table, left: Collection[int] = (0,), whole: bool = False) -> ConsoleTable:
+    """A table for the console: the columns ``left`` hold words, the others numbers, which stand at the right.
+
+    Args:
+        table: its texts.
+        left: numbers of the columns with words.
+        whole: whether a number stays on one line even if the console is narrow.
+    """
+    shown = ConsoleTable(
+        title=table.caption or None, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    )
+    for place, heading in enumerate(table.header):
+        words = place in left
+        shown.add_column(heading, justify="left" if words else "right", no_wrap=whole and not words)
+    for place, cells in enumerate(table.rows):
+        if place in table.breaks:
+            shown.add_section()
+            shown.add_row(Text(table.breaks[place], style="bold"))
+        shown.add_row(*(cell if isinstance(cell, str) else cell.text for cell in cells))
+    return shown
 
 
 def discard_output() -> None:

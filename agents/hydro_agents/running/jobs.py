@@ -108,11 +108,16 @@ def _plain(value: Any) -> Any:
     return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
 
 
-def fingerprint(participant: Any) -> str:
-    """Digest of an object's numbers and of the file of its class; empty if it cannot be pickled.
+def fingerprint(*participants: Any) -> str:
+    """Digest of the numbers of objects and of the files of their classes; empty if one cannot be pickled.
 
     Finished work of a participant with another digest is not reused.
     """
+    digests = [_fingerprint(participant) for participant in participants]
+    return "" if "" in digests else "".join(digests)
+
+
+def _fingerprint(participant: Any) -> str:
     try:
         digest = str(joblib.hash(participant))
     except Exception:  # a user's object may raise anything
@@ -216,9 +221,15 @@ def side_by_side(pool: Any, calls: Sequence[Any]) -> Generator[Any, None, None]:
 
 
 def _named(key: str, job: Job) -> tuple[str, JobResult]:
-    if "torch" in sys.modules:  # as many jobs as cores run side by side
-        sys.modules["torch"].set_num_threads(1)
-    return key, job.run()
+    torch = sys.modules.get("torch")
+    threads = torch.get_num_threads() if torch is not None else 1
+    if torch is not None:
+        torch.set_num_threads(1)  # as many jobs as cores run side by side
+    try:
+        return key, job.run()
+    finally:
+        if torch is not None:
+            torch.set_num_threads(threads)
 
 
 def _in_worker(key: str, job: Job) -> tuple[str, JobResult]:

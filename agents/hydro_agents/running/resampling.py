@@ -107,3 +107,19 @@ def interval(resampled: Array, plants: int) -> Interval:
         return Interval(float(resampled[0]), np.nan, np.nan)
     low, high = np.quantile(values, [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
     return Interval(float(resampled[0]), float(low), float(high))
+
+
+def mean_interval(per_plant: Array, strata: NDArray[Any] | None = None) -> Interval:
+    """Mean over plants (U,), each of a stratum, with its interval; NaNs are left out."""
+    values = np.asarray(per_plant, dtype=np.float64)
+    return ratio_interval(values, np.ones(len(values)), strata)
+
+
+def ratio_interval(per_plant: Array, others: Array, strata: NDArray[Any] | None = None) -> Interval:
+    """Ratio of two means over the same plants (U,), with its paired interval; NaNs are left out."""
+    one, other = (np.asarray(values, dtype=np.float64) for values in (per_plant, others))
+    kept = ~(np.isnan(one) | np.isnan(other))
+    groups = np.zeros(len(one)) if strata is None else np.asarray(strata)
+    weights = plant_weights(groups[kept])
+    with np.errstate(invalid="ignore"):
+        return interval((weights @ one[kept]) / (weights @ other[kept]), int(kept.sum()))

@@ -84,7 +84,6 @@ EXPERIMENT_AXES = SeedRange(2_900_000, 50_000, "experiments, and the example of 
 ALARM_GROWTH = SeedRange(2_950_000, 50_000, "leaks that grow under hydro alarms")
 
 LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}
-"""All ranges by name."""
 
 SEED_MARK = "#"
 """Separates the name of a controller from the number of its training seed, as in ``PPO#3``."""

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.tables import ERROR
+from hydro_agents.evaluation.metrics import ERROR, METRICS
+from hydro_agents.running.text import markdown
 
 
 def rung_scores(
@@ -69,15 +69,14 @@ def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> 
             {"rung": name, "seeds": seeds, **means.to_dict(), **{f"{k} sd": v for k, v in spread.to_dict().items()}}
         )
         cells = [name, str(seeds or "–"), *(_cell(means[figure], spread[figure], figure) for figure in figures)]
-        lines.append(f"| {' | '.join(cells)} |")
-    head = f"| rung | seeds | {' | '.join(figures)} |\n|{'---|' * (len(figures) + 2)}\n"
+        lines.append(cells)
     costs = ", ".join(metric.word.lower() for metric in METRICS.values() if metric.cost and metric.ratio)
     note = (
         f"Ratios to {reference} on the same cases: mean error over all cases; geo, the geometric mean of the families' "
         "ratios; then each family and each leak. Worst case: largest ratio of a single case. Offset at standstill, "
         f"{costs}: ratios of means. ±: standard deviation over training seeds.\n\n"
     )
-    return note + head + "\n".join(lines) + "\n", pd.DataFrame(rows)
+    return f"{note}{markdown(['rung', 'seeds', *figures], lines)}\n", pd.DataFrame(rows)
 
 
 def _cell(mean: float, spread: float, figure: str) -> str:

@@ -13,10 +13,11 @@ from jinja2 import Environment, StrictUndefined
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.protocol import Evaluation
-from hydro_agents.evaluation.tables import per_plant, ratio_table
-from hydro_agents.running.statistics import Interval, ratio_interval, share_interval
+from hydro_agents.evaluation.tables import ratio_table
+from hydro_agents.running.statistics import Interval, share_interval
 from hydro_env import TaskConfig, __version__
 
 ENVIRONMENT = "ServoHydraulic-v0"
@@ -120,11 +121,10 @@ def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | N
         ratio = Interval(row["ratio"], row["low"], row["high"])
         main = row["group"] in ("all", "equal_weight")
         yield _metric(f"mean error / {row['against']}'s, {_group(row)}", ratio, main)
-    own, base = (cases[cases["controller"] == one] for one in (name, against))
+    own, grid = cases[cases["controller"] == name], Grid(cases)
     for metric in METRICS.values():
         if metric.cost and metric.ratio:
-            ratio = ratio_interval(per_plant(own, metric.name), per_plant(base, metric.name))
-            yield _metric(f"{metric.word.lower()} / {against}'s, all", ratio)
+            yield _metric(f"{metric.word.lower()} / {against}'s, all", grid.ratio(name, against, metric.name))
     yield _metric("share of runs that failed", share_interval(int(own["failed"].sum()), len(own)))
 
 

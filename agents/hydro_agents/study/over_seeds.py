@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from hydro_agents.learning.progress import validation_errors
 from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
-from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import seeds_interval
-from hydro_agents.running.text import number
+from hydro_agents.running.text import Table, number
 from hydro_agents.study.phases import Phases
 from hydro_agents.study.run import HEAD_PHASE, TUNED_FILE, is_finished, run_study
 from hydro_agents.study.settings import StudySettings
@@ -78,7 +77,7 @@ def run_over_seeds(
             first = next(iter(study.controllers))
             for plot in learning_plots(relative(curves), first, 1.0):
                 write_whole(folder / CURVE_FILE, plot.file)
-        display.console.lines(_summary(table, len(seeds)))
+        display.console.lines(console_table(_summary(table, len(seeds)), left=(0, 1)))
     return folder / TABLE
 
 
@@ -151,11 +150,10 @@ def _ratio(ratios: pd.DataFrame, name: str | None, group: str) -> float:
 
 
 def _summary(table: pd.DataFrame, count: int) -> Table:
-    """Mean and interval of every figure, for the console."""
-    shown = Table(title=f"Over {count} training seeds (test plants)")
-    for heading in ("trained", "figure", "mean [95 %, Student's t]"):
-        shown.add_column(heading, justify="right" if heading.startswith("mean") else "left")
+    """Mean and interval of every figure."""
+    rows = []
     for _, row in table.iterrows():
         mean, low, high = (number(row[name], digits=4) for name in ("mean", "low", "high"))
-        shown.add_row(row["of"], row["figure"], f"{mean} [{low}, {high}]")
-    return shown
+        rows.append((str(row["of"]), str(row["figure"]), f"{mean} [{low}, {high}]"))
+    header = ("trained", "figure", "mean [95 %, Student's t]")
+    return Table(f"Over {count} training seeds (test plants)", header, rows)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
@@ -21,9 +20,10 @@ from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.report import StudyRecord, write_report, write_tables
 from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
+from hydro_agents.running.text import Table
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_agents.study.phases import Phases
 from hydro_agents.study.settings import StudySettings
@@ -134,10 +134,10 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     """Print the main figures as tables on the console."""
     if len(evaluation.controllers) <= MOST_COLUMNS:
-        display.console.lines(_errors_by_leak(evaluation))
-    display.console.lines(_errors_in_all(evaluation))
+        display.console.lines(console_table(_errors_by_leak(evaluation)))
+    display.console.lines(console_table(_errors_in_all(evaluation)))
     if not evaluation.detection_summary.empty:
-        display.console.lines(_detection(evaluation))
+        display.console.lines(console_table(_detection(evaluation)))
 
 
 def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
@@ -149,41 +149,37 @@ def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
 def _errors_in_all(evaluation: Evaluation) -> Table:
     """One row per controller, with its ratio to the first."""
     first, *others = evaluation.controllers
-    table = Table(title="Mean absolute tracking error (test plants)")
-    table.add_column("controller")
-    for heading in ("mm", f"÷ {first} [95 %]", "references weighted equally"):
-        table.add_column(heading, justify="right", no_wrap=heading == "mm")
     means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
-    table.add_row(first, f"{means[first]:.4f}", "", "")
+    rows = [(first, f"{means[first]:.4f}", "", "")]
     for name in others:
-        ratios = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
-        table.add_row(name, f"{means[name]:.4f}", *ratios)
-    return table
+        whole, equal = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
+        rows.append((name, f"{means[name]:.4f}", whole, equal))
+    header = ("controller", "mm", f"÷ {first} [95 %]", "references weighted equally")
+    return Table("Mean absolute tracking error (test plants)", header, rows)
 
 
 def _errors_by_leak(evaluation: Evaluation) -> Table:
     """One row per leak, one column per controller."""
-    table = Table(title="Mean absolute tracking error, mm (test plants)")
-    for heading in ("leak, l/min", *evaluation.controllers):
-        table.add_column(heading, justify="right")
     errors = evaluation.cases.groupby(["controller", "leakage_flow_lpm"])["mean_error_mm"].mean()
-    for level in evaluation.cases["leakage_flow_lpm"].unique():
-        table.add_row(f"{level:g}", *(f"{errors[name, level]:.4f}" for name in evaluation.controllers))
-    return table
+    rows = [
+        (f"{level:g}", *(f"{errors[name, level]:.4f}" for name in evaluation.controllers))
+        for level in evaluation.cases["leakage_flow_lpm"].unique()
+    ]
+    return Table("Mean absolute tracking error, mm (test plants)", ("leak, l/min", *evaluation.controllers), rows)
 
 
 def _detection(evaluation: Evaluation) -> Table:
     bounds = evaluation.bounds
-    table = Table(title="Leakage head, one episode of observations (test plants)")
-    auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
-    for heading in ("controller", auroc, "false alarms", moderate, "size error, median"):
-        table.add_column(heading, justify="left" if heading == "controller" else "right")
-    for _, entry in evaluation.detection_summary.iterrows():
-        table.add_row(
+    rows = [
+        (
             str(entry["controller"]),
             f"{entry['auroc']:.4f}",
             f"{100 * entry['false_alarm_rate']:.2f} %",
             f"{100 * entry['detection_rate_moderate']:.2f} %",
             f"× {entry['median_size_error_factor']:.2f}",
         )
-    return table
+        for _, entry in evaluation.detection_summary.iterrows()
+    ]
+    auroc, moderate = f"AUROC > {bounds.leaking_above:g}", f"detected {bounds.moderate_label} l/min"
+    header = ("controller", auroc, "false alarms", moderate, "size error, median")
+    return Table("Leakage head, one episode of observations (test plants)", header, rows)
