@@ -37,7 +37,13 @@ from hydro_env.task.configuration import task_config
 
 
 class ProtocolSettings(PairedCases):
-    """Size of an evaluation."""
+    """Size of an evaluation.
+
+    Example:
+        >>> from hydro_agents.evaluation.protocol import ProtocolSettings
+        >>> ProtocolSettings(plants=8).leak_levels
+        (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
+    """
 
     leak_levels: tuple[float, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
@@ -105,6 +111,15 @@ def evaluate(
     Raises:
         ConfigurationError: the task or the settings are impossible, a text names no controller, weights belong to
             another task, or all controllers failed.
+
+    Example:
+        >>> from hydro_agents import evaluate
+        >>> size = {"plants": 3, "leak_levels": [1.0], "families": ["step"]}
+        >>> results = evaluate("default", {"PID": "pid", "mine": "flow_linearising"}, settings=size)
+        >>> results.controllers, len(results.cases)  # one row per controller and case
+        (['PID', 'mine'], 6)
+        >>> results.ratios.loc[0, ["controller", "against", "group"]].tolist()
+        ['mine', 'PID', 'all']
     """
     config = task_config(task)
     if not isinstance(settings, ProtocolSettings):
