@@ -139,6 +139,19 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
     ``get_state()`` and ``set_state(state)`` save and restore everything, random numbers included: two continuations
     from the same state are equal bit for bit.
 
+    ## Example
+
+    ```pycon
+    >>> import gymnasium as gym
+    >>> import hydro_env
+    >>> env = gym.make("ServoHydraulic-v0")
+    >>> observation, info = env.reset(seed=1, options={"leakage_flow_lpm": 1.0})
+    >>> observation, reward, terminated, truncated, info = env.step([0.2])
+    >>> observation.shape, info["leakage_class"], sorted(info["reward_terms"])
+    ((13,), 2, ['effort', 'failure', 'tracking'])
+
+    ```
+
     ## Version History
 
     * v0: first version. Since version 0.2 of the package an episode begins where a controller that reads the biased

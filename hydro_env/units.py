@@ -82,12 +82,24 @@ def in_si(value: Any, unit: str) -> Any:
 
 
 def resistance_from_flow(flow_lpm: float) -> float:
-    """Leakage resistance R_i in Pa s/m³ of a leak quoted in l/min at 100 bar; 0 gives infinity (10)."""
+    """Leakage resistance R_i in Pa s/m³ of a leak quoted in l/min at 100 bar; 0 gives infinity (10).
+
+    Example:
+        >>> from hydro_env import resistance_from_flow
+        >>> f"{resistance_from_flow(1.0):.3g} Pa s/m³"
+        '6e+11 Pa s/m³'
+    """
     return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE) if flow_lpm > 0 else math.inf
 
 
 def flow_from_resistance(resistance: float) -> float:
-    """Leakage in l/min at 100 bar of a resistance in Pa s/m³; the inverse of :func:`resistance_from_flow`."""
+    """Leakage in l/min at 100 bar of a resistance in Pa s/m³; the inverse of :func:`resistance_from_flow`.
+
+    Example:
+        >>> from hydro_env import flow_from_resistance, resistance_from_flow
+        >>> round(flow_from_resistance(resistance_from_flow(2.0)), 6)
+        2.0
+    """
     return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE
 
 

@@ -49,6 +49,15 @@ class ServoHydraulicVectorEnv(PlainSpec, VectorEnv[Observations, NDArray[np.floa
         render_mode: must be ``None``; draw a single environment.
         info: ``False`` leaves ``info`` empty, for training loops that do not read it; ``"flat"`` holds only arrays of
             numbers, without text and dictionaries, for array libraries (final observations and infos too).
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import hydro_env
+        >>> env = gym.make_vec("ServoHydraulic-v0", num_envs=3)
+        >>> observation, _ = env.reset(seed=0, options={"leakage_flow_lpm": [0.01, 1.0, 4.0]})
+        >>> observation, reward, terminated, truncated, info = env.step([[0.1]] * 3)
+        >>> observation.shape, info["leakage_class"].tolist()
+        ((3, 13), [0, 2, 3])
     """
 
     metadata: dict[str, Any] = {

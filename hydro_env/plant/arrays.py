@@ -53,6 +53,12 @@ def equilibrium(parameters: PlantParameters, position: float = 0.0) -> tuple[dic
 
     Raises:
         HydroError: ``parameters`` or ``position`` has the wrong type, or the supply cannot hold that position.
+
+    Example:
+        >>> from hydro_env import PlantParameters, equilibrium
+        >>> state, voltage = equilibrium(PlantParameters(), position=0.02)
+        >>> f"{state['pressure_a'] / 1e5:.1f} bar, {1e3 * voltage:.0f} mV"
+        '35.2 bar, -8 mV'
     """
     if not isinstance(parameters, PlantParameters):
         raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")

@@ -65,7 +65,15 @@ class StateSpace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """d(state)/dt = A (state − state_0) + B (voltage − voltage_0) + E F, F the change of the external force."""
+    """d(state)/dt = A (state − state_0) + B (voltage − voltage_0) + E F, F the change of the external force.
+
+    Example:
+        >>> from hydro_env import PlantParameters, linearise
+        >>> model = linearise(PlantParameters(), position=0.01)
+        >>> space = model.state_space(outputs=["position"])
+        >>> space.A.shape, space.names["inputs"], space.names["states"][:2]
+        ((8, 8), ['voltage'], ['position', 'velocity'])
+    """
 
     a: Array  # (N_STATES, N_STATES), states in the order of STATE_NAMES
     b: Array  # (N_STATES,), per V
@@ -153,6 +161,13 @@ def linearise(
 
     Raises:
         HydroError: the state is incomplete or has the wrong shape, or the position cannot be held.
+
+    Example:
+        >>> from hydro_env import PlantParameters, linearise
+        >>> frictionless = PlantParameters().replace(friction={"model": "none"})
+        >>> mode = linearise(frictionless).hydraulic_mode
+        >>> f"{mode.natural_frequency:.0f} rad/s, damping ratio {mode.damping_ratio:.3f}"
+        '414 rad/s, damping ratio 0.009'
     """
     holding = 0.0
     if state is None:

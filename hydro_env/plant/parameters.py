@@ -37,6 +37,13 @@ class PlantParameters(Group):
     Groups: ``cylinder``, ``valve``, ``lines``, ``fluid``, ``load``, ``friction``, ``supply``, ``leakage``. Instances
     are frozen; ``replace`` gives a changed and validated copy. A wrong value raises
     :class:`hydro_env.ConfigurationError` with one line: field, value, allowed values.
+
+    Example:
+        >>> from hydro_env import PlantParameters
+        >>> rig = PlantParameters()
+        >>> heavy = rig.replace(load={"mass": 80.0})
+        >>> rig.load.mass, heavy.load.mass, rig.cylinder.bore_diameter
+        (60.0, 80.0, 0.04)
     """
 
     model_config = ConfigDict(title="plant parameters")

@@ -46,6 +46,17 @@ class Trajectory:
     ``time`` (s), ``voltage`` (V; the input that acts from each sample on, the last one repeated), every state
     (:data:`STATE_NAMES`) and every derived quantity (:data:`DERIVED_NAMES`) have shape (n + 1,). Read them by name:
     ``trajectory.position`` or ``trajectory["position"]``. :data:`TRAJECTORY_UNITS` lists the units.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_env import PlantParameters, simulate
+        >>> run = simulate(PlantParameters(), np.full(500, 3.0), 1e-3)
+        >>> run
+        Trajectory(501 samples, 0.5 s, position, velocity, pressure_a, …)
+        >>> f"{1e3 * run.velocity[-1]:.0f} mm/s"
+        '46 mm/s'
+        >>> list(run.to_dataframe().columns[:3])
+        ['voltage', 'position', 'velocity']
     """
 
     parameters: PlantParameters
@@ -122,6 +133,15 @@ def simulate(
     Raises:
         HydroError: the input is impossible, a state name or the method is unknown, or the start cannot be held.
         InvalidStateError: a state left the range in which the model is valid; the message gives state, time and value.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_env import PlantParameters, resistance_from_flow, simulate
+        >>> rig = PlantParameters()
+        >>> worn = rig.replace(leakage={"internal_resistance": resistance_from_flow(4.0)})
+        >>> voltage = np.full(500, 3.0)  # 0.5 s
+        >>> [f"{1e3 * simulate(plant, voltage, 1e-3).position[-1]:.1f} mm" for plant in (rig, worn)]
+        ['24.9 mm', '24.2 mm']
     """
     if not isinstance(parameters, PlantParameters):
         raise HydroError(f"parameters = {type(parameters).__name__}: must be PlantParameters")

@@ -151,7 +151,18 @@ class Disturbance(TaskGroup):
 
 
 class TaskConfig(TaskGroup):
-    """The whole task; every field is a keyword of ``gym.make("ServoHydraulic-v0", ...)`` and a key of a YAML file."""
+    """The whole task; every field is a keyword of ``gym.make("ServoHydraulic-v0", ...)`` and a key of a YAML file.
+
+    Example:
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig(control_period=0.01, references={"preview_times": [0.01, 0.05]})
+        >>> task.steps, task.preview_samples
+        (200, (1, 5))
+        >>> TaskConfig(control_period=1.0)
+        Traceback (most recent call last):
+            ...
+        hydro_env.errors.ConfigurationError: TaskConfig: control_period = 1.0: must be a number within 0.0005 to ...
+    """
 
     control_period: Number = quantity(5e-3, "s", "of the controller", 0.5e-3, 20e-3)
     command_latency: Number = quantity(1e-3, "s", "from sampling to the new command; at most one period", 0.0, 20e-3)

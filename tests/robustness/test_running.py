@@ -124,7 +124,7 @@ def strong(config, cases):
 
 def test_the_best_found_runs_on_some_cases_and_gives_the_gap():
     protocol = small(bound_conditions=["late"], bound_plants=2)
-    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)}, best_found=strong)
+    chosen = Participants({"P": Proportional(), "Q": Proportional(45.0)}, searches={"best found": strong})
     results = run(protocol, chosen, jobs=1)
     assert set(results.part("best_found")["condition"]) == {"late"}
     assert len(results.part("best_found")) == 2 * 2 * 2

@@ -102,7 +102,7 @@ def test_overwrite_begins_anew_and_a_stopped_ladder_says_what_it_keeps(tmp_path,
     def stop(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hydro_agents.study.ladder.judged", stop)
+    monkeypatch.setattr("hydro_agents.study.ladder.run", stop)
     with pytest.raises(KeyboardInterrupt) as stopped:
         run_ladder(other, tmp_path, rungs=["alone"], seeds=1, resume=True)
     assert "keeps the finished work" in stopped.value.__notes__[0]
@@ -117,7 +117,7 @@ def test_a_training_that_fails_loses_only_its_own_row(tmp_path):
 
 def test_choices_are_made_on_validation_plants():
     settings = ladder()
-    chosen, test = settings.cases(False)[0], settings.cases(True)[0]
+    chosen, test = (settings.protocol(test).cases_in("task")[0] for test in (False, True))
     assert all(int(seed) in VALIDATION_SEEDS for seed in chosen.seeds)
     assert all(int(seed) in TEST_SEEDS for seed in test.seeds)
     np.testing.assert_array_equal(chosen.leakage_flow_lpm, test.leakage_flow_lpm)

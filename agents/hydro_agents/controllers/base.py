@@ -23,6 +23,20 @@ class Controller(Protocol):
     ``predict`` takes one observation (n,) or a batch (N, n) and returns commands (1,) or (N, 1) and the controller's
     state (its memory). One rule applies: **predict never changes the state that it is given**; it returns a new one. A
     caller may keep any state and continue from it again, with the same results bit for bit.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.controllers import ObservationLayout
+        >>> from hydro_env import TaskConfig
+        >>> class Proportional:
+        ...     def __init__(self, config):
+        ...         self.layout = ObservationLayout.of(config)
+        ...     def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        ...         error = self.layout.si(observation, "tracking_error")  # m
+        ...         return (50.0 * error[:, None]).astype(np.float32), state
+        >>> action, _ = Proportional(TaskConfig()).predict(np.zeros((4, 13)))
+        >>> action.shape
+        (4, 1)
     """
 
     def predict(
@@ -48,7 +62,18 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """Layout of an observation: names, scales (SI units per 1), and the control period (s)."""
+    """Layout of an observation: names, scales (SI units per 1), and the control period (s).
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.controllers import ObservationLayout
+        >>> from hydro_env import TaskConfig
+        >>> layout = ObservationLayout.of(TaskConfig())
+        >>> layout.index("position"), layout.preview_times
+        (5, (0.005, 0.01, 0.02, 0.04))
+        >>> layout.si(np.full((1, 13), 0.5), "pressure_a")  # Pa
+        array([2500000.])
+    """
 
     names: tuple[str, ...]
     scale: tuple[float, ...]

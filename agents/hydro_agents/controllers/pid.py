@@ -15,7 +15,17 @@ from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 
 class PIDGains(Group):
-    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s."""
+    """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s.
+
+    Example:
+        >>> from hydro_agents.controllers import PIDGains
+        >>> PIDGains(proportional=25.0).integral
+        40.0
+        >>> PIDGains(proportional=-1.0)
+        Traceback (most recent call last):
+            ...
+        hydro_env.errors.ConfigurationError: PIDGains: proportional = -1.0: must be a number within 0 to 10000 ...
+    """
 
     proportional: float = gain(20.0, (2.0, 2000.0), "1/m", "on the error", high=1e4, logarithmic=True)
     integral: float = gain(40.0, (1.0, 1e5), "1/(m s)", "on the integral of the error", high=1e5, logarithmic=True)
@@ -62,6 +72,16 @@ class PID:
     and ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the
     measured position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the
     integral takes over the command that holds the axis.
+
+    Example:
+        >>> from hydro_agents.controllers import PID, PIDGains
+        >>> from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+        >>> task = TaskConfig()
+        >>> pid, env = PID(PIDGains(proportional=25.0), task), ServoHydraulicVectorEnv(2, task)
+        >>> observation, _ = env.reset(seed=0)
+        >>> command, memory = pid.predict(observation)  # memory: for the next call
+        >>> command.shape
+        (2, 1)
     """
 
     memory = PIDState

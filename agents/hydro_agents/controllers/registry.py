@@ -93,6 +93,12 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
 
     Raises:
         ConfigurationError: the kind is unknown, or the settings do not fit it.
+
+    Example:
+        >>> from hydro_agents.controllers.registry import make_controller
+        >>> from hydro_env import TaskConfig
+        >>> make_controller("pid", TaskConfig(), {"proportional": 25.0}).gains.proportional
+        25.0
     """
     make: Any
     if ":" in kind:

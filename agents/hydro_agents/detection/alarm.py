@@ -108,7 +108,21 @@ class Alarm(NamedTuple):
 
 
 class LeakAlarm:
-    """N alarms with the same settings: ``begin``, then one ``update`` per look; ``follow`` takes all looks at once."""
+    """N alarms with the same settings: ``begin``, then one ``update`` per look; ``follow`` takes all looks at once.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+        >>> from hydro_agents.detection.detector import Reading
+        >>> from hydro_agents.detection.looks import Activity
+        >>> from hydro_env.folders import config_folder
+        >>> alarm = LeakAlarm(AlarmSettings.load(config_folder() / "agents" / "alarm.yaml"))
+        >>> state, moving = alarm.begin(count=2), np.full(2, Activity.MOVING)
+        >>> for _ in range(20):  # looks at two axes, of which the second one leaks
+        ...     now, state = alarm.update(Reading.of([-3.0, 8.0]), moving, state)
+        >>> now.alarm
+        array([False,  True])
+    """
 
     def __init__(self, settings: AlarmSettings) -> None:
         self.settings = settings

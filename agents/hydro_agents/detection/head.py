@@ -173,6 +173,20 @@ class LeakageHead:
 
     ``predict`` processes one step at a time, with the signature of a controller; ``estimate`` takes whole windows of
     observations, ``estimate_windows`` those of recorded signals in SI units.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.detection.head import LeakageHead
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.running.cases import Cases, run_cases
+        >>> from hydro_agents.running.folders import pretrained_folder
+        >>> head = LeakageHead.load(pretrained_folder() / "leakage_head")
+        >>> task = head.settings.task
+        >>> cases = Cases(np.arange(2), np.array([0.01, 1.0]), np.full(2, "multi_sine"))
+        >>> run = run_cases(task, shipped("pid", task), cases, signal_columns=range(13))
+        >>> leak = head.estimate(run.signals.transpose(0, 2, 1))  # (axes, samples, observations)
+        >>> (leak.probability > head.settings.threshold).tolist()
+        [False, True]
     """
 
     def __init__(self, tensors: Mapping[str, NDArray[Any]], settings: HeadSettings) -> None:

@@ -29,6 +29,21 @@ class MonitoredController:
     """Any controller with the leakage head attached; its commands are those of the controller.
 
     ``estimate(state)`` reads the last window of observations of each axis.
+
+    Example:
+        >>> from hydro_agents.detection.monitor import MonitoredController, load_head
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+        >>> task = TaskConfig()
+        >>> monitored = MonitoredController(shipped("pid", task), load_head(None, task))
+        >>> env, state = ServoHydraulicVectorEnv(2, task), None
+        >>> options = {"leakage_flow_lpm": [0.01, 1.0], "reference": ["multi_sine"] * 2}
+        >>> observation, _ = env.reset(seed=3, options=options)
+        >>> for _ in range(task.steps):
+        ...     command, state = monitored.predict(observation, state)
+        ...     observation, *_ = env.step(command)
+        >>> (monitored.estimate(state).flow_lpm > 0.5).tolist()
+        [False, True]
     """
 
     def __init__(self, controller: Controller, head: LeakageHead) -> None:

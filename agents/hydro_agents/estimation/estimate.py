@@ -151,6 +151,20 @@ def estimate(
 
     Raises:
         ConfigurationError: a shape, a command, a duration or a name is wrong.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.estimation.estimate import estimate
+        >>> from hydro_agents.estimation.known_windows import known_windows
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.running.cases import Cases
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig()
+        >>> cases = Cases(np.array([1]), np.array([1.0]), np.array(["multi_sine"]))
+        >>> windows = known_windows(task, shipped("pid", task), cases, begin=0.0, length=1.0)
+        >>> found = estimate(windows.signals, task)
+        >>> np.round(found.value("leakage_flow_lpm"), 1)  # l/min at 100 bar
+        array([1.])
     """
     settings = settings or EstimationSettings()
     windows = checked_signals(signals)

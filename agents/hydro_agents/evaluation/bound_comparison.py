@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import pandas as pd
 from pydantic import Field
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.best_found import BoundSettings, best_found
-from hydro_agents.evaluation.metrics import rollout_metrics
+from hydro_agents.evaluation.best_found import BoundSettings, Told, best_found
+from hydro_agents.evaluation.paired_cases import PairedCondition
+from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.protocol import ProtocolSettings
-from hydro_agents.running.cases import Cases, Rollout, run_cases
-from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+from hydro_agents.evaluation.runner import run
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
@@ -42,17 +44,15 @@ def compare(
     that the sensor would read without noise), ``true_error_mm`` (of the true position), ``valve_travel_per_s``,
     ``failed``.
     """
-    cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
-    table = table.drop(columns="seed")
-    frames = []
-    for name, controller in controllers.items():
-        rollout = run_cases(config, controller, cases)
-        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
-    for name, told in ((NOMINAL, "nominal"), (TRUTH, "truth")):
-        report = None if progress is None else _reporter(progress, name, len(cases))
-        rollout = best_found(config, cases, told, settings.search, report)  # type: ignore[arg-type]
-        frames.append(table.assign(controller=name, **_errors(rollout, cases, config)))
-    return pd.concat(frames, ignore_index=True)
+    told: tuple[tuple[str, Told], ...] = ((NOMINAL, "nominal"), (TRUTH, "truth"))
+    searches = {name: partial(best_found, told=which, settings=settings.search) for name, which in told}
+    results = run(
+        _protocol(config, settings, ("tracking", "best_found")),
+        Participants(controllers, searches=searches),
+        jobs=1,
+        progress=progress,
+    )
+    return _errors(pd.concat([results.part("tracking"), results.part("best_found")], ignore_index=True))
 
 
 def summary(frame: pd.DataFrame, by: str) -> pd.DataFrame:
@@ -86,28 +86,36 @@ def convergence(
     Returns:
         One row per setting and value: ``setting``, ``value``, the mean error of each family and of all (``mean``), mm.
     """
-    cases, table = settings.cases(THRESHOLDS if settings.validation else EVALUATION)
-    table = table.drop(columns="seed")
-    rows: list[dict[str, Any]] = []
-    known: dict[BoundSettings, pd.Series] = {}
-    for setting, values in variations.items():
-        for value in values:
-            search = settings.search.model_copy(update={setting: value})
-            if search not in known:
-                report = None if progress is None else _reporter(progress, f"{setting} {value}", len(cases))
-                errors = table.assign(**_errors(best_found(config, cases, "truth", search, report), cases, config))
-                known[search] = errors.groupby("family", sort=False)["error_mm"].mean()
-            rows.append({"setting": setting, "value": value, **known[search], "mean": known[search].mean()})
+    varied = [(name, value) for name, values in variations.items() for value in values]
+    chosen = {f"{name} {value}": settings.search.model_copy(update={name: value}) for name, value in varied}
+    searches = {name: partial(best_found, settings=search) for name, search in chosen.items()}
+    protocol = _protocol(config, settings, ("best_found",))
+    results = run(protocol, Participants({}, searches=searches), jobs=1, progress=progress)
+    errors = (
+        _errors(results.part("best_found")).groupby(["controller", "family"], sort=False)["error_mm"].mean().unstack()
+    )
+    rows = []
+    for name, value in varied:
+        found = errors.loc[f"{name} {value}", list(settings.families)]
+        rows.append({"setting": name, "value": value, **found, "mean": found.mean()})
     return pd.DataFrame(rows)
 
 
-def _errors(rollout: Rollout, cases: Cases, config: TaskConfig) -> dict[str, Any]:
-    assert cases.families is not None
-    found = rollout_metrics(rollout, cases.families, config.control_period)
-    renamed = {"error_mm": found["mean_error_sensor_mm"], "true_error_mm": found["mean_error_mm"]}
-    return renamed | {name: found[name] for name in ("valve_travel_per_s", "failed")}
+def _protocol(config: TaskConfig, settings: ComparisonSettings, parts: tuple[str, ...]) -> RobustnessProtocol:
+    """Some parts on the cases of the settings."""
+    return RobustnessProtocol(
+        task=config,
+        parts=parts,
+        conditions={"task": PairedCondition()},
+        seeds="THRESHOLDS" if settings.validation else "EVALUATION",
+        bound_conditions=("task",),
+        bound_plants=settings.plants,
+        **settings.model_dump(include={"leak_levels", "families", "plants"}),
+    )
 
 
-def _reporter(progress: Progress, phase: str, total: int) -> Callable[[int], None]:
-    progress(phase, 0, total)
-    return lambda done: progress(phase, done, total)
+def _errors(cases: pd.DataFrame) -> pd.DataFrame:
+    """Errors in the frame of the sensor and of the true position, with what they cost."""
+    shown = cases[["leakage_flow_lpm", "family", "plant", "controller"]]
+    errors = {"error_mm": cases["mean_error_sensor_mm"], "true_error_mm": cases["mean_error_mm"]}
+    return shown.assign(**errors, valve_travel_per_s=cases["valve_travel_per_s"], failed=cases["failed"])

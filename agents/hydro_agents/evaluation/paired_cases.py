@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import pandas as pd
@@ -12,12 +12,15 @@ from pydantic import Field, model_validator
 
 from hydro_agents.evaluation.conditions import Condition, Protocol
 from hydro_agents.running.cases import Cases
-from hydro_agents.running.seeds import ROBUSTNESS, SEEDS_PER_FAMILY, SeedRange
+from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY, SeedRange
 from hydro_env import REFERENCE_FAMILIES, TaskConfig
 from hydro_env.files import Group
+from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.rig import merged
 
+FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count > len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
+PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
 DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 
 
@@ -105,7 +108,7 @@ class PairedCases(Group):
 class PairedProtocol(PairedCases, Protocol[PairedCondition]):
     """A protocol whose conditions have paired cases."""
 
-    seeds: ClassVar[SeedRange] = ROBUSTNESS
+    seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
     chunk: int = Field(2048, ge=1, description="cases of a job")
 
     def changed_task(self, name: str) -> TaskConfig:
@@ -128,7 +131,7 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         condition = self.conditions[name]
         families = condition.families or self.families
         levels, plants = condition.leak_levels or self.leak_levels, condition.plants or self.plants
-        table = paired(levels, families, plants, self.seeds)
+        table = paired(levels, families, plants, LEDGER[self.seeds])
         return self.cases_of(name, table), table
 
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:

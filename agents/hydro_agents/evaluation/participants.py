@@ -71,7 +71,7 @@ class Participants:
     controllers: Mapping[str, Controller]
     special: Mapping[tuple[str, str], Controller] = field(default_factory=dict)
     head: LeakageHead | None = None  # watches the episodes of a study
-    best_found: Callable[[TaskConfig, Cases], Rollout] | None = None  # the search of the bound; default: the project's
+    searches: Mapping[str, Callable[[TaskConfig, Cases], Rollout]] | None = None  # default: the best found, by name
 
     def of(self, name: str, condition: str, protocol: PairedProtocol) -> Controller | str:
         """The controller that runs under a condition, or the reason why none can.

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import Field
@@ -18,12 +18,18 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.detection import LeakBounds
-from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES, PairedCases, PairedCondition, PairedProtocol
+from hydro_agents.evaluation.paired_cases import (
+    DRAWN_FAMILIES,
+    PairedCases,
+    PairedCondition,
+    PairedProtocol,
+    PlantSeeds,
+)
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.runner import FAILED, run, tables_of
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import ControllerError
-from hydro_agents.running.seeds import EVALUATION, SEEDS_PER_FAMILY, SeedRange
+from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
@@ -31,7 +37,13 @@ from hydro_env.task.configuration import task_config
 
 
 class ProtocolSettings(PairedCases):
-    """Size of an evaluation."""
+    """Size of an evaluation.
+
+    Example:
+        >>> from hydro_agents.evaluation.protocol import ProtocolSettings
+        >>> ProtocolSettings(plants=8).leak_levels
+        (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
+    """
 
     leak_levels: tuple[float, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
@@ -46,7 +58,7 @@ class StudyProtocol(PairedProtocol):
 
     kind: Literal["study"] = "study"
     title: str = "Evaluation"
-    seeds: ClassVar[SeedRange] = EVALUATION
+    seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     detection_episodes: int = 4000
 
@@ -99,6 +111,15 @@ def evaluate(
     Raises:
         ConfigurationError: the task or the settings are impossible, a text names no controller, weights belong to
             another task, or all controllers failed.
+
+    Example:
+        >>> from hydro_agents import evaluate
+        >>> size = {"plants": 3, "leak_levels": [1.0], "families": ["step"]}
+        >>> results = evaluate("default", {"PID": "pid", "mine": "flow_linearising"}, settings=size)
+        >>> results.controllers, len(results.cases)  # one row per controller and case
+        (['PID', 'mine'], 6)
+        >>> results.ratios.loc[0, ["controller", "against", "group"]].tolist()
+        ['mine', 'PID', 'all']
     """
     config = task_config(task)
     if not isinstance(settings, ProtocolSettings):

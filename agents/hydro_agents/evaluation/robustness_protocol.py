@@ -13,7 +13,7 @@ from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.paired_cases import PairedProtocol, check_grid, paired
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.seeds import SEEDS_PER_FAMILY
+from hydro_agents.running.seeds import LEDGER, SEEDS_PER_FAMILY
 from hydro_agents.running.tasks import Factor, read_settings
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, validate
@@ -104,7 +104,7 @@ class RobustnessProtocol(PairedProtocol):
     def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
         levels = self.conditions[name].leak_levels or self.standstill_leak_levels
-        table = paired(levels, ("user",), self.standstill_plants, self.seeds)
+        table = paired(levels, ("user",), self.standstill_plants, LEDGER[self.seeds])
         return self.cases_of(name, table), table
 
     def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:

@@ -41,15 +41,16 @@ def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[C
 
 
 def best(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
-    """The best found on some cases of the conditions that the protocol names."""
+    """Searches for the best commands, on some cases of the conditions that the protocol names."""
     from hydro_agents.evaluation.best_found import best_found
 
     # One thread: as many jobs as cores run side by side.
-    searching = chosen.best_found or partial(best_found, settings={"threads": 1})
+    searches = chosen.searches or {BEST_FOUND: partial(best_found, settings={"threads": 1})}
     for condition in protocol.bound_conditions:
         cases, table = protocol.bound_cases_in(condition)
-        arguments = (protocol.task_in(condition), cases, table)
-        yield _cell(protocol, BEST_FOUND, condition, searching, *arguments, work=searched)
+        for name, search in searches.items():
+            arguments = (protocol.task_in(condition), cases, table)
+            yield _cell(protocol, name, condition, search, *arguments, work=searched)
 
 
 def _cells(

@@ -29,6 +29,13 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
 
     Raises:
         ConfigurationError: the kind is not shipped.
+
+    Example:
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_env import TaskConfig
+        >>> pid, policy = (shipped(kind, TaskConfig()) for kind in ("pid", "ppo"))
+        >>> type(pid).__name__, type(policy).__name__
+        ('PID', 'PolicyController')
     """
     if kind in SHIPPED_WEIGHTS:
         return TRAINERS[kind].load(shipped_weights(kind, config))
@@ -74,6 +81,16 @@ def opponent(
 
     Raises:
         ConfigurationError: the controller does not exist, or needs other observations; the message names it.
+
+    Example:
+        >>> from hydro_agents.learning.opponents import opponent
+        >>> from hydro_env import TaskConfig
+        >>> type(opponent("flow_linearising", TaskConfig(), "mine")).__name__
+        'FlowLinearising'
+        >>> opponent("pidd", TaskConfig(), "mine")
+        Traceback (most recent call last):
+            ...
+        hydro_env.errors.ConfigurationError: mine: 'pidd': unknown; did you mean pid? ...
     """
     try:
         controller: Controller

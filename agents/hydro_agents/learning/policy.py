@@ -70,6 +70,17 @@ class PolicyController:
         training: record of the training (JSON).
         critic: layers of the value network, which may have more inputs; ``None`` if unknown.
         output: ``linear`` (limited to ±1, as PPO's) or ``tanh`` (as SAC's).
+
+    Example:
+        >>> from hydro_agents.learning.policy import PolicyController
+        >>> from hydro_agents.running.folders import pretrained_folder
+        >>> from hydro_env import ServoHydraulicVectorEnv
+        >>> policy = PolicyController.load(pretrained_folder() / "policy")
+        >>> env = ServoHydraulicVectorEnv(2, policy.features.config)  # the task of its training
+        >>> observation, _ = env.reset(seed=0)
+        >>> command, memory = policy.predict(observation)
+        >>> command.shape
+        (2, 1)
     """
 
     def __init__(

@@ -28,15 +28,8 @@ REWARD_PARTS = (*REWARD_TERMS, "prices", "learned")
 class AxisVecEnv(VecEnv):
     """N axes in one compiled step, for any algorithm of stable-baselines3; several times faster than ``DummyVecEnv``.
 
-    Observations and actions are those of the environment::
-
-        from stable_baselines3 import PPO
-        from hydro_agents.learning.vec_env import AxisVecEnv
-
-        env = AxisVecEnv({"episode_duration": 1.0}, 64)
-        model = PPO("MlpPolicy", env, n_steps=128, device="cpu").learn(100_000)
-
-    With ``features`` the policy gets :class:`PolicyFeatures` instead; they also turn its outputs into commands.
+    Observations and actions are those of the environment. With ``features`` the policy gets :class:`PolicyFeatures`
+    instead; they also turn its outputs into commands.
 
     ``infos`` holds the entries of stable-baselines3 (``terminal_observation``, ``TimeLimit.truncated``, ``episode``)
     for axes whose episode has ended, and is empty for the others. Such an axis has already begun its next episode.
@@ -61,6 +54,14 @@ class AxisVecEnv(VecEnv):
 
     Raises:
         ConfigurationError: the task is impossible, or ``paired`` has no controller to compare with.
+
+    Example:
+        >>> from stable_baselines3 import PPO
+        >>> from hydro_agents.learning.vec_env import AxisVecEnv
+        >>> env = AxisVecEnv({"episode_duration": 1.0}, 64)
+        >>> model = PPO("MlpPolicy", env, n_steps=8, batch_size=512, n_epochs=1, device="cpu").learn(512)
+        >>> model.num_timesteps
+        512
     """
 
     def __init__(

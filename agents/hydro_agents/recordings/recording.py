@@ -42,6 +42,17 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from hydro_agents.recordings.recording import read_recording
+        >>> signals = "position [mm]", "pressure_a [bar]", "pressure_b [bar]", "spool_position [%]", "command [V]"
+        >>> with Path("axis.csv").open("w") as file:
+        ...     print("time [s]", *signals, sep=",", file=file)
+        ...     for k in range(100):
+        ...         print(f"{0.005 * k},0.0,30.0,30.0,0.0,0.1", file=file)
+        >>> read_recording(Path("axis.csv")).signals.shape  # position, pressures, spool position, command
+        (5, 100)
     """
     file = read_columns(path)
     headings, source = file.headings, str(path)

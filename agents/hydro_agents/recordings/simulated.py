@@ -65,6 +65,15 @@ def record_axis(
 
     Raises:
         ConfigurationError: an option is impossible, or the file cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.recordings.simulated import record_axis
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig(episode_duration=1.0)
+        >>> record_axis(Path("axis.csv"), task, shipped("pid", task), seed=1, leakage_flow_lpm=0.5)
+        Recorded(rows=200, duration=1.0, leakage_flow_lpm=0.5, failed_at=None)
     """
     if config.episode_duration > LONGEST_RECORDING:
         raise ConfigurationError(f"--duration = {config.episode_duration:g} s: must be at most {LONGEST_RECORDING:g} s")

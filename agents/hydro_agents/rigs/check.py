@@ -52,6 +52,13 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
 
     Raises:
         ConfigurationError: the rig cannot work; one line names the impossible figure.
+
+    Example:
+        >>> from hydro_agents.rigs.check import check_rig
+        >>> from hydro_env import PlantParameters
+        >>> row = check_rig(PlantParameters())[0]
+        >>> row.group, row.quantity, row.text(4), row.unit
+        ('cylinder', 'area a (bore side)', '12.57', 'cm²')
     """
     refuse_unworkable(parameters, source)
     place = resting_place(parameters)

@@ -96,6 +96,19 @@ def diagnose(
 
     Raises:
         ConfigurationError: the recording cannot be read at all.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from hydro_agents.detection.monitor import load_head
+        >>> from hydro_agents.learning.opponents import shipped
+        >>> from hydro_agents.recordings.simulated import record_axis
+        >>> from hydro_agents.rigs.diagnose import diagnose
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig(episode_duration=2.0)
+        >>> recorded = record_axis(Path("axis.csv"), task, shipped("pid", task), 1, 1.0, "multi_sine")
+        >>> verdict = diagnose(Path("axis.csv"), task, load_head(None, task)).verdict
+        >>> verdict.kind.value, round(verdict.leak.value, 1)
+        ('internal leak', 1.0)
     """
     second = HeadDetector(head) if isinstance(head, LeakageHead) else head
     recording = read_recording(path, columns)

@@ -39,7 +39,15 @@ class TrueStateController(Protocol):
 
 @dataclass(frozen=True)
 class Cases:
-    """A list of N independent episodes, each with its seed, leak and reference family. All arrays (N,)."""
+    """A list of N independent episodes, each with its seed, leak and reference family. All arrays (N,).
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.running.cases import Cases
+        >>> cases = Cases(np.arange(4), leakage_flow_lpm=np.full(4, 0.5), families=np.full(4, "step"))
+        >>> len(cases), cases.describe(2)
+        (4, 'seed 2, reference step, leak 0.5 l/min')
+    """
 
     seeds: NDArray[np.int64]
     leakage_flow_lpm: NDArray[np.float64] | None = None  # None: drawn
@@ -112,6 +120,16 @@ def run_cases(
     Raises:
         ControllerError: the controller has no ``predict``, raised an exception, or did not return finite commands (N,
             1) with a state; the message names the case.
+
+    Example:
+        >>> import numpy as np
+        >>> from hydro_agents.controllers.registry import make_controller
+        >>> from hydro_agents.running.cases import Cases, run_cases
+        >>> from hydro_env import TaskConfig
+        >>> task = TaskConfig(episode_duration=0.5)
+        >>> run = run_cases(task, make_controller("pid", task), Cases(np.arange(4)))
+        >>> run.position.shape, run.failed_at.tolist()  # -1: no failure
+        ((4, 100), [-1, -1, -1, -1])
     """
     check_predict(controller)
     parts = []

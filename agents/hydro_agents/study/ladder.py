@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Generator
-from contextlib import closing
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
-from joblib import Parallel, delayed
 from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.evaluation.paired_cases import PairedCondition
+from hydro_agents.evaluation.participants import Participants, split_name
+from hydro_agents.evaluation.protocol import ProtocolSettings, StudyProtocol
+from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.progress import validation_errors
 from hydro_agents.learning.trainers import Trainer, trainer
 from hydro_agents.report.training_plots import ERROR, learning_plots
-from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
-from hydro_agents.running.jobs import side_by_side
-from hydro_agents.running.seeds import EVALUATION, LADDER, SEED_MARK
+from hydro_agents.running.jobs import JOBS_FOLDER, Columns, Job, run_jobs
+from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.study.ladder_table import ladder_table, rung_scores
 from hydro_agents.study.settings import ControllerEntry, Name
@@ -134,9 +133,18 @@ class LadderSettings(Group):
             )
         return Resolved(made, kind, corrects if getattr(checked, "residual", True) else None, checked)
 
-    def cases(self, test: bool) -> tuple[Cases, pd.DataFrame]:
-        """The cases, and a table with level, family and plant of each; on validation plants or test plants."""
-        return self.evaluation.cases(EVALUATION if test else LADDER)
+    @staticmethod
+    def folder(of: Path, name: str, seed: int) -> Path:
+        """The folder of a training in that of the ladder."""
+        return of / "rungs" / name / f"seed {seed}"
+
+    def protocol(self, test: bool) -> StudyProtocol:
+        """The evaluation of every rung, on validation plants or on test plants."""
+        sizes = self.evaluation.model_dump()
+        task = {"task": PairedCondition()}
+        return StudyProtocol(
+            task=self.task, parts=("tracking",), seeds="EVALUATION" if test else "LADDER", conditions=task, **sizes
+        )
 
 
 class Resolved(NamedTuple):
@@ -184,25 +192,26 @@ def run_ladder(
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
     writes = [
         *TABLES,
+        f"{JOBS_FOLDER}/*.npz",
         f"rungs/*/{CURVE_FILE}",
-        *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE, "scores_*.csv")),
+        *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE)),
     ]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
-        display.update("ladder", 0, len(todo))
-        classical = {name: judged(ladder, ladder.make(name), test) for name in ladder.controllers}
-        scores: list[pd.DataFrame] = []
-        errors: list[str] = []
-        with closing(_results(ladder, folder, todo, jobs, test)) as results:
-            for name, seed, result in results:
-                if isinstance(result, str):
-                    errors.append(f"rung {name}, seed {seed}: {result}")
-                else:
-                    scores.append(rung_scores(name, seed, ladder.resolved(name).corrects, result, classical))
-                display.update("ladder", len(scores) + len(errors), len(todo), f"{name}, seed {seed}")
-                write_tables(ladder, folder, classical, scores)
+        names = {f"{name}{SEED_MARK}{seed}": (name, seed) for name, seed in todo}
+        trainings = {key: Job(train_rung, None, (ladder, *names[key], str(folder))) for key in names}
+        answers, _ = run_jobs(trainings, None, jobs, lambda _, *done: display.update("training", *done))
+        failed = {key: answer.error for key, answer in answers.items() if answer.error}
+        errors = [f"rung {names[key][0]}, seed {names[key][1]}: {error}" for key, error in failed.items()]
+        controllers = {name: ladder.make(name) for name in ladder.controllers}
+        for key, (name, seed) in names.items():
+            if key not in failed:
+                controllers[key] = ladder.resolved(name).trainer.load(ladder.folder(folder, name, seed) / WEIGHTS)
+        who = Participants(controllers)
+        results = run(ladder.protocol(test), who, folder, jobs, lambda _, *done: display.update("evaluation", *done))
+        write_tables(ladder, folder, results)
         for name in chosen:
             write_curve(ladder, folder, name)
-    if errors:
+    if errors := [*errors, *results.errors]:
         raise ConfigurationError("; ".join(errors))
     return folder / TABLES[0]
 
@@ -221,37 +230,14 @@ def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
             write_whole(own / CURVE_FILE, plot.file)
 
 
-def _results(
-    ladder: LadderSettings, folder: Path, todo: list[tuple[str, int]], jobs: int, test: bool
-) -> Generator[tuple[str, int, pd.DataFrame | str], None, None]:
-    """Results of the jobs in the order of completion."""
-    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-    yield from side_by_side(parallel, [delayed(run_rung)(ladder, name, seed, folder, test) for name, seed in todo])
+def train_rung(_: None, ladder: LadderSettings, name: str, seed: int, folder: str) -> Columns:
+    """Train one rung on one seed, unless its weights are there; its results are files in its own folder.
 
-
-def run_rung(
-    ladder: LadderSettings, name: str, seed: int, folder: Path, test: bool
-) -> tuple[str, int, pd.DataFrame | str]:
-    """Train one rung on one seed and evaluate it, or read the results of an earlier run.
-
-    Returns:
-        Name, seed, and a table of metrics with one row per case, or the reason for its absence.
+    Raises:
+        ConfigurationError: the settings do not fit, or the folder holds a training with others.
     """
-    own = folder / "rungs" / name / f"seed {seed}"
+    own, resolved = ladder.folder(Path(folder), name, seed), ladder.resolved(name)
     own.mkdir(parents=True, exist_ok=True)
-    try:
-        controller, seconds = _trained(ladder, name, seed, own)
-        file = own / f"scores_{'test' if test else 'validation'}.csv"
-        if not file.exists():
-            write_whole(file, judged(ladder, controller, test).to_csv(index=False).encode())
-        return name, seed, pd.read_csv(file).assign(seconds=seconds)
-    except ConfigurationError as error:
-        return name, seed, str(error)
-
-
-def _trained(ladder: LadderSettings, name: str, seed: int, own: Path) -> tuple[Controller, float]:
-    """The controller of a job and the seconds of its training."""
-    resolved = ladder.resolved(name)
     described = {
         "kind": resolved.kind,
         "settings": resolved.settings.model_dump(mode="json"),
@@ -269,38 +255,26 @@ def _trained(ladder: LadderSettings, name: str, seed: int, own: Path) -> tuple[C
         write_whole(job, (json.dumps(described, indent=2) + "\n").encode())
     if not weights.with_suffix(".json").exists():
         base = ladder.make(resolved.corrects) if resolved.corrects is not None else None
+        resume = any(own.glob(CHECKPOINTS))
         controller = resolved.trainer.train(
-            ladder.task,
-            resolved.settings,
-            seed=seed,
-            folder=own,
-            resume=any(own.glob(CHECKPOINTS)),
-            base=base,
-            progress=None,
+            ladder.task, resolved.settings, seed=seed, folder=own, resume=resume, base=base, progress=None
         )
         controller.save(weights)
-    controller = resolved.trainer.load(weights)
-    return controller, float(getattr(controller, "training", {}).get("seconds", float("nan")))
+    return {}
 
 
-def judged(ladder: LadderSettings, controller: Controller, test: bool) -> pd.DataFrame:
-    """Metrics of a controller, one row per case."""
-    cases, table = ladder.cases(test)
-    assert cases.families is not None
-    preview = max(ladder.task.references.preview_times, default=0.0)
-    rollout = run_cases(ladder.task, controller, cases)
-    return table.assign(**rollout_metrics(rollout, cases.families, ladder.task.control_period, preview))
-
-
-def write_tables(
-    ladder: LadderSettings, folder: Path, classical: dict[str, pd.DataFrame], scores: list[pd.DataFrame]
-) -> None:
+def write_tables(ladder: LadderSettings, folder: Path, results: Results) -> None:
     """Write the ladder as Markdown and CSV, and the scores of each seed."""
-    reference = next(iter(classical))
-    rows = [rung_scores(name, -1, None, frame, classical) for name, frame in classical.items()]
-    all_scores = pd.concat([*rows, *scores], ignore_index=True)
-    order = [*ladder.controllers, *ladder.rungs]
-    text, table = ladder_table(all_scores, order, reference)
+    cases = dict(iter(results.part("tracking").groupby(["controller", "training_seed"], sort=False)))
+    classical = {name: cases[name, 0] for name in ladder.controllers}
+    rows = [rung_scores(name, -1, None, own, classical) for name, own in classical.items()]
+    for key, controller in results.participants.controllers.items():
+        name, seed = split_name(key)
+        if name in ladder.rungs and (name, seed) in cases:
+            own = cases[name, seed].assign(seconds=getattr(controller, "training", {}).get("seconds", math.nan))
+            rows.append(rung_scores(name, seed, ladder.resolved(name).corrects, own, classical))
+    scores = pd.concat(rows, ignore_index=True)
+    text, table = ladder_table(scores, [*ladder.controllers, *ladder.rungs], next(iter(classical)))
     write_whole(folder / TABLES[0], f"# {ladder.title}\n\n{text}".encode())
     write_whole(folder / TABLES[1], table.to_csv(index=False).encode())
-    write_whole(folder / TABLES[2], all_scores.to_csv(index=False).encode())
+    write_whole(folder / TABLES[2], scores.to_csv(index=False).encode())
