@@ -29,9 +29,7 @@ TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfeven
 """Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
 
 TUNING_LOG = "tuning.csv"
-TUNING_FILES = (GAINS_FILE, TUNING_LOG)
-"""Files that the tuning of a controller writes."""
-
+TUNING_FILES = (GAINS_FILE, TUNING_LOG)  # files that the tuning of a controller writes
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
 
