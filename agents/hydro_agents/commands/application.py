@@ -106,7 +106,6 @@ GROUPS: dict[str, dict[str, Callable[..., None]]] = {
     },
     "The paper, and this machine": {"reproduce": reproduce, "benchmark": benchmark},
 }
-"""All commands by name, under the headings of the help."""
 
 for heading, commands in GROUPS.items():
     for name, command in commands.items():
