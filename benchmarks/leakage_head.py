@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers import ObservationLayout
 from hydro_agents.controllers.registry import make_controller
+from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.manners import MANNERS, Operation, loaded, slow, still
 from hydro_agents.detection.monitor import load_head
-from hydro_agents.detection.roc import threshold_at_false_alarm_rate
+from hydro_agents.detection.operations import MANNERS, Operation, loaded, slow, still
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import DETECTION, EVALUATION

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.manners import still
+from hydro_agents.detection.operations import still
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.following import Follower, estimate_run
 from hydro_agents.estimation.known_windows import known_windows, leak_cases

@@ -55,8 +55,9 @@ def alarms(
     """
     from hydro_agents.detection.alarm_job import SIZES, run_job
     from hydro_agents.detection.alarm_store import PATTERN, Bench
-    from hydro_agents.detection.detectors import HEAD_FILE, DetectorChoice, make_detector
+    from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
+    from hydro_agents.detection.monitor import HEAD_FILE
     from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch
+from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
-from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
+from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
 from hydro_agents.detection.sheet import sheet_of
-from hydro_agents.detection.stuck import stuck_sensors
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -156,15 +156,6 @@ def probabilities(
     logits = output[:, : len(LABELS)].copy()
     logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
     result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
-    return result
-
-
-def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
-    middle, below, above = output[:, -3:].T
-    result: NDArray[np.float64] = np.column_stack(
-        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
-    )
     return result
 
 

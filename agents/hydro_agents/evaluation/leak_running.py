@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detector import Cause, Detector
-from hydro_agents.detection.roc import threshold_at_false_alarm_rate
+from hydro_agents.detection.detector import Cause, Detector, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_table
 from hydro_agents.evaluation.leak_bound_jobs import BoundJob, bound_plan
 from hydro_agents.evaluation.leak_jobs import WindowJob, plan
