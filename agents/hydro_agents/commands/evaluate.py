@@ -71,14 +71,7 @@ def evaluate(
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
     for maintenance: how small a leak is found, how early, how surely, and what is taken for one.
     """
-    from hydro_agents.evaluation.protocol import ProtocolSettings
-    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
-    from hydro_agents.study.other_rig import default_study
-    from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
     from hydro_env import ConfigurationError
-    from hydro_env.files import validate, write_yaml
 
     if protocol is not None:
         from hydro_agents.commands.robustness import Place, evaluate_protocol
@@ -101,6 +94,14 @@ def evaluate(
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
+    from hydro_agents.evaluation.protocol import ProtocolSettings
+    from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_agents.study.other_rig import default_study
+    from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
+    from hydro_env.files import validate, write_yaml
+
     output = output if output is not None else Path("results/evaluate")
     study = default_study(config, task, rig)
     if plants is not None:

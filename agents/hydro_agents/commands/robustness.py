@@ -31,7 +31,6 @@ from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import Table
-from hydro_agents.study.settings import StudySettings
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 from hydro_env.folders import config_file
@@ -112,6 +111,8 @@ def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study
     if study_file is None:
         controllers: dict[str, Controller | str | Path] = {**shipped_controllers(protocol.task), **general}
     else:
+        from hydro_agents.study.settings import StudySettings
+
         study = StudySettings.from_yaml(config_file("studies", study_file)).model_copy(update={"task": protocol.task})
         controllers = dict(study.with_weights(general))
     seeded = {split_name(name)[0] for name in general if SEED_MARK in name}

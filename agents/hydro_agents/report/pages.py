@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import Page
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.study import STUDY
 from hydro_agents.report.traces import Example, Replay, worst_traces
 from hydro_env.files import write_whole
+
+if TYPE_CHECKING:
+    from hydro_agents.evaluation.protocol import Evaluation
 
 
 def with_traces(content: Content, replay: Replay) -> Content:
@@ -61,6 +63,8 @@ def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> Non
 
 def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
     """The page of a study. A controller that corrects another is named like 'PPO on PID'."""
+    from hydro_agents.report.study import STUDY  # the page of a protocol needs no section of a study
+
     return render_page(record.title, STUDY, content_of(evaluation, record))
 
 

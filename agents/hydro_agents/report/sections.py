@@ -155,9 +155,10 @@ def sections_named(names: Iterable[str], where: str = "sections") -> list[Sectio
     Raises:
         ConfigurationError: a name is unknown, or occurs twice.
     """
-    for module in MODULES:
-        import_module(module)
     names = list(names)
+    for module in MODULES:  # as far as the names need them
+        if any(name not in SECTIONS for name in names):
+            import_module(module)
     for name in names:
         if name not in SECTIONS:
             raise ConfigurationError(f"{where}: {unknown(name, sorted(SECTIONS), 'section')}")
