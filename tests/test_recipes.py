@@ -26,7 +26,7 @@ from hydro_env.task.configuration import task_config
 ROOT = Path(__file__).resolve().parents[1]
 PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
 TASK_RECIPES = {"A new measured signal": 3, "A reward term": 2, "A reference family": 1}
-EVALUATION_RECIPES = {"A metric": 1}
+EVALUATION_RECIPES = {"A metric": 1, "A section of a page": 1}
 AGENT_RECIPES = {"A controller": 1, "A detector": 1, "Another algorithm": 1}
 MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AGENT_RECIPES}
 
@@ -281,7 +281,9 @@ def try_evaluation() -> None:
     from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
     from hydro_agents.evaluation.runner import run as run_protocol
     from hydro_agents.report.content import Content
-    from hydro_agents.report.robustness import absolute_table, ranking_table
+    from hydro_agents.report.robustness import ROBUSTNESS, absolute_table, ranking_table
+    from hydro_agents.report.sections import render_page
+    from hydro_agents.running.text import number
 
     # The metric: in the table of cases, in the comparisons, and on the page.
     task = {"episode_duration": 0.3}
@@ -295,6 +297,15 @@ def try_evaluation() -> None:
     assert "saturated_share" in set(tables["summary"]["metric"])
     assert "saturation" in ranking_table(Content(tables))[0].header
     assert "Command at its limit, % of the time" in absolute_table(Content(tables)).header
+
+    # The section: on the page at its place, and not without its table.
+    page = render_page("Mine", ROBUSTNESS, Content(tables)).html
+    named = re.findall(r'<section id="(\w+)"', page)
+    assert named[named.index("peaks") - 1 : named.index("peaks") + 2] == ["failures", "peaks", "inputs"]
+    worst = tables["worst_cases"].groupby("controller")["peak_error_mm"].max()
+    assert f"<td>{number(worst['Flow linearisation'])}</td><td>plain</td>" in page
+    rest = {name: table for name, table in tables.items() if name != "worst_cases"}
+    assert "Largest errors" not in render_page("Mine", ROBUSTNESS, Content(rest)).html
 
 
 if __name__ == "__main__":

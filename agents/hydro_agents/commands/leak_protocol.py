@@ -14,11 +14,11 @@ from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
 from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
 from hydro_agents.evaluation.leak_running import run_leak_protocol
-from hydro_agents.evaluation.leak_tables import LeakTables, make_tables
+from hydro_agents.evaluation.leak_tables import make_tables
 from hydro_agents.report.content import Content
-from hydro_agents.report.leak_page import write_leak_report
-from hydro_agents.report.leakage import PAGE_FILE, level_text
+from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
 from hydro_agents.report.page import FIGURE_FILES
+from hydro_agents.report.sections import render_page
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
@@ -78,9 +78,10 @@ def evaluate_leak_protocol(
         display.update("page", 0, 1)
         tables = make_tables(protocol, run, list(facts.items()))
         tables.write(output / "tables")
-        write_leak_report(output, tables.by_name(), protocol)
+        content = Content(tables.by_name(), protocol.task, {"base": protocol.base})
+        render_page(protocol.title, LEAKAGE, content).write(output / PAGE_FILE)
         display.update("page", 1, 1)
-    _print_shares(tables, protocol, display)
+    _print_shares(content, protocol, display)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / PAGE_FILE).resolve()}")
@@ -91,9 +92,8 @@ def evaluate_leak_protocol(
         raise ConfigurationError(f"{first}{more}; {output} holds the other results")
 
 
-def _print_shares(tables: LeakTables, protocol: LeakProtocol, display: ProgressDisplay) -> None:
+def _print_shares(content: Content, protocol: LeakProtocol, display: ProgressDisplay) -> None:
     """Print the share of windows that each detector reports under the base condition, by size of the leak."""
-    content = Content(tables.by_name(), others={"base": protocol.base})
     title = f"Windows reported as a leak, %: {content.label(protocol.base)}"
     levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
     rows = [

@@ -20,9 +20,11 @@ from hydro_agents.evaluation.participants import (
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
+from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.robustness import PAGE_FILE
-from hydro_agents.report.robustness_page import write_robustness_report
+from hydro_agents.report.pages import with_traces
+from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
+from hydro_agents.report.sections import render_page, sections_named
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
@@ -74,6 +76,7 @@ def evaluate_protocol(
     protocol, file = protocol_named(name)
     if place.task is not None or place.rig is not None:
         protocol = protocol.moved(place.task, place.rig)
+    sections_named(protocol.sections, f"{file}: sections")
     chosen = _participants(protocol, agents, study_file)
     output = place.output if place.output is not None else Path("results") / file.stem
     writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
@@ -90,7 +93,8 @@ def evaluate_protocol(
         results = run(protocol, chosen, output, jobs or default_jobs(), display.update, list(facts.items()))
         results.write(output / "tables")
         display.update("page", 0, 1)
-        write_robustness_report(output, results.tables(), protocol.task, lambda row: replay(protocol, chosen, row))
+        content = with_traces(Content(results.tables(), protocol.task), lambda row: replay(protocol, chosen, row))
+        render_page(protocol.title, protocol.sections or ROBUSTNESS, content).write(output / PAGE_FILE)
         display.update("page", 1, 1)
     _print_ranking(results, display)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
