@@ -63,9 +63,9 @@ def test_groups_and_detectors_choose_what_is_read():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"base": "absent"}, "'absent' is not one of the conditions"),
-        ({"alarms": {"X": "a.yaml"}}, "'X' is not one of the detectors"),
-        ({"bound_conditions": ["absent"]}, "'absent' is not one of the conditions"),
+        ({"base": "absent"}, "base: 'absent' is not a condition"),
+        ({"alarms": {"X": "a.yaml"}}, "alarms: unknown detector 'X'"),
+        ({"bound_conditions": ["absent"]}, "bound_conditions: 'absent' is not a condition"),
         ({"conditions": {"plain": {"acting": "nobody"}}}, "unknown controller 'nobody'; known: PID"),
         ({"conditions": {"plain": {"motion": "flying"}}}, "unknown motion 'flying'; known: ordinary"),
         ({"conditions": {"plain": {"faults": {"rust": 1.0}}}}, "unknown fault 'rust'"),

@@ -82,11 +82,12 @@ def evaluate(
 
     if protocol is not None:
         from hydro_agents.commands.leak_protocol import evaluate_leak_protocol
-        from hydro_agents.commands.robustness import Place, evaluate_protocol
+        from hydro_agents.commands.robustness import Options, evaluate_protocol
         from hydro_agents.evaluation.leak_protocol import is_leak_protocol
         from hydro_env.folders import config_file
 
-        file, place = config_file("protocols", protocol), Place(task, rig, output)
+        file = config_file("protocols", protocol)
+        options = Options(task, rig, output, jobs, resume, overwrite, command_line())
         about_leaks = is_leak_protocol(file)
         # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
         foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
@@ -94,9 +95,9 @@ def evaluate(
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
         if about_leaks:
-            evaluate_leak_protocol(file, head, place, jobs, resume, overwrite, command_line())
+            evaluate_leak_protocol(file, head, options)
             return
-        evaluate_protocol(protocol, named_agents(agent), config, place, jobs, resume, overwrite, command_line())
+        evaluate_protocol(protocol, named_agents(agent), config, options)
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
