@@ -16,12 +16,9 @@ from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import read_yaml
 from hydro_env.mistakes import known_name, unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
-
-KIND: Literal["leakage"] = "leakage"
 
 HEALTHY, DRAWN = 0.0, -1.0
 """Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
@@ -67,7 +64,7 @@ class LeakProtocol(Protocol[LeakCondition]):
     """A leakage protocol; ``configs/protocols/leakage.yaml`` is the one of the project."""
 
     who: ClassVar[str] = "detector"
-    kind: Literal["leakage"] = KIND
+    kind: Literal["leakage"] = "leakage"
     title: str = "Leak detection"
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
     detectors: dict[str, DetectorChoice] = Field(min_length=1)
@@ -173,8 +170,3 @@ class LeakProtocol(Protocol[LeakCondition]):
                 }
             )
         return pd.DataFrame(rows)
-
-
-def is_leak_protocol(file: Path) -> bool:
-    """Whether a file holds a leakage protocol."""
-    return read_yaml(file).get("kind") == KIND

@@ -13,10 +13,11 @@ import pandas as pd
 
 from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_alarm import alarm_table
-from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, KIND
+from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
 
+KIND = "leakage"
 FALSE_ALARM_RATE = 0.01
 
 BINS = np.linspace(0.0, 1.0, 11)
