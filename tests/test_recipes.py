@@ -255,10 +255,11 @@ def try_agents() -> None:
 
 
 def try_detector() -> None:
+    from hydro_agents.evaluation.leak_jobs import windows
+
     from hydro_agents.detection.detector import Windows
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.looks import looks_at
-    from hydro_agents.evaluation.leak_jobs import windows
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
 
     # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
