@@ -27,8 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
 TASK_RECIPES = {"A new measured signal": 3, "A reward term": 2, "A reference family": 1}
 EVALUATION_RECIPES = {"A metric": 1, "A condition": 0, "A section of a page": 1}
-IN_YAML = ("A condition", "A controller", "Another algorithm")
-AGENT_RECIPES = {"A controller": 1, "Another algorithm": 1}
+IN_YAML = ("A condition", "A controller", "A detector", "Another algorithm")
+AGENT_RECIPES = {"A controller": 1, "A detector": 1, "Another algorithm": 1}
 MOST_SOURCE_FILES = {**PLANT_RECIPES, **TASK_RECIPES, **EVALUATION_RECIPES, **AGENT_RECIPES}
 
 
@@ -116,7 +116,7 @@ def test_the_recipes_of_task_and_agents(sources, tmp_path):
     watched_axis(tmp_path / "before", {})
     for recipe in [*TASK_RECIPES, *EVALUATION_RECIPES, *AGENT_RECIPES]:
         apply(recipe, sources)
-    run(sources, "try_task", "try_chain", "try_agents", "try_evaluation")
+    run(sources, "try_task", "try_chain", "try_agents", "try_detector", "try_evaluation")
 
 
 def lively_episode(**task) -> np.ndarray:
@@ -252,6 +252,30 @@ def try_agents() -> None:
     assert not made.errors
     error = made.cases.groupby("controller")["mean_error_mm"].mean()
     assert error["damped"] < error["TD3"]  # which has hardly learned
+
+
+def try_detector() -> None:
+    from hydro_agents.evaluation.leak_jobs import windows
+
+    from hydro_agents.detection.detector import Windows
+    from hydro_agents.detection.detectors import make_detector
+    from hydro_agents.detection.looks import looks_at
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol
+
+    # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
+    protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")
+    detector = make_detector(protocol.detectors["held"])
+    task, signals = protocol.known_task("standing"), {}
+    for level in (0.0, 1.0):
+        cases = protocol.cases_in("standing", level, 3)
+        signals[level] = windows(protocol.task_in("standing"), "PID", cases, 400)[0]
+    healthy, leaking = (detector.read(Windows.of(each), task) for each in signals.values())
+    assert healthy.answers.all()
+    assert (leaking.score > 2.0 * healthy.score).all()
+    moving = windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
+    assert not detector.read(Windows.of(moving), task).answers.all()
+    np.testing.assert_array_equal(looks_at(signals[1.0], task, detector, 0.5).score[:, 0], leaking.score)
+    assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)
 
 
 def try_evaluation() -> None:

@@ -16,7 +16,7 @@ from hydro_agents.report.sections import render_page
 
 @pytest.fixture(scope="module")
 def content():
-    return Content(tables().by_name(), others={"base": "plain"})
+    return Content(tables(), others={"base": "plain"})
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
 
 
 def test_without_confusions_and_silence_the_findings_say_so():
-    made = tables().by_name()
+    made = tables()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
     leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
     assert "No other fault looks like a worn seal." in leads
@@ -83,7 +83,7 @@ def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
 
 
 def test_sections_without_figures_are_left_out():
-    made = tables().by_name()
+    made = tables()
     made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
     page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
     assert 'id="alarm_delay"' not in page

@@ -35,11 +35,8 @@ LARGEST_WIDTH, LAYERS = 1024, 3
 UPDATES_PER_WINDOW = 16
 """Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
 
-SMALLEST_FLOW = 0.01
-"""l/min at 100 bar; smaller leaks count as none, and an interval that begins here begins at 0."""
-
-LARGEST_FLOW = 100.0
-"""l/min at 100 bar; largest answer."""
+SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
+"""l/min at 100 bar; smaller leaks count as none: an interval that begins there begins at 0. No answer is larger."""
 
 FARTHEST = 8.0
 """Limit of a feature, in standard deviations from its mean in training."""
@@ -59,8 +56,7 @@ class LeakageEstimate(NamedTuple):
     valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
     sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
     return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # 1: unlike the training, or a sensor is stuck: the answer
-    # does not count; else 0
+    outside: NDArray[np.float64]  # 1: the answer does not count (unlike the training, or a stuck sensor)
 
     @property
     def none(self) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
+from hydro_agents.estimation.known_windows import at_rest
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
@@ -223,12 +224,6 @@ def slow(config: TaskConfig, factor: float = 12.0) -> TaskConfig:
     return task_config(config, references=r.model_dump() | changes)
 
 
-def still(config: TaskConfig) -> TaskConfig:
-    """The task with constant references, each at its own position."""
-    changes = {"weights": {"step": 1.0}, "step_range": (1e-6, 1e-6)}
-    return task_config(config, references=config.references.model_dump() | changes)
-
-
 def loaded(config: TaskConfig) -> TaskConfig:
     """The task with changing external forces."""
     return task_config(config, disturbance=config.disturbance.model_dump() | {"kind": "mixed"})
@@ -258,7 +253,7 @@ ACTING: dict[str, Acting] = {
 MOTIONS: dict[str, Motion] = {
     "ordinary": Motion(ordinary, "all kinds of reference"),
     "slow": Motion(slow, "references 12 times slower"),
-    "standing still": Motion(still, "a place that is held"),
+    "standing still": Motion(at_rest, "a place that is held"),
     "changing loads": Motion(loaded, "changing external forces"),
 }
 """Motions of the axes, by name."""
@@ -276,15 +271,15 @@ class Row(NamedTuple):
 OPERATIONS = (
     Row("controllers", 0.23, ordinary, None),
     Row("controllers, slow references", 0.08, slow, None),
-    Row("controllers, standing still", 0.11, still, None),
+    Row("controllers, standing still", 0.11, at_rest, None),
     Row("controllers, changing loads", 0.06, loaded, None),
     Row("proportional", 0.08, ordinary, MANNERS["proportional"]),
-    Row("proportional, standing still", 0.07, still, MANNERS["proportional"]),
+    Row("proportional, standing still", 0.07, at_rest, MANNERS["proportional"]),
     Row("by hand", 0.10, ordinary, MANNERS["by hand"]),
     Row("chattering", 0.08, ordinary, MANNERS["chattering"]),
-    Row("chattering, standing still", 0.03, still, MANNERS["chattering"]),
+    Row("chattering, standing still", 0.03, at_rest, MANNERS["chattering"]),
     Row("dithering", 0.05, ordinary, MANNERS["dithering"]),
-    Row("dithering, standing still", 0.03, still, MANNERS["dithering"]),
+    Row("dithering, standing still", 0.03, at_rest, MANNERS["dithering"]),
     Row("open loop", 0.08, ordinary, MANNERS["open loop"]),
 )
 """The mixture of the training data."""

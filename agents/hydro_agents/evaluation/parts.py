@@ -51,6 +51,9 @@ PARTS = {
     "force_step": Part("force_step", "hydro_agents.evaluation.experiments:force_steps"),
     "force_sine": Part("force_sine", "hydro_agents.evaluation.experiments:force_sines"),
     "hold": Part("standstill", "hydro_agents.evaluation.experiments:hold"),
+    "windows": Part("windows", "hydro_agents.evaluation.leak_windows:windows", ("leakage",)),
+    "alarm": Part("alarms", "hydro_agents.evaluation.leak_alarm:alarm", ("leakage",)),
+    "leak_bound": Part("bound", "hydro_agents.evaluation.leak_bound:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "hydro_agents.evaluation.experiments:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""
