@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.evaluation.detection import LeakBounds
 from hydro_agents.report.canvas import Look, looks_of
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import correction_name, decimals_for, number
 from hydro_env import TaskConfig
+
+if TYPE_CHECKING:
+    from hydro_agents.evaluation.detection import LeakBounds
 
 Kind = TypeVar("Kind")
 
@@ -70,6 +72,8 @@ class Content:
     @property
     def bounds(self) -> LeakBounds:
         """Leaks that count as healthy and as faulty in the task."""
+        from hydro_agents.evaluation.detection import LeakBounds  # of pages about leaks alone
+
         return self.other("bounds", LeakBounds.of(self.task))
 
     # Participants -----------------------------------------------------------------------------------------------------
