@@ -1,12 +1,10 @@
-"""Labelled windows for the training of the leakage head: simulated axes in many kinds of operation, with faults.
-
-:class:`HeadTrainingSettings` are those of the whole training; they need no learning library.
-"""
+"""Settings and windows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +15,7 @@ from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.detection.detector import CAUSE_OF_FAULT
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, features_of
 from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
-from hydro_agents.detection.manners import OPERATIONS, Operation
+from hydro_agents.detection.operations import OPERATIONS, Operation
 from hydro_agents.detection.sheet import Sheet, sheet_of
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import THRESHOLDS
@@ -36,7 +34,7 @@ LABEL_OF_FAULT = {
 """Index of the label of each fault."""
 
 KINDS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
-"""Faults of the training; a stuck sensor is detected without the network (:mod:`hydro_agents.detection.stuck`)."""
+"""Faults of the training; a stuck sensor is found without the network."""
 
 LEAKS = ("constant", "onset", "growth", "orifice")
 """Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
@@ -53,162 +51,11 @@ healthy bound upwards; the other leaks are drawn from three times that bound upw
 NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
 """Share of chunks with other sensor noise, and its range as a factor on the task's."""
 
-LATEST = 0.9
-"""Latest onset of a leak, as a fraction of the window."""
-
-
 RISE = 0.05
 """Part of the training during which the learning rate rises."""
 
-
-class Windows(NamedTuple):
-    """N labelled windows."""
-
-    features: NDArray[np.float32]  # (N, F)
-    labels: NDArray[np.float32]  # (N, labels), 0 or 1
-    flow_lpm: NDArray[np.float64]  # (N,), internal leak, l/min at 100 bar
-    operation: NDArray[np.int64]  # (N,), index into OPERATIONS
-    fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
-    leak: NDArray[np.int64]  # (N,), index into LEAKS
-    noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
-
-    @classmethod
-    def joined(cls, parts: Sequence[Windows]) -> Windows:
-        """Several sets as one."""
-        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-
-
-class Chunk(NamedTuple):
-    """Runs that are simulated together."""
-
-    row: int  # of OPERATIONS
-    controller: int  # index of the controller, −1: none
-    leak: str  # one of LEAKS
-    axes: int
-
-
-class Plan(NamedTuple):
-    """Sources of the windows."""
-
-    config: TaskConfig
-    controllers: Sequence[Controller]
-    healthy_share: float
-    fault_share: float
-    changing_share: float  # runs whose leak begins or grows within the window
-    orifice_share: float
-    lowest_flow: float  # l/min at 100 bar
-    highest_flow: float
-    shortest: int  # samples
-    longest: int
-    per_run: int  # windows of each run
-
-    def chunks(self, episodes: int) -> list[Chunk]:
-        """Groups of runs that are simulated together."""
-        parts = []
-        total = sum(row.share for row in OPERATIONS)
-        changing, orifice = 0.5 * self.changing_share, self.orifice_share
-        shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
-        for number, row in enumerate(OPERATIONS):
-            acting = range(len(self.controllers)) if row.manner is None else [-1]
-            for controller in acting:
-                for leak, share in shares.items():
-                    count = round(episodes * share * row.share / total / len(acting))
-                    pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
-                    sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
-                    parts += [Chunk(number, controller, leak, size) for size in sizes]
-        return parts
-
-    def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
-        """Simulate one chunk after another; each depends only on the plan, its number and its seeds.
-
-        Args:
-            episodes: number of runs; rounding may add a few.
-            first_seed: of the first run.
-            skip: number of chunks to leave out.
-        """
-        sheet = sheet_of(self.config)
-        seed = first_seed
-        for number, chunk in enumerate(self.chunks(episodes)):
-            if number >= skip:
-                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), sheet)
-            seed += chunk.axes
-
-    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
-        generator = np.random.default_rng([int(seeds[0]), chunk.row])
-        row, count, config = OPERATIONS[chunk.row], chunk.axes, self.config
-        # Whole lengths in a few steps: the windows of one length are read together.
-        choices = np.unique(np.geomspace(self.shortest, self.longest, 5).round().astype(int))
-        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(self.per_run)]
-        steps = self.longest + self.longest // 4
-        leakage = config.leakage.model_dump() | {"schedule": "constant"}
-        if chunk.leak == "orifice":
-            leakage |= {"law": "orifice"}
-        if changing := chunk.leak in CHANGING:  # the run ends with its only window
-            sizes = [int(generator.choice(sizes))]
-            steps = sizes[0] + int(generator.integers(self.shortest) if generator.random() > AT_START else 0)
-            begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
-            leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
-        duration = steps * config.control_period
-        noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
-        noise = float(noise) if generator.random() < NOISY else 1.0
-        sensors = config.sensors.model_dump()
-        for name in SENSORS:
-            sensors[name]["noise"] *= noise
-        task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
-        flow = self._leaks(generator, count)
-        faults, fault, labels = draw_faults(config, generator, count, self.fault_share)
-        labels[:, 0] = flow > config.leakage.class_bounds[0]
-        layout = ObservationLayout.of(task)
-        columns = [layout.index(name) for name in SIGNALS]
-        acting: Any = (
-            Operation(row.manner, task, count, int(seeds[0]))
-            if row.manner is not None
-            else self.controllers[chunk.controller]
-        )
-        run = run_cases(task, acting, Cases(seeds, flow, faults=faults), columns, states=False, chunk=count)
-        assert run.signals is not None
-        signals = run.signals * np.array([layout.scale[column] for column in columns], dtype=np.float32)[:, None]
-        lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
-        parts = []
-        for size in sizes:
-            kept = np.flatnonzero(lengths >= (steps if changing else size))
-            begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
-            begins[generator.random(len(kept)) < AT_START] = 0
-            if changing:
-                begins[:] = steps - size
-            cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
-            values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
-            told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
-            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise)))
-        return Windows.joined(parts)
-
-    def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
-        """Leaks in l/min: healthy, or above the healthy bound; log-uniform."""
-        bound = self.config.leakage.class_bounds[0]
-        healthy = generator.random(count) < self.healthy_share
-        low = np.where(healthy, self.lowest_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound))
-        high = np.where(healthy, bound, self.highest_flow)
-        flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
-        return flow
-
-
-def draw_faults(
-    config: TaskConfig, generator: np.random.Generator, count: int, share: float
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], NDArray[np.float32]]:
-    """Faults of axes by name, the index of the first one of each axis (−1: none), and the labels of all."""
-    sizes = {name: np.zeros(count) for name in FAULTS}
-    first = np.full(count, -1)
-    labels = np.zeros((count, len(LABELS)), dtype=np.float32)
-    for axis in np.flatnonzero(generator.random(count) < share):
-        for kind in generator.choice(KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
-            low, high = getattr(config.faults, kind).range
-            size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
-            name = generator.choice(faults_of(kind, SENSORS))
-            sizes[name][axis] = size
-            first[axis] = FAULTS.index(name) if first[axis] < 0 else first[axis]
-            if name in LABEL_OF_FAULT:
-                labels[axis, LABEL_OF_FAULT[name]] = 1.0
-    return sizes, first, labels
+LATEST = 0.9
+"""Latest onset of a leak, as a fraction of the window."""
 
 
 class HeadTrainingSettings(Group):
@@ -274,18 +121,156 @@ class HeadTrainingSettings(Group):
         factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
         return self.learning_rate * max(factor, 1e-3)
 
+    def longest_window(self, config: TaskConfig) -> int:
+        """Samples of the longest window."""
+        return round(self.longest * config.steps)
+
     def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
         """What the windows are made of."""
-        return Plan(
-            config=config,
-            controllers=controllers,
-            healthy_share=self.healthy_share,
-            fault_share=self.fault_share,
-            changing_share=self.changing_share,
-            orifice_share=self.orifice_share,
-            lowest_flow=self.lowest_healthy_flow,
-            highest_flow=self.highest_flow,
-            shortest=config.steps,
-            longest=round(self.longest * config.steps),
-            per_run=self.windows,
+        return Plan(config, controllers, self)
+
+
+class Windows(NamedTuple):
+    """N labelled windows."""
+
+    features: NDArray[np.float32]  # (N, F)
+    labels: NDArray[np.float32]  # (N, labels), 0 or 1
+    flow_lpm: NDArray[np.float64]  # (N,), internal leak, l/min at 100 bar
+    operation: NDArray[np.int64]  # (N,), index into OPERATIONS
+    fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
+    leak: NDArray[np.int64]  # (N,), index into LEAKS
+    noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
+
+    @classmethod
+    def joined(cls, parts: Sequence[Windows]) -> Windows:
+        """Several sets as one."""
+        return cls(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+class Chunk(NamedTuple):
+    """Runs that are simulated together."""
+
+    row: int  # of OPERATIONS
+    controller: int  # index of the controller, −1: none
+    leak: str  # one of LEAKS
+    axes: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Sources of the windows."""
+
+    config: TaskConfig
+    controllers: Sequence[Controller]
+    settings: HeadTrainingSettings
+
+    def chunks(self, episodes: int) -> list[Chunk]:
+        """Groups of runs that are simulated together."""
+        parts = []
+        total = sum(row.share for row in OPERATIONS)
+        changing, orifice = 0.5 * self.settings.changing_share, self.settings.orifice_share
+        shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
+        for number, row in enumerate(OPERATIONS):
+            acting = range(len(self.controllers)) if row.manner is None else [-1]
+            for controller in acting:
+                for leak, share in shares.items():
+                    count = round(episodes * share * row.share / total / len(acting))
+                    pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
+                    sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
+                    parts += [Chunk(number, controller, leak, size) for size in sizes]
+        return parts
+
+    def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
+        """Simulate one chunk after another; each depends only on the plan, its number and its seeds.
+
+        Args:
+            episodes: number of runs; rounding may add a few.
+            first_seed: of the first run.
+            skip: number of chunks to leave out.
+        """
+        sheet = sheet_of(self.config)
+        seed = first_seed
+        for number, chunk in enumerate(self.chunks(episodes)):
+            if number >= skip:
+                yield self._chunk(chunk, np.arange(seed, seed + chunk.axes), sheet)
+            seed += chunk.axes
+
+    def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
+        generator = np.random.default_rng([int(seeds[0]), chunk.row])
+        row, count, config, settings = OPERATIONS[chunk.row], chunk.axes, self.config, self.settings
+        shortest, longest = config.steps, settings.longest_window(config)
+        # Whole lengths in a few steps: the windows of one length are read together.
+        choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
+        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(settings.windows)]
+        steps = longest + longest // 4
+        leakage = config.leakage.model_dump() | {"schedule": "constant"}
+        if chunk.leak == "orifice":
+            leakage |= {"law": "orifice"}
+        if changing := chunk.leak in CHANGING:  # the run ends with its only window
+            sizes = [int(generator.choice(sizes))]
+            steps = sizes[0] + int(generator.integers(shortest) if generator.random() > AT_START else 0)
+            begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
+            leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
+        duration = steps * config.control_period
+        noise = np.exp(generator.uniform(np.log(LEAST_NOISE), np.log(MOST_NOISE)))
+        noise = float(noise) if generator.random() < NOISY else 1.0
+        sensors = config.sensors.model_dump()
+        for name in SENSORS:
+            sensors[name]["noise"] *= noise
+        task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
+        flow = self._leaks(generator, count)
+        faults, fault, labels = draw_faults(config, generator, count, settings.fault_share)
+        labels[:, 0] = flow > config.leakage.class_bounds[0]
+        layout = ObservationLayout.of(task)
+        columns = [layout.index(name) for name in SIGNALS]
+        acting: Any = (
+            Operation(row.manner, task, count, int(seeds[0]))
+            if row.manner is not None
+            else self.controllers[chunk.controller]
         )
+        run = run_cases(task, acting, Cases(seeds, flow, faults=faults), columns, states=False, chunk=count)
+        assert run.signals is not None
+        signals = run.signals * np.array([layout.scale[column] for column in columns], dtype=np.float32)[:, None]
+        lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
+        parts = []
+        for size in sizes:
+            kept = np.flatnonzero(lengths >= (steps if changing else size))
+            begins = np.floor(generator.random(len(kept)) * (lengths[kept] - size + 1)).astype(int)
+            begins[generator.random(len(kept)) < AT_START] = 0
+            if changing:
+                begins[:] = steps - size
+            cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
+            values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
+            told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
+            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise)))
+        return Windows.joined(parts)
+
+    def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Leaks in l/min: healthy, or above the healthy bound; log-uniform."""
+        bound, settings = self.config.leakage.class_bounds[0], self.settings
+        healthy = generator.random(count) < settings.healthy_share
+        low = np.where(
+            healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
+        )
+        high = np.where(healthy, bound, settings.highest_flow)
+        flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
+        return flow
+
+
+def draw_faults(
+    config: TaskConfig, generator: np.random.Generator, count: int, share: float
+) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.int64], NDArray[np.float32]]:
+    """Faults of axes by name, the index of the first one of each axis (−1: none), and the labels of all."""
+    sizes = {name: np.zeros(count) for name in FAULTS}
+    first = np.full(count, -1)
+    labels = np.zeros((count, len(LABELS)), dtype=np.float32)
+    for axis in np.flatnonzero(generator.random(count) < share):
+        for kind in generator.choice(KINDS, 1 + (generator.random() < SECOND_FAULT), replace=False):
+            low, high = getattr(config.faults, kind).range
+            size = generator.uniform(low, high) * (generator.choice((-1.0, 1.0)) if kind in SIGNED_KINDS else 1.0)
+            name = generator.choice(faults_of(kind, SENSORS))
+            sizes[name][axis] = size
+            first[axis] = FAULTS.index(name) if first[axis] < 0 else first[axis]
+            if name in LABEL_OF_FAULT:
+                labels[axis, LABEL_OF_FAULT[name]] = 1.0
+    return sizes, first, labels

@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import HeadTrainingSettings, Windows
-from hydro_agents.detection.features import FEATURES, LABELS
+from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
+from hydro_agents.detection.detector import threshold_at_false_alarm_rate
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
     LAYERS,
+    SMALLEST_FLOW,
     HeadSettings,
     LeakageHead,
+    probabilities,
     standardised,
     tensors_like,
 )
-from hydro_agents.detection.head_calibration import COVERAGE, calibrated, size_target
+from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
@@ -33,6 +36,17 @@ CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
 RIDGE = 0.05
 """Added to the covariance of the standardised features before inversion."""
+
+FALSE_ALARM_RATE = 0.01
+
+CHANGING_SHARE = 0.15
+"""Share of the windows that are treated as windows with a changing leak."""
+
+LARGEST_SHIFT = 2.0
+"""Largest size of the shift of a leak's logit at standstill."""
+
+OUTSIDE_RATE = 0.01
+"""Share of validation windows that are marked as unlike the training."""
 
 Progress = Callable[[str, int, int, float], None]
 
@@ -104,7 +118,7 @@ def train_head(
         raise
     record = {"seed": seed, "settings": settings.model_dump(mode="json"), "seconds": 0.0}
     head = calibrated(
-        job.tensors(), config, round(settings.longest * config.steps), Windows.joined(job.parts["validation"]), record
+        job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
     )
     record["seconds"] = round(time.monotonic() - began, 1)
     return head
@@ -243,3 +257,46 @@ class _Job:
             self.save()
             if self.progress is not None:
                 self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
+
+
+def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
+    """log10 of the flow, but of at least the smallest flow that counts."""
+    return np.log10(np.maximum(flow_lpm, SMALLEST_FLOW)).astype(np.float32)
+
+
+def calibrated(
+    tensors: dict[str, NDArray[Any]],
+    config: TaskConfig,
+    longest: int,
+    windows: Windows,
+    record: dict[str, Any],
+) -> LeakageHead:
+    """The head with thresholds, intervals and the bound of "outside" from validation windows.
+
+    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. The threshold of a
+    leak gives 1 % false alarms among healthy axes without other faults, both at standstill and in motion; the threshold
+    of any other label gives 1 % among axes without it. Intervals: :mod:`hydro_agents.detection.intervals`.
+    """
+    inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
+    tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)
+    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
+    windows, inputs = Windows(*(values[usual] for values in windows)), inputs[usual]
+    plain = HeadSettings(config, config.steps, longest, 0.5, record)
+    output = LeakageHead(tensors, plain).outputs(inputs)
+    clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
+    still = windows.features[:, SPREAD] < STILL
+    if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:
+        logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
+        tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
+    probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
+    for label in range(len(LABELS)):
+        without = windows.labels[:, label] == 0.0 if label > 0 else clean
+        tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
+    threshold = min(float(tensors["thresholds"][0]), 1.0)
+    found, size = quantiles(output), size_target(windows.flow_lpm)
+    tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
+    tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
+    group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
+    for number in range(GROUPS):
+        tensors["widening"][number] = distances(found, size, group == number)
+    return LeakageHead(tensors, HeadSettings(config, config.steps, longest, threshold, record))

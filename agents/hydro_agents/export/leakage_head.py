@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.detection.balance import fit, fit_balance
-from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of, repair
+from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
+from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
-from hydro_agents.detection.stuck import bounds_of, find_stuck
 from hydro_agents.export.c_files import CCode, c_code, compared, csv_text, render
 from hydro_agents.export.c_writer import CWriter
 from hydro_agents.export.exported import FILE, ContractSignal, onnx_session, sealed

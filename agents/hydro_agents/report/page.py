@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from hydro_agents.report.canvas import Plot
-from hydro_agents.report.palette import css_variables
+from hydro_agents.report.palette import css_rules
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import number, setting
 from hydro_env.files import write_whole
@@ -51,7 +51,7 @@ def make_page(template: Path, origin: Origin, **values: Any) -> Page:
             become files.
     """
     environment = templates(template.parent)
-    environment.globals["css_variables"] = css_variables
+    environment.globals["css_rules"] = css_rules
     html = environment.get_template(template.name).render(origin=origin, **values)
     return Page(_shared_letters(html), {f"{plot.key}.svg": plot.file for plot in _plots(values.values())})
 
@@ -73,17 +73,17 @@ def _shared_letters(html: str) -> str:
     return LETTER.sub("", html).replace("<body>", f"<body>\n{store}", 1) if letters else html
 
 
-def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
-    """Templates of some folders and of this one: HTML, or prose with free line breaks.
+def templates(*folders: Path) -> jinja2.Environment:
+    """Templates of some folders and of this one.
 
     Filters: ``n`` is :func:`~hydro_agents.running.text.number`, ``s`` is :func:`~hydro_agents.running.text.setting`.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
-        autoescape=not prose,
+        autoescape=True,
         undefined=jinja2.StrictUndefined,
-        trim_blocks=not prose,
-        lstrip_blocks=not prose,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters.update({"n": number, "s": setting})
     return environment
