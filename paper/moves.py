@@ -10,7 +10,7 @@ from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD
 from hydro_agents.report.leaks import LINES
 from hydro_env import equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
-from paper.closed_loop import INNER, closed_loop_run, proportional, sensible_gain
+from paper.loop import INNER, closed_loop_run, sensible_gain
 from paper.rig import Rig, simplified, with_leak
 from paper.signals import recorded
 
@@ -110,10 +110,10 @@ def closed_moves_table(rig: Rig) -> pd.DataFrame:
 
     One row per control period.
     """
-    reference, control, parts = start_stop_reference(rig), proportional(sensible_gain(rig)), []
+    reference, gain, parts = start_stop_reference(rig), sensible_gain(rig), []
     skipped = _periods(rig, SETTLE_FIRST) * CONTROL_PERIOD
     for leak in LINES:
-        run = closed_loop_run(with_leak(rig.parameters, leak, "throttle"), reference, control, rig.start)
+        run = closed_loop_run(with_leak(rig.parameters, leak, "throttle"), reference, gain, rig.start)
         sampled = run[run["time_s"] >= skipped - 1e-9].iloc[:: round(CONTROL_PERIOD / INNER)]
         parts.append(
             pd.DataFrame(
@@ -131,16 +131,8 @@ def closed_moves_table(rig: Rig) -> pd.DataFrame:
 
 
 def closed_moves_summary(table: pd.DataFrame, rig: Rig) -> pd.DataFrame:
-    """Per leak: largest error; remaining error, ripple of the position and command at the end of the first stop; mm."""
+    """Per leak: largest error (mm), and mean error (mm) and command (1 = 10 V) at the end of the first stop."""
     end = rig.stretch * (HELD + MOVES[0][0] + MOVES[1][0])
-    rows = {}
-    for leak, part in table.groupby("leak_lpm"):
-        late = part[(part["time_s"] > end - JUDGED * rig.stretch) & (part["time_s"] < end)]
-        rows[leak] = {
-            "largest_mm": float(part["error_mm"].abs().max()),
-            "left_mm": float(late["error_mm"].mean()),
-            "ripple_mm": float(np.ptp(late["position_mm"])),
-            "command": float(late["command"].mean()),
-            "largest_command": float(part["command"].abs().max()),
-        }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("leak_lpm")
+    late = table[(table["time_s"] > end - JUDGED * rig.stretch) & (table["time_s"] < end)].groupby("leak_lpm")
+    largest = table["error_mm"].abs().groupby(table["leak_lpm"]).max()
+    return pd.DataFrame({"largest_mm": largest, "left_mm": late["error_mm"].mean(), "command": late["command"].mean()})

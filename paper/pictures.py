@@ -1,29 +1,44 @@
-"""Drawings of the paper's figures: moves, settling times, the terms of dF/dt."""
+"""Drawings of the figures."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from hydro_agents.report.canvas import COLOURS, GREY, INK, LINES, PALE, PAPER, legend_inside, looks_of, ticks
-from hydro_agents.report.leaks import FEW_LINES, LOOKS, TIGHT, flow
+from hydro_agents.report.leaks import FEW_LINES, LOOKS, SCAN, TIGHT, flow
 from hydro_agents.report.leaks import LINES as LEAKS
+from hydro_agents.running.text import number, setting
 from hydro_env import resistance_from_flow
 from paper.force_rate import DRAWN, DRIVE, TERMS
+from paper.loop import NYQUIST
 from paper.moves import FIRST_STOP
 from paper.rig import LAWS, SHORT_LAWS, Rig
-from paper.settling import chosen, friction_words
+from paper.sensitivity import RESULTS, effects
+from paper.settling import FRICTION_SHARES, chosen, friction_words
 
 ENLARGED = (0.01, 1.0, 4.0)
 """Leaks whose stop is enlarged."""
 
 TIME_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+
+DEEPEST = 0.5
+"""Largest opacity of a shade; the background of the page, light or dark, shows through."""
+
+SHOWN = 20
+"""Parameters in the picture of the sensitivities."""
+
+MINUS_3_DB = math.sqrt(0.5)
 
 
 def leak_lines(
@@ -180,3 +195,64 @@ def paint_share(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
     figure.legend(
         *handles, title="leak at 100 bar", loc="outside lower center", ncols=4, fontsize=8.0, handlelength=3.0
     )
+
+
+def paint_closed_bode(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+    """Gain above phase, reference to position."""
+    gain, phase = figure.subplots(2, 1, sharex=True, height_ratios=[1.4, 1.0])
+    leak_lines(gain, table, "frequency_hz", "gain")
+    leak_lines(phase, table, "frequency_hz", "phase_deg")
+    lowest = float(table["frequency_hz"].min())
+    gain.set(xscale="log", yscale="log", ylabel="gain, mm per mm", xlim=(lowest, NYQUIST))
+    phase.set(xlabel="frequency, Hz", ylabel="phase, degrees")
+    for axis in (gain.yaxis, phase.xaxis):
+        axis.set_major_locator(LogLocator(base=10, numticks=6))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, digits=1)))
+        axis.set_minor_formatter(NullFormatter())
+    bottom = 90 * int(np.floor(table["phase_deg"].min() / 90))
+    ticks(phase.yaxis, range(bottom, 1, 90 if bottom >= -450 else 180))
+    gain.set_title("From reference to position, loop closed")
+    gain.axhline(MINUS_3_DB, color=GREY, linewidth=0.7, linestyle=(0, (4, 2)))
+    gain.annotate("−3 dB", (lowest, MINUS_3_DB), xytext=(3, -9), textcoords="offset points", fontsize=7.5)
+    legend_inside(gain, title="leak at 100 bar", loc="lower left", handlelength=3.0)
+    figure.align_ylabels()
+
+
+def paint_friction_scan(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+    """Settling time over friction."""
+    axes = figure.subplots()
+    positive = [100 * share for share in FRICTION_SHARES if share > 0.0]
+    zero = 0.5 * positive[0]
+    drawn = table.assign(percent=np.maximum(100 * table["friction_share"], zero))
+    leak_lines(axes, drawn, "percent", "settling_s", SCAN, markersize=4)
+    axes.set(xscale="log", yscale="log", xlabel="friction, % of what is assumed", ylabel="settling time, s")
+    ticks(axes.xaxis, [zero, *positive], lambda value: "0" if value == zero else setting(value))
+    low, high = axes.get_ylim()
+    ticks(axes.yaxis, [tick for tick in TIME_TICKS if low <= tick <= high])
+    axes.set_title("Settling time against friction")
+    legend_inside(axes, title="leak at 100 bar", loc="best", handlelength=3.0)
+
+
+def paint_sensitivity(figure: Figure, table: pd.DataFrame, rig: Rig) -> None:
+    """A table of effects: the darker, the more the result changes."""
+    grid = effects(table).head(SHOWN)
+    axes = figure.subplots()
+    words = {result.name: result.words for result in RESULTS}
+    values = np.nan_to_num(grid.to_numpy(), nan=0.0)
+    norm = LogNorm(vmin=0.5, vmax=100.0, clip=True)
+    shade = DEEPEST * np.asarray(norm(np.maximum(values, 0.5)))
+    for (row, column), share in np.ndenumerate(shade):
+        axes.add_patch(Rectangle((column, row), 1.0, 1.0, facecolor=COLOURS[0], alpha=float(share), linewidth=0))
+    axes.set(xlim=(0, values.shape[1]), ylim=(values.shape[0], 0))
+    for (row, column), value in np.ndenumerate(values):
+        text = f"{value:.0f}" if value >= 10.0 else f"{value:.1f}" if value >= 0.1 else "·"
+        axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=7.5)
+    axes.set_yticks(np.arange(len(grid)) + 0.5, [name.replace(".", ": ").replace("_", " ") for name in grid.index])
+    axes.set_xticks(np.arange(grid.shape[1]) + 0.5, [words[name] for name in grid.columns], rotation=38, ha="left")
+    axes.xaxis.tick_top()
+    axes.set_xlabel("largest change of the result, %; · below 0.1 %")
+    axes.xaxis.set_label_position("bottom")
+    axes.tick_params(length=0)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)

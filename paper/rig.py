@@ -34,9 +34,6 @@ SAMPLES_PER_PERIOD = 20
 SAMPLE_TIMES = (0.5e-3, 0.25e-3, 0.2e-3, 0.1e-3, 0.05e-3, 0.02e-3)
 """s; the first with enough samples per oscillation is used."""
 
-HOLDING_SPEED = 3.0
-"""1/s; velocity gain of the project's PID on the paper's rig: 20 per metre times the mean no-load speed."""
-
 
 @dataclass(frozen=True)
 class Rig:
@@ -50,17 +47,10 @@ class Rig:
     is_paper: bool = True
     start: float = 0.005  # m, where moves begin
     place: float = 0.02  # m, where the axis is linearised
-    hold: float = 0.04  # m, position for holding
     voltage: float = 4.0  # V, of the moves
     stretch: float = 1.0  # all durations times this: a slow axis gets more time
     sample_time: float = 0.5e-3  # s
-    holding_gain: float = 20.0  # command (1 = 10 V) per metre; that of the project's PID
     transducer: Sensor = field(default_factory=lambda: Sensors().position)
-
-    @property
-    def has_spring(self) -> bool:
-        """Whether a spring acts on the load."""
-        return self.parameters.load.spring_stiffness > 0.0
 
     @property
     def has_friction(self) -> bool:
@@ -105,11 +95,9 @@ def own_rig(parameters: PlantParameters, name: str) -> Rig:
         False,
         start=round(low + 0.35 * span, 4),
         place=round(low + 0.5 * span, 4),
-        hold=round(low + 0.6 * span, 4),
         voltage=max(min(4.0, math.floor(10.0 * 0.4 * span / travel) / 10.0), 0.1),
         stretch=stretch,
         sample_time=fitting,
-        holding_gain=float(f"{2.0 * HOLDING_SPEED / (speeds.extending + speeds.retracting):.2g}"),
         transducer=scaled(transducer, larger),
     )
 

@@ -13,7 +13,7 @@ import yaml
 from recorded import healthy
 
 import hydro_env
-from hydro_agents.commands.application import app
+from hydro_agents.commands.application import application
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -85,7 +85,7 @@ def lines_of_commands():
 @pytest.mark.parametrize(("page", "line"), sorted(set(lines_of_commands())))
 def test_a_command_is_one(page, line):
     words = shlex.split(line.replace("…", ""), comments=True)[1:]
-    command = typer.main.get_command(app)
+    whole = command = typer.main.get_command(application())
     context = command.make_context("hydro", list(words), resilient_parsing=True)
     for word in words:
         if not hasattr(command, "commands") or word not in command.commands:
@@ -98,7 +98,7 @@ def test_a_command_is_one(page, line):
     for option in (part.split("=")[0] for part in rest if part.startswith("-") and not re.match(r"-\d", part)):
         assert option in options | {"--help"}, f"{page}: {line}: no option {option}"
     assert context.command.name == "hydro"
-    assert command is not typer.main.get_command(app), f"{page}: {line}: no such command"
+    assert command is not whole, f"{page}: {line}: no such command"
 
 
 @pytest.mark.parametrize("page", TEXTS)
@@ -119,7 +119,7 @@ def test_every_page_stands_in_the_contents():
 
 
 def test_every_command_and_every_room_is_listed():
-    for command in typer.main.get_command(app).commands:
+    for command in typer.main.get_command(application()).commands:
         assert f"`hydro {command}" in TEXTS["docs/commands.md"], command
     for room in sorted((ROOT / "agents" / "hydro_agents").glob("*/__init__.py")):
         assert f"(../agents/hydro_agents/{room.parent.name})" in TEXTS["docs/architecture.md"], room.parent.name

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.alarm_rates import fit_tail, peaks, poisson_interval, rate_with_interval
-from hydro_agents.detection.growth import growth
+from hydro_agents.detection.alarm_calibration import fit_tail, peaks, poisson_interval, rate_with_interval
+from hydro_agents.detection.alarm_proof import growth
 from hydro_env import ConfigurationError
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.alarm_operation import working_references
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
-from hydro_agents.detection.alarm_store import Bench
+from hydro_agents.detection.alarm_job import Bench, Work
+from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate, working_references
 from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, activity_of, looks_at
@@ -111,19 +110,33 @@ def test_recorded_looks_equal_those_of_the_running_axes():
     np.testing.assert_array_equal(recorded.activity, lived.activity[:2])
 
 
-def test_stored_looks_are_read_again_and_foreign_ones_refused(tmp_path):
-    bench = Bench(CONFIG, {"PID": CONTROLLER}, MeanPressure(), "mean pressure", tmp_path)
-    work = Operation(1_900_000, 2, 2.0, 0.5, after=1.0)
-    first = bench.looks("a", work, (Onset(1.0),))
-    again = bench.looks("a", work, (Onset(1.0),))
+def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp_path):
+    def looks(detector, *onsets):
+        done = []
+        bench = Bench(CONFIG, {"PID": CONTROLLER}, detector, "", tmp_path, progress=lambda *now: done.append(now[1]))
+        return bench.looks({"a": Work(Operation(1_900_000, 2, 2.0, 0.5, after=1.0), onsets)})["a"], done[0]
+
+    first, reused = looks(MeanPressure(), Onset(1.0))
+    assert (len(first), reused) == (2, 0)
+    again, reused = looks(MeanPressure(), Onset(1.0))
+    assert reused == 1
     for one, two in zip(first, again, strict=True):
         for left, right in zip(one, two, strict=True):
             np.testing.assert_array_equal(left, right)
-    other = Bench(CONFIG, {"PID": CONTROLLER}, MeanPressure(), "something else", tmp_path)
-    with pytest.raises(ConfigurationError, match="made with another detector"):
-        other.looks("a", work, (Onset(1.0),))
-    with pytest.raises(ConfigurationError, match="made with another work"):
-        bench.looks("a", work)
+    assert looks(MeanPressure())[1] == 0
+    other = MeanPressure()
+    other.window = 100
+    assert looks(other, Onset(1.0))[1] == 0
+
+
+def test_controllers_take_turns_over_the_axes():
+    slower = PID(PIDGains(proportional=10.0), CONFIG)
+    work = {"a": Work(Operation(1_900_000, 4, 2.0, 0.5)), "b": Work(Operation(1_900_000, 2, 2.0, 0.5))}
+    both = Bench(CONFIG, {"PID": CONTROLLER, "slower": slower}, MeanPressure(), "").looks(work)
+    alone = Bench(CONFIG, {"slower": slower}, MeanPressure(), "").looks(work)
+    np.testing.assert_array_equal(both["a"][0].score[2:], alone["a"][0].score[2:])
+    np.testing.assert_array_equal(both["b"][0].score[1:], alone["b"][0].score[1:])
+    assert (both["a"][0].score[:2] != alone["a"][0].score[:2]).any()
 
 
 def test_too_short_work_and_recordings_are_refused():

@@ -21,7 +21,7 @@ from hydro_agents.estimation.information import (
 )
 from hydro_agents.estimation.known_windows import MOTIONS, SMALLEST_STEP, known_windows, leak_cases
 from hydro_agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
-from hydro_agents.evaluation.leak_bound_survey import sensor_choices
+from hydro_agents.evaluation.leak_bound import sensor_choices
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.manners import still
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.following import Follower, estimate_run
-from hydro_agents.estimation.known_windows import known_windows, leak_cases
+from hydro_agents.estimation.known_windows import at_rest, known_windows, leak_cases
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.replay import Commands, replay
 from hydro_agents.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
@@ -357,7 +356,7 @@ def test_faults_of_the_task_widen_its_priors():
 
 
 def test_at_rest_the_search_ends_at_the_lowest_point():
-    task = still(TaskConfig())
+    task = at_rest(TaskConfig())
     windows = known_windows(task, shipped("lqg", task), leak_cases(VALIDATION_SEEDS[930_000:], 8, 0.01), 1.0, 2.0)
     read = estimate(windows.signals, task)
     away = (read.value(LEAKAGE) - windows.leakage_flow_lpm) / read.deviation(LEAKAGE)

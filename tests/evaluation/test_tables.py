@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hydro_agents.detection.detector import Reading
 from hydro_agents.evaluation.detection import (
     LeakBounds,
     detection_columns,
@@ -208,16 +209,18 @@ def test_curves_of_each_controller():
 
 
 def test_one_row_per_episode():
-    class Head:
-        settings = SimpleNamespace(threshold=0.5)
+    class Detector:
+        threshold = 0.5
 
-        def estimate_signals(self, signals):
-            return SimpleNamespace(probability=signals[:, 0, 0], flow_lpm=10.0 * signals[:, 0, 0])
+        def read(self, windows, task):
+            spool = windows.signal("spool_position")[:, 0]
+            return Reading.of(spool, probability=spool, flow_lpm=10.0 * spool)
 
     probability = np.array([0.2, 0.5, 0.7])
     cases = Cases(np.array([7, 8, 9]), np.array([0.01, 0.4, 3.0]))
-    rollout = SimpleNamespace(signals=probability[:, None, None], leakage_class=np.array([0, 2, 3]))
-    columns = detection_columns(cases, rollout, Head())
+    signals = np.repeat(probability[:, None, None], 5, axis=1)
+    rollout = SimpleNamespace(signals=signals, leakage_class=np.array([0, 2, 3]))
+    columns = detection_columns(cases, rollout, Detector(), TASK)
     assert {name: values.tolist() for name, values in columns.items()} == {
         "seed": [7, 8, 9],
         "leakage_flow_lpm": [0.01, 0.4, 3.0],

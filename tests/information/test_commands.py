@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from hydro_agents.estimation.information import TASK
-from hydro_agents.evaluation.leak_bound_survey import COLUMNS, sensor_choices
+from hydro_agents.evaluation.leak_bound import COLUMNS, sensor_choices
 from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro
 

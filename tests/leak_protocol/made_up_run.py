@@ -5,8 +5,8 @@ import pandas as pd
 from small_leaks import small
 
 from hydro_agents.detection.detector import Cause
-from hydro_agents.evaluation.leak_running import LeakRun
-from hydro_agents.evaluation.leak_tables import make_tables
+from hydro_agents.evaluation.leak_windows import Detectors
+from hydro_agents.evaluation.runner import Results
 
 LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0, -1.0]
 CONDITIONS = {
@@ -70,7 +70,8 @@ def run():
         columns=["detector", "condition", "status", "message"],
     )
     bound = pd.DataFrame({"condition": "plain", "level": [0.3, 0.3, 1.0], "seed": 0.0, "sigma_lpm": [0.01, 0.03, 0.05]})
-    return LeakRun(pd.concat(frames, ignore_index=True), thresholds, status, alarms(), bound, 0)
+    made = {"windows": pd.concat(frames, ignore_index=True), "thresholds": thresholds, "alarms": alarms()}
+    return Results(protocol(), Detectors({}), {"leak_bound": bound}, status, facts=[("file", "made up")], _made=made)
 
 
 def alarms():
@@ -83,4 +84,4 @@ def alarms():
 
 
 def tables():
-    return make_tables(protocol(), run(), [("file", "made up")])
+    return run().tables()

@@ -4,6 +4,8 @@ import numpy as np
 
 from hydro_agents.detection.detector import Cause, Reading
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_windows import Detectors
+from hydro_agents.evaluation.runner import run
 
 SMALL = {
     "task": {"episode_duration": 0.3},
@@ -19,6 +21,12 @@ SMALL = {
 
 def small(**changes):
     return LeakProtocol(**{**SMALL, **changes})
+
+
+def ran(protocol=None, detectors=None, alarms=None, **options):
+    """Results of a small protocol; by default with one detector, in this process."""
+    chosen = Detectors(detectors or {"D": Spread()}, alarms or {})
+    return run(protocol or small(), chosen, **{"jobs": 1, **options})
 
 
 class Spread:

@@ -1,16 +1,20 @@
 """Long jobs on made-up detectors and short times: alarms at work, and the bound of a few windows."""
 
 import numpy as np
+import pandas as pd
 import pytest
-from small_leaks import SMALL, Spread, small
+from small_leaks import SMALL, ran, small
 
 from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm_simulation import Operation
 from hydro_agents.detection.detector import Reading
-from hydro_agents.evaluation import leak_alarm_jobs as alarm_jobs
-from hydro_agents.evaluation.leak_alarm_jobs import AlarmJob, alarm_plan
-from hydro_agents.evaluation.leak_bound_jobs import bound_plan
-from hydro_agents.evaluation.leak_running import run_leak_protocol
+from hydro_agents.evaluation import leak_alarm
+from hydro_agents.evaluation.leak_alarm import LEAKS, alarm, at_healthy_axes, at_onsets
+from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_windows import Detectors, Watch
 from hydro_agents.running.jobs import JOBS_FOLDER
+from hydro_env import ConfigurationError
+from hydro_env.files import validate
 
 SCALE = {"highest_baseline": 0.0, "spread": 1.0, "shift": 1.0}
 SETTINGS = AlarmSettings(
@@ -39,46 +43,66 @@ class Level:
 @pytest.fixture
 def short(monkeypatch):
     for name, seconds in {"SHIFT": 4.0, "PAST": 2.0, "AFTER": 2.0}.items():
-        monkeypatch.setattr(alarm_jobs, name, seconds)
+        monkeypatch.setattr(leak_alarm, name, seconds)
 
 
-def job(score, leaks):
-    return AlarmJob("D", Level(score), SETTINGS, small().task, 2_450_000, 2, leaks, "1")
+def rows(work, score, **times):
+    operation = Operation(2_450_000, 2, **times, interval=SETTINGS.interval)
+    return work(Level(score), small().task, SETTINGS, operation)
 
 
-def test_an_alarm_that_never_rises_misses_everything(short):
-    healthy, leaking = job(-5.0, False).run().metrics, job(-5.0, True).run().metrics
+def test_an_alarm_that_never_rises_misses_everything():
+    healthy, leaking = rows(at_healthy_axes, -5.0, duration=4.0), rows(at_onsets, -5.0, duration=2.0, after=2.0)
     assert healthy["alarms"].tolist() == [0.0, 0.0]
     assert 0.0 < healthy["hours"][0] <= 4.0 / 3600.0
-    assert set(leaking) == set(job(-5.0, True).columns)
-    assert np.isinf(leaking["1 all"]).all()
+    assert len(leaking["delay_s"]) == 2 * len(LEAKS)
+    assert np.isinf(leaking["delay_s"]).all()
     assert (leaking["early"] == 0.0).all()
 
 
-def test_an_alarm_that_always_rises_counts_as_early(short):
-    assert job(9.0, False).run().metrics["alarms"].tolist() == [1.0, 1.0]
-    assert (job(9.0, True).run().metrics["early"] == 1.0).all()
+def test_an_alarm_that_always_rises_counts_as_early():
+    assert rows(at_healthy_axes, 9.0, duration=4.0)["alarms"].tolist() == [1.0, 1.0]
+    assert (rows(at_onsets, 9.0, duration=2.0, after=2.0)["early"] == 1.0).all()
 
 
 def test_hours_are_split_into_jobs_of_their_own_seeds():
-    jobs = list(alarm_plan("D", Level(0.0), SETTINGS, small().task, 15.0, "1"))
-    assert sum(each.axes for each in jobs if not each.leaks) == 90  # 600 s each
-    seeds = [seed for each in jobs for seed in range(each.first_seed, each.first_seed + each.axes)]
+    cells = list(alarm(small(alarm_hours=15.0), Detectors({}, {"D": Watch(Level(0.0), SETTINGS)})))
+    healthy, leaking = ([job.arguments[-1] for job in cell.jobs] for cell in cells)
+    assert sum(each.axes for each in healthy) == sum(each.axes for each in leaking) == 90  # 600 s each
+    seeds = [each.first_seed + axis for each in (*healthy, *leaking) for axis in range(each.axes)]
     assert len(set(seeds)) == len(seeds)
-    assert len({each.key for each in jobs} | {each.file for each in jobs}) == 2 * len(jobs)
+    assert len({job.file for cell in cells for job in cell.jobs}) == 4
 
 
 def test_alarms_and_bound_stand_beside_the_windows_and_are_kept(short, tmp_path):
-    protocol = small(bound_conditions=["plain"], bound_windows=2, conditions={"plain": SMALL["conditions"]["plain"]})
-    jobs = [job(-5.0, False), job(-5.0, True)]
-    run = run_leak_protocol(protocol, {"D": Spread()}, {"D": "1"}, jobs, tmp_path, jobs=1)
-    assert run.alarms.iloc[0]["alarms"] == 0
-    assert (run.alarms["missed"].dropna() == 1.0).all()
-    assert set(run.bound["level"]) == {0.0, 1.0}
-    assert (run.bound["sigma_lpm"] > 0.0).all()
-    assert run.bound["sigma_lpm"].max() < 2.0  # far below the prior's: the window tells something
-    kept = {file.name for file in (tmp_path / JOBS_FOLDER).iterdir()}
-    assert {each.file for each in (*jobs, *bound_plan(protocol))} < kept
-    again = run_leak_protocol(protocol, {"D": Spread()}, {"D": "1"}, jobs, tmp_path, jobs=1)
-    assert again.reused == len(kept)
-    assert again.bound.equals(run.bound)
+    protocol = small(
+        bound_conditions=["plain"],
+        bound_windows=2,
+        conditions={"plain": SMALL["conditions"]["plain"]},
+        alarms={"D": "alarm.yaml"},
+        alarm_hours=0.001,
+    )
+    alarms = {"D": Watch(Level(-5.0), SETTINGS)}
+    run = ran(protocol, alarms=alarms, folder=tmp_path)
+    found = run.table("alarms")
+    assert found.iloc[0]["alarms"] == 0
+    assert found.iloc[0]["hours"] > 0.0
+    assert (found["missed"].dropna() == 1.0).all()
+    assert len(found) == 1 + len(LEAKS)
+    bound = run.table("bound")
+    assert set(bound["level"]) == {0.0, 1.0}
+    assert (bound["sigma_lpm"] > 0.0).all()
+    assert bound["sigma_lpm"].max() < 2.0  # far below the prior's: the window tells something
+    again = ran(protocol, alarms=alarms, folder=tmp_path)
+    assert again.reused == len(list((tmp_path / JOBS_FOLDER).iterdir())) > 4
+    for name in ("alarms", "bound"):
+        pd.testing.assert_frame_equal(again.table(name), run.table(name), check_exact=True)
+
+
+def test_the_parts_can_be_chosen():
+    assert small(bound_conditions=["plain"]).measured == ("windows", "leak_bound")
+    assert small(alarms={"D": "alarm.yaml"}, alarm_hours=1.0).measured == ("windows", "alarm")
+    run = ran(small(parts=["leak_bound"], bound_conditions=["null"], bound_windows=1))
+    assert set(run.tables()) == {"bound", "conditions", "status", "protocol"}
+    with pytest.raises(ConfigurationError, match="unknown part 'tracking'; known: windows, alarm, leak_bound"):
+        validate(LeakProtocol, {**SMALL, "parts": ["tracking"]}, "own.yaml")

@@ -6,21 +6,22 @@ import pandas as pd
 import pytest
 from browser import problems_everywhere
 from made_up_run import tables
+from published import assert_published_page
 
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_findings import findings_of
-from hydro_agents.report.leak_page import render_leakage
-from hydro_agents.report.leakage import confusion_tables, right_verdicts
+from hydro_agents.report.leakage import LEAKAGE, confusion_tables, right_verdicts
+from hydro_agents.report.sections import render_page
 
 
 @pytest.fixture(scope="module")
 def content():
-    return Content(tables().by_name(), others={"base": "plain"})
+    return Content(tables(), others={"base": "plain"})
 
 
 @pytest.fixture(scope="module")
 def page(content):
-    return render_leakage(content).html
+    return render_page("Leaks", LEAKAGE, content).html
 
 
 def plain(text):
@@ -43,7 +44,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
 
 
 def test_without_confusions_and_silence_the_findings_say_so():
-    made = tables().by_name()
+    made = tables()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
     leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
     assert "No other fault looks like a worn seal." in leads
@@ -71,6 +72,7 @@ def test_right_verdicts_are_blue_and_wrong_ones_orange(content):
 
 def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
     assert page.startswith("<!doctype html>")
+    assert_published_page("leakage", page)
     assert not re.search(r'(src|href)="(?!#|figures/)', page)
     assert "0.06&nbsp;ml/min" in page
     assert "500 times" in page
@@ -81,13 +83,13 @@ def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
 
 
 def test_sections_without_figures_are_left_out():
-    made = tables().by_name()
+    made = tables()
     made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
-    page = render_leakage(Content(made, others={"base": "plain"})).html
+    page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
     assert 'id="alarm_delay"' not in page
     assert 'id="masking"' not in page
 
 
 def test_nothing_is_cut_off_in_a_browser(browser, content, tmp_path):
-    render_leakage(content).write(tmp_path / "leakage.html")
+    render_page("Leaks", LEAKAGE, content).write(tmp_path / "leakage.html")
     assert problems_everywhere(browser, tmp_path / "leakage.html") == []

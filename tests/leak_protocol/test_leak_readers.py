@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICTS, Cause, Reading, Windows, logit
-from hydro_agents.detection.detectors import OTHER_CAUSES, DetectorChoice, HeadDetector, make_detector
+from hydro_agents.detection.detectors import DetectorChoice, make_detector
 from hydro_agents.detection.estimator import EstimatorDetector, FollowingDetector
 from hydro_agents.detection.features import LABELS, SIGNALS
 from hydro_agents.detection.looks import looks_at
-from hydro_agents.evaluation.leak_jobs import windows as simulated
+from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
+from hydro_agents.evaluation.leak_windows import simulated_windows as simulated
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 

@@ -4,39 +4,37 @@ import numpy as np
 import pandas as pd
 import pytest
 from joblib import parallel_config
-from small_leaks import SMALL, Spread, small
+from small_leaks import SMALL, Spread, ran, small
 
 from hydro_agents.detection.detector import Cause
-from hydro_agents.evaluation.leak_running import judged, run_leak_protocol
+from hydro_agents.evaluation.leak_tables import judged
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_env import ConfigurationError
-
-DIGESTS = {"D": "1"}
 
 
 @pytest.fixture(scope="module")
 def alone():
-    return run_leak_protocol(small(), {"D": Spread()}, DIGESTS, jobs=1)
+    return ran()
 
 
 def assert_same(run, other):
-    pd.testing.assert_frame_equal(run.windows, other.windows, check_exact=True)
-    pd.testing.assert_frame_equal(run.thresholds, other.thresholds, check_exact=True)
+    pd.testing.assert_frame_equal(run.table("windows"), other.table("windows"), check_exact=True)
+    pd.testing.assert_frame_equal(run.table("thresholds"), other.table("thresholds"), check_exact=True)
     pd.testing.assert_frame_equal(run.status, other.status)
 
 
 def test_every_window_has_its_row(alone):
-    assert len(alone.windows) == 10 * (3 + 2)
+    assert len(alone.table("windows")) == 10 * (3 + 2)
     assert (alone.status["status"] == "done").all()
-    plain = alone.windows[alone.windows["condition"] == "plain"]
+    plain = alone.table("windows")[alone.table("windows")["condition"] == "plain"]
     np.testing.assert_allclose(plain.loc[plain["level"] == 1.0, "leak_lpm"], 1.0, rtol=1e-6)
-    assert (alone.windows["error_mm"] > 0.0).all()
+    assert (alone.table("windows")["error_mm"] > 0.0).all()
 
 
 @pytest.mark.parametrize("backend", ["threading", "loky"])
 def test_jobs_side_by_side_give_the_same_bits(alone, backend):
     with parallel_config(backend=backend, n_jobs=2):
-        assert_same(run_leak_protocol(small(), {"D": Spread()}, DIGESTS), alone)
+        assert_same(ran(jobs=None), alone)
 
 
 def test_an_interrupted_run_goes_on_and_another_detector_begins_anew(alone, tmp_path):
@@ -48,21 +46,21 @@ def test_an_interrupted_run_goes_on_and_another_detector_begins_anew(alone, tmp_
             raise StopError
 
     with pytest.raises(StopError):
-        run_leak_protocol(small(), {"D": Spread()}, DIGESTS, folder=tmp_path, jobs=1, progress=stop)
+        ran(folder=tmp_path, progress=stop)
     assert len(list((tmp_path / JOBS_FOLDER).iterdir())) == 3
-    run = run_leak_protocol(small(), {"D": Spread()}, DIGESTS, folder=tmp_path, jobs=1)
+    run = ran(folder=tmp_path)
     assert run.reused == 3
     assert_same(run, alone)
-    assert run_leak_protocol(small(), {"D": Spread(2.0)}, {"D": "2"}, folder=tmp_path, jobs=1).reused == 0
+    assert ran(detectors={"D": Spread(2.0)}, folder=tmp_path).reused == 0
 
 
 def test_the_threshold_comes_from_validation_windows_unless_the_detector_has_one(alone):
-    row = alone.thresholds.iloc[0]
+    row = alone.table("thresholds").iloc[0]
     assert row["windows"] == 20
     assert row["used"] == row["at_1_percent"] > 0.0
     own = Spread()
     own.threshold = 0.5
-    other = run_leak_protocol(small(), {"D": own}, DIGESTS, jobs=1).thresholds.iloc[0]
+    other = ran(detectors={"D": own}).table("thresholds").iloc[0]
     assert other["used"] == 0.5
     assert other["at_1_percent"] == row["at_1_percent"]
 
@@ -87,22 +85,22 @@ def test_verdicts_follow_from_score_threshold_and_what_the_detector_says_otherwi
 
 def test_what_cannot_run_is_told_and_the_rest_stays():
     conditions = {**SMALL["conditions"], "long": {"duration": 0.5}}
-    run = run_leak_protocol(small(conditions=conditions), {"D": Spread()}, DIGESTS, jobs=1)
+    run = ran(small(conditions=conditions))
     status = run.status.set_index("condition")
     assert status.loc["long", "status"] == "not applicable"
     assert status.loc["long", "message"] == "reads 60 samples"
-    assert set(run.windows["condition"]) == {"plain", "null"}
+    assert set(run.table("windows")["condition"]) == {"plain", "null"}
 
 
 def test_no_detector_for_any_window_is_an_error():
-    with pytest.raises(ConfigurationError, match="no detector read any window"):
-        run_leak_protocol(small(), {"D": Spread(samples=1)}, DIGESTS, jobs=1)
+    with pytest.raises(ConfigurationError, match="no detector ran under any condition"):
+        ran(detectors={"D": Spread(samples=1)})
 
 
 def test_a_detector_without_threshold_has_no_figures():
     conditions = {**SMALL["conditions"], "short": {"duration": 0.2}}
     detectors = dict.fromkeys(("D", "E"), SMALL["detectors"]["D"])
     both = {"D": Spread(), "E": Spread(samples=40)}
-    run = run_leak_protocol(small(conditions=conditions, detectors=detectors), both, {"D": "1", "E": "1"}, jobs=1)
-    assert set(run.windows["detector"]) == {"D"}
+    run = ran(small(conditions=conditions, detectors=detectors), both)
+    assert set(run.table("windows")["detector"]) == {"D"}
     assert "no threshold" in run.status.set_index(["detector", "condition"]).loc[("E", "plain"), "message"]

@@ -3,11 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-from made_up_run import tables
+from made_up_run import run, tables
 
 from hydro_agents.detection.detector import VERDICTS
-from hydro_agents.evaluation.leak_alarm_jobs import ACTIVITIES, LEVELS, _name, alarm_table
-from hydro_agents.running.jobs import JobResult
+from hydro_agents.evaluation.leak_alarm import alarm_table
 
 
 @pytest.fixture(scope="module")
@@ -23,53 +22,54 @@ def row(table, **wanted):
 
 
 def test_detection_per_window_and_per_hour(made):
-    healthy = row(made.detection, detector="head", condition="plain", level=0.0)
+    healthy = row(made["detection"], detector="head", condition="plain", level=0.0)
     assert healthy["flagged"] == 0.01
     assert healthy["per_hour"] == pytest.approx(0.01 * 1800)  # windows of 2 s, one after the other
     assert healthy["flagged_low"] < 0.01 < healthy["flagged_high"]
-    assert row(made.detection, detector="estimator", condition="null", level=0.0)["cannot_tell"] == 0.8
+    assert row(made["detection"], detector="estimator", condition="null", level=0.0)["cannot_tell"] == 0.8
 
 
 def test_verdicts_are_shares_of_all_windows(made):
-    found = row(made.verdicts, detector="estimator", condition="null", level=0.0)
+    found = row(made["verdicts"], detector="estimator", condition="null", level=0.0)
     assert found["valve fault"] == 0.2
     assert found["cannot tell"] == 0.8
-    np.testing.assert_allclose(made.verdicts[list(VERDICTS)].sum(axis=1), 1.0)
+    np.testing.assert_allclose(made["verdicts"][list(VERDICTS)].sum(axis=1), 1.0)
 
 
 def test_sizes_over_windows_in_which_the_detector_tells(made):
-    plain = row(made.sizes, detector="head", condition="plain", level=0.3)
+    plain = row(made["sizes"], detector="head", condition="plain", level=0.3)
     assert plain["rms_log10"] == pytest.approx(np.log10(1.1))
     assert plain["coverage"] == 1.0  # 10 % beside the truth, intervals of 20 %
     assert plain["bound_lpm"] == pytest.approx(0.02)  # the median
     assert plain["ratio_to_bound"] == pytest.approx(np.log10(1.1) / (0.02 / 0.3 / np.log(10.0)))
-    beside = row(made.sizes, detector="head", condition="null", level=0.3)
+    beside = row(made["sizes"], detector="head", condition="null", level=0.3)
     assert beside["coverage"] == 0.0
     assert beside["unnoticed_minimum"] == 1.0  # twice the truth, 16 standard deviations away
-    silent = row(made.sizes, detector="estimator", condition="null", level=0.3)
+    silent = row(made["sizes"], detector="estimator", condition="null", level=0.3)
     assert silent["told"] == 0
     assert np.isnan(silent["rms_log10"])
 
 
 def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made):
-    mine = made.reliability[made.reliability["detector"] == "head"].sort_values("probability")
+    mine = made["reliability"][made["reliability"]["detector"] == "head"].sort_values("probability")
     assert mine["probability"].tolist() == pytest.approx([0.2, 0.8])
     assert mine["frequency"].tolist() == [0.0, 1.0]
     assert mine["error"].iloc[0] == pytest.approx(0.2)
 
 
 def test_masking_sets_detection_beside_the_position_error(made):
-    mine = made.masking[(made.masking["detector"] == "head") & (made.masking["level"] == 0.1)].set_index("acting")
+    mine = made["masking"][(made["masking"]["detector"] == "head") & (made["masking"]["level"] == 0.1)].set_index(
+        "acting"
+    )
     assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
     assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
 
 
 def test_alarms_are_counted_over_axes_and_hours():
-    names = [_name(level, then) for level in LEVELS for then in ACTIVITIES]
-    healthy = [JobResult({"alarms": np.array([0.0, 3.0]), "hours": np.array([10.0, 10.0])})]
-    delays = {name: np.array([2.0, 4.0, 100.0, 1.0]) for name in names}
-    leaking = [JobResult({"early": np.array([0.0, 0.0, 0.0, 1.0]), **delays})]
-    table = alarm_table("head", {False: healthy, True: leaking})
+    healthy = pd.DataFrame({"leak_lpm": 0.0, "then": "all", "alarms": [0.0, 3.0], "hours": 10.0})
+    delays = {"delay_s": [2.0, 4.0, 100.0, 1.0], "early": [0.0, 0.0, 0.0, 1.0]}
+    leaking = pd.DataFrame({"leak_lpm": 1.0, "then": "all", **delays})
+    table = alarm_table(pd.concat([healthy, leaking]).assign(detector="head"))
     first = table.iloc[0]
     assert (first["alarms"], first["hours"], first["per_100_h"]) == (3, 20.0, 15.0)
     assert first["per_100_h_low"] < 15.0 < first["per_100_h_high"]
@@ -79,6 +79,6 @@ def test_alarms_are_counted_over_axes_and_hours():
 
 
 def test_every_table_is_written(made, tmp_path):
-    made.write(tmp_path)
-    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made.by_name())
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made.masking.reset_index(drop=True))
+    run().write(tmp_path)
+    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made["masking"].reset_index(drop=True))

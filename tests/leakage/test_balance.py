@@ -5,8 +5,9 @@ import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, fit_balance
-from hydro_agents.detection.features import CHANGE, FEATURES, SIGNALS, features_of, repaired
-from hydro_agents.detection.normal_equations import factor, hold, substitute
+from hydro_agents.detection.balance_parts import factor, hold, substitute
+from hydro_agents.detection.damaged_signals import repaired
+from hydro_agents.detection.features import CHANGE, FEATURES, SIGNALS, features_of
 from hydro_agents.detection.sheet import Unknowns, sheet_of
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS

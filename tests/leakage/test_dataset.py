@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, HeadTrainingSettings, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
-from hydro_agents.detection.head_training import HeadTrainingSettings
-from hydro_agents.detection.manners import MANNERS, OPERATIONS, Operation, slow, still
+from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
 from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.estimation.known_windows import at_rest
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.faults import FAULTS, SIGNED_KINDS
@@ -99,7 +99,7 @@ def test_manners_operate_axes_within_the_range_of_commands(name):
 
 
 def test_slow_and_still_references():
-    speeds, still_task = [], still(CONFIG)
+    speeds, still_task = [], at_rest(CONFIG)
     for task in (CONFIG, slow(CONFIG), still_task):
         env = ServoHydraulicVectorEnv(32, task)
         env.reset(seed=0)
@@ -107,4 +107,4 @@ def test_slow_and_still_references():
         speeds.append(np.quantile(steps, 0.95) if task is not still_task else steps.max())
     assert speeds[1] < 0.5 * speeds[0]
     assert speeds[2] < 1e-5
-    assert ObservationLayout.of(still(CONFIG)) == ObservationLayout.of(CONFIG)
+    assert ObservationLayout.of(at_rest(CONFIG)) == ObservationLayout.of(CONFIG)

@@ -9,22 +9,23 @@ import pytest
 import torch
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LEAKS, Windows
+from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
-from hydro_agents.detection.head import LeakageEstimate, LeakageHead, quantiles, standardised
-from hydro_agents.detection.head_calibration import calibrated, size_target
+from hydro_agents.detection.head import LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
     CHECKPOINT_FILE,
     KIND,
-    HeadTrainingSettings,
+    calibrated,
     loss_of,
     make_network,
     network_tensors,
+    size_target,
     train_head,
     untrained_head,
 )
+from hydro_agents.detection.intervals import quantiles
 from hydro_agents.detection.monitor import MonitoredController
-from hydro_agents.detection.roc import area_under_roc
+from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -346,6 +347,6 @@ def test_a_state_that_was_given_is_never_changed(head):
 
 def test_inference_needs_no_torch():
     tree = Path("agents/hydro_agents/detection")
-    for name in ("head", "monitor", "features", "balance", "sheet", "spool"):
+    for name in ("head", "monitor", "features", "balance", "balance_parts", "damaged_signals", "intervals", "sheet"):
         assert "torch" not in (Path(__file__).parents[2] / tree / f"{name}.py").read_text().replace("PyTorch", "")
     assert len(SIGNALS) == 5

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.head_calibration import distances
-from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
+from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, distances, groups, intervals
 
 
 def answers(count, seed):

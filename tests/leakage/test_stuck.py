@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.detection.stuck import stuck_sensors
+from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import CHANNELS

@@ -5,16 +5,11 @@ from functools import partial
 import pytest
 
 from paper import run as command
-from paper.closed_loop import limit_table
-from paper.holding import holding_table
-from paper.results import RESULTS
-from paper.sensitivity import sensitivity_table
+from paper.sensitivity import RESULTS, sensitivity_table
 from paper.settling import friction_scan_table, settling_table
 
 QUICK = {
     "fig13_settling_time": partial(settling_table, leaks=(0.01, 1.0, 4.0)),
-    "stability_limit": partial(limit_table, leaks=(0.01, 4.0)),
-    "holding_error": partial(holding_table, leaks=(0.01, 4.0)),
     "sensitivity": partial(
         sensitivity_table, results=tuple(result for result in RESULTS if not result.name.startswith("settling"))
     ),

@@ -13,17 +13,7 @@ from hydro_agents.controllers.sampled_loop import (
     speed_per_command,
 )
 from hydro_env import PlantParameters, equilibrium, simulate
-from paper.closed_loop import (
-    GAIN_MARGIN,
-    achievable,
-    bandwidth,
-    closed_loop_run,
-    limit_table,
-    proportional,
-    sensible_gain,
-    settling_time,
-)
-from paper.frequency import closed_bode_table
+from paper.loop import bandwidth, closed_bode_table, closed_loop_run, sensible_gain
 from paper.moves import closed_moves_summary, closed_moves_table
 from paper.rig import Rig, simplified, with_leak
 
@@ -57,15 +47,13 @@ def test_response_of_an_integrator(integrator):
     assert integrator.final_value(gain) == pytest.approx(1.0)
 
 
-def test_bandwidth_and_settling_of_an_integrator(prompt_integrator):
+def test_bandwidth_and_steps_of_an_integrator(prompt_integrator):
     gain = 200.0
     k = gain * SPEED * CONTROL_PERIOD  # the error is multiplied by 1 − k in each period
     cosine = (1.0 + (1.0 - k) ** 2 - 2.0 * k**2) / (2.0 * (1.0 - k))
     assert bandwidth(prompt_integrator, gain) == pytest.approx(
         math.acos(cosine) / (2 * math.pi * CONTROL_PERIOD), rel=1e-4
     )
-    periods = math.ceil(math.log(0.02) / math.log(1.0 - k))
-    assert settling_time(prompt_integrator, gain) == pytest.approx(periods * CONTROL_PERIOD)
     assert prompt_integrator.step_response(gain, 3) == pytest.approx([1.0 - (1.0 - k) ** n for n in range(4)])
     assert prompt_integrator.largest_stable_gain() == pytest.approx(2.0 / (SPEED * CONTROL_PERIOD), rel=1e-6)
 
@@ -84,7 +72,7 @@ def test_response_is_that_of_the_nonlinear_plant(leak, hertz):
     place, gain, periods, size = 0.02, 300.0, 400, 1e-5
     reference = place + size * np.sin(2 * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))
     _, holding = equilibrium(plant(leak), place)
-    run = closed_loop_run(plant(leak), reference, proportional(gain, holding / 10.0), place)
+    run = closed_loop_run(plant(leak), reference, gain, place, holding / 10.0)
     late = slice(periods // 2, periods)
     position = run["position_m"].to_numpy()[::5][:periods][late] - place
     turning = np.exp(-2j * math.pi * hertz * CONTROL_PERIOD * np.arange(periods))[late]
@@ -101,9 +89,7 @@ def test_just_inside_the_limit_decays_and_just_outside_swings_up(law, leak, plac
     _, holding = equilibrium(axis, place)
     sizes = {}
     for share in (0.95, 1.05):
-        run = closed_loop_run(
-            axis, np.full(240, place), proportional(share * limit, holding / 10.0), place, deviation=1e-6
-        )
+        run = closed_loop_run(axis, np.full(240, place), share * limit, place, holding / 10.0, deviation=1e-6)
         error = (run["position_m"].to_numpy() - place)[::5]
         error = np.abs(error - error[-80:].mean())
         sizes[share] = error[-40:].max() / error[60:100].max()
@@ -118,32 +104,17 @@ def test_speed_per_command_is_what_the_plant_shows():
     assert run.velocity[-100:].mean() / 0.002 == pytest.approx(speed_per_command(axis, 0.0), rel=0.02)
 
 
-@pytest.fixture(scope="module")
-def limits():
-    return limit_table(Rig(), (0.01, 0.3, 4.0))
+def test_the_gain_keeps_the_margin_at_every_place():
+    axis = with_leak(PlantParameters(), 0.01, "laminar")
+    limits = [sampled_loop(axis, place).largest_stable_gain() for place in places_in_reach(axis)]
+    assert sensible_gain(Rig()) == pytest.approx(min(limits) / 2.0)
 
 
-def test_limits_are_those_of_the_loop_and_gains_keep_the_margin(limits):
-    row = limits.query("law == 'throttle' and leak_lpm == 0.3").iloc[4]
-    loop = sampled_loop(with_leak(PlantParameters(), 0.3, "throttle"), places_in_reach(PlantParameters())[4])
-    assert row["limit_per_m"] == pytest.approx(loop.largest_stable_gain())
-    assert row["bandwidth_hz"] == pytest.approx(bandwidth(loop, row["gain_per_m"]))
-    told = achievable(limits)
-    assert len(told) == 2 * 3
-    tight = told.query("law == 'laminar'").iloc[0]
-    assert tight["gain_per_m"] == pytest.approx(sensible_gain(Rig()))
-    assert tight["gain_per_m"] * GAIN_MARGIN <= tight["limit_per_m"] + 1e-9
-    grows = limits.query("law == 'laminar'").pivot(
-        index="leak_lpm", columns="position_mm", values="continuous_limit_per_m"
-    )
-    assert np.all(np.diff(grows[places_in_reach(PlantParameters())[4] * 1e3]) > 0.0)  # 2 ζ ω grows with the leak
-
-
-def test_settling_of_the_linear_loop_is_that_of_the_nonlinear_one():
+def test_a_step_of_the_linear_loop_is_that_of_the_nonlinear_one():
     axis, place, gain, step = plant(4.0), 0.022, 474.0, 2e-5
     loop = sampled_loop(axis, place)
     _, holding = equilibrium(axis, place)
-    run = closed_loop_run(axis, np.full(400, place + step), proportional(gain, holding / 10.0), place)
+    run = closed_loop_run(axis, np.full(400, place + step), gain, place, holding / 10.0)
     seen = (run["position_m"].to_numpy()[::5] - place) / step
     assert seen == pytest.approx(loop.step_response(gain, 400), abs=0.02)
 

@@ -10,7 +10,6 @@ from hydro_agents.commands.application import main
 from hydro_env import ConfigurationError
 from hydro_env.task.sensors import Sensors
 from paper import run as command
-from paper.figures import FIGURES, write_words
 from paper.moves import displacement_table
 from paper.rig import Rig
 
@@ -71,5 +70,13 @@ def test_recorded_displacement_has_the_noise_of_the_sensor():
     assert travel.is_monotonic_decreasing
 
 
-def test_displacement_words_name_the_sensor():
-    assert f"{1e3 * Sensors().position.noise:.3f} mm" in write_words(FIGURES[0], displacement_table(Rig()), Rig()).how
+def test_the_text_has_the_numbers_of_its_figure(folder):
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    sections = dict(re.findall(r'<section id="(\w+)">(.*?)</section>', page, flags=re.S))
+    assert f"noise {1e3 * Sensors().position.noise:.3f} mm" in " ".join(sections["fig12_displacement"].split())
+    table = pd.read_csv(folder / "fig13_settling_time.csv").query("law == 'laminar' and friction == 'none'")
+    tight = table[~table["valve_null_leakage"] & (table["leak_lpm"] == 0.01)]["clean_s"].item()
+    assert f"{tight:.2f} s at 0.01 l/min" in " ".join(sections["fig13_settling_time"].split())
+    bode = pd.read_csv(folder / "bode_closed_loop.csv").groupby("leak_lpm")["bandwidth_hz"].first()
+    text = " ".join(sections["bode_closed_loop"].split())
+    assert f"from {bode[0.01]:.1f} Hz to {bode[4.0]:.1f} Hz" in text

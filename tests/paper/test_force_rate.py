@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from paper.force_rate import TERMS, force_rate_table, share_table, shares
-from paper.page import equation_table
 from paper.rig import Rig
+from paper.run import equation_table
 
 
 @pytest.fixture(scope="module", params=["laminar", "throttle"])

@@ -13,8 +13,7 @@ from hydro_env.plant.parts.leakage import internal_leakage
 from hydro_env.plant.states import STATE_NAMES, State
 from hydro_env.task.sensors import Sensors
 from hydro_env.units import LITRE_PER_MINUTE
-from paper import settling
-from paper.figures import FIGURES, write_words
+from paper import settling, verdicts
 from paper.rig import LAWS, Rig, quick_stop, with_leak
 from paper.settling import settling_table, trends
 from paper.signals import (
@@ -146,15 +145,15 @@ def test_the_stop_is_at_time_zero():
     assert run.voltage[np.argmin(np.abs(run.time)) - 1] == 4.0
 
 
-def test_words_come_from_the_numbers(table):
-    words = write_words(next(entry for entry in FIGURES if entry.key == "fig13_settling_time"), table, Rig())
-    tight = picked(table, "laminar")["clean_s"].iloc[0]
-    assert f"from {tight:.2f} s" in words.found[0]
-    assert words.differs
+def test_the_table_of_the_page_has_every_combination(table):
+    shown = verdicts.settling(Rig(), table)
     combinations = table[["friction", "valve_null_leakage", "law"]].drop_duplicates()
-    models = len(settling.FRICTION_MODELS)
-    assert len(combinations) == models * 4
-    assert len(words.summary.rows) == models * 4 * 2 + 4  # noise-free and signal; linear theory without friction
+    assert len(combinations) == len(settling.FRICTION_MODELS) * 4
+    assert len(shown.table.rows) == len(combinations) * 2 + 4  # noise-free and signal; linear theory without friction
+    tight = picked(table, "laminar")["clean_s"].iloc[0]
+    assert shown.numbers["seconds"]("laminar", "none", False, 0.01) == tight
+    assert shown.table.rows[0][4] == f"{tight:.3f}"
+    assert shown.numbers["theory"]["largest"]["throttle"] > 10.0 * shown.numbers["theory"]["largest"]["laminar"]
 
 
 def test_one_entry_more_is_one_friction_model_more(monkeypatch):

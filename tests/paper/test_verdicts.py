@@ -1,48 +1,103 @@
-"""Verdicts on the paper's conclusions: from made-up facts with known answers, and as kept for the documentation."""
+"""Verdicts on the paper's conclusions: from made-up numbers with known answers, and as kept for the documentation."""
 
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from paper.verdicts import NO, PART, YES, verdict_table, verdicts_of
+from paper import verdicts
+from paper.rig import Rig
+from paper.run import verdict_table
+from paper.verdicts import NO, PART, YES
 
+NONE = float("nan")
+LOOP = {"peak": 1.0, "peak_hz": 1.0, "at_rest": 1.0, "largest_gain_per_m": 1.0}
 KEPT = Path(__file__).parents[2] / "docs" / "tables" / "verdicts.csv"
 
 
-def moves(last_mm=80.0, swing=(0.2, 0.02), with_friction=0.001):
-    ends = [{"move_mm": 100.0, "swing_mm": with_friction}, {"move_mm": last_mm, "swing_mm": with_friction}]
-    return {"first": ends[0], "last": ends[1], "swing": list(swing), "noise": 0.03}
+def given(monkeypatch, summary, rows):
+    """Let a summary of a figure be a made-up one."""
+    made = pd.DataFrame(rows)
+    monkeypatch.setattr(verdicts, summary, lambda *_: made)
 
 
 @pytest.mark.parametrize(
-    ("facts", "slows", "damps"),
+    ("last_mm", "swing_mm", "with_friction", "slows", "damps"),
     [
-        (moves(), YES, PART),  # friction hides the swing
-        (moves(with_friction=0.1), YES, YES),
-        (moves(last_mm=98.0, with_friction=0.1), PART, YES),
-        (moves(last_mm=101.0, swing=(0.2, 0.3)), NO, NO),
+        (80.0, 0.02, 0.001, YES, PART),  # friction hides the swing
+        (80.0, 0.02, 0.1, YES, YES),
+        (98.0, 0.02, 0.1, PART, YES),
+        (101.0, 0.3, 0.001, NO, NO),
     ],
 )
-def test_a_move(facts, slows, damps):
-    found = verdicts_of("fig12_displacement", "Fig. 12: displacement", facts)
+def test_a_move(monkeypatch, last_mm, swing_mm, with_friction, slows, damps):
+    ends = [{"leak_lpm": 0.01, "move_mm": 100.0, "swing_mm": 0.2}, {"leak_lpm": 4.0, "move_mm": last_mm}]
+    ends[1]["swing_mm"] = swing_mm
+    rows = [{**row, "friction": False} for row in ends]
+    rows += [{**row, "friction": True, "swing_mm": with_friction} for row in ends]
+    given(monkeypatch, "displacement_summary", [{**row, "noise_mm": 0.03, "back_mm": 0, "forth_mm": 0} for row in rows])
+    found = verdicts.displacement(Rig(), pd.DataFrame()).verdicts
     assert [verdict.verdict for verdict in found] == [slows, damps]
-    assert {verdict.figure for verdict in found} == {"Fig. 12"}
     assert "100.0 mm at 0.01 l/min" in found[0].finding
 
 
-@pytest.mark.parametrize(("growing", "verdict"), [((1.5, 2.0), YES), ((0.5, 2.0), PART), ((0.5, 0.9), NO)])
-def test_the_share_of_leakage(growing, verdict):
-    law = {"name": "Laminar leak", "low": {"percent": "1", "bar": "0 to 2"}, "high": {"percent": "6", "bar": "6 to 8"}}
-    facts = {"ratio": pd.Series(growing), "laws": [law | {"persists": False}], "lowest": 0.0}
-    negligible, grows = verdicts_of("section4_share", "Section 4: share", facts)
-    assert (negligible.verdict, grows.verdict) == (YES, verdict)
-    facts["laws"] = [law | {"persists": True}, law | {"persists": False}]
-    assert verdicts_of("section4_share", "Section 4: share", facts)[0].verdict == PART
+@pytest.mark.parametrize(("largest_mm", "verdict"), [(1.3, YES), (1.1, PART), (1.0, NO)])
+def test_a_move_in_a_closed_loop(monkeypatch, largest_mm, verdict):
+    rows = [{"largest_mm": size, "left_mm": 0.0, "command": 0.0} for size in (1.0, largest_mm)]
+    given(monkeypatch, "closed_moves_summary", rows)
+    assert verdicts.closed_moves(Rig(), pd.DataFrame()).verdicts[0].verdict == verdict
 
 
-def test_figures_without_a_conclusion_of_the_paper():
-    assert verdicts_of("sensitivity", "Further: sensitivity", {}) == []
+@pytest.mark.parametrize(
+    ("bandwidth_hz", "hump", "harder", "damped"),
+    [(30.0, 0.1, YES, YES), (39.5, NONE, NO, YES), (40.0, 0.9, NO, NO)],
+)
+def test_a_closed_loop(monkeypatch, bandwidth_hz, hump, harder, damped):
+    rows = [{**LOOP, "bandwidth_hz": 40.0, "hump": 0.9}, {**LOOP, "bandwidth_hz": bandwidth_hz, "hump": hump}]
+    given(monkeypatch, "closed_bode_summary", rows)
+    found = verdicts.closed_loop(Rig(), pd.DataFrame()).verdicts
+    assert [verdict.verdict for verdict in found] == [harder, damped]
+
+
+@pytest.mark.parametrize(("peak", "damped"), [(1.0, YES), (1.25, NO)])
+def test_a_loop_without_a_peak_of_the_oil_column(monkeypatch, peak, damped):
+    rows = [{**LOOP, "bandwidth_hz": 40.0, "hump": NONE, "peak": size} for size in (1.25, peak)]
+    given(monkeypatch, "closed_bode_summary", rows)
+    verdict = verdicts.closed_loop(Rig(), pd.DataFrame()).verdicts[1]
+    assert verdict.verdict == damped
+    assert f"the largest gain is 1.25 at 0.01 l/min and {peak:.2f} at 4 l/min" in verdict.finding
+
+
+def shares(*ends):
+    """Shares at the lowest and at the highest difference, of one leak per law."""
+    return pd.DataFrame(
+        {
+            "law": law,
+            "leak_lpm": 4.0,
+            "difference_low_bar": low,
+            "difference_high_bar": low + 2.0,
+            "leakage_share": part,
+        }
+        for law, pair in zip(("laminar", "throttle"), ends, strict=True)
+        for low, part in zip((0.0, 6.0), pair, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("laminar", "throttle", "negligible", "grows"),
+    [
+        ((0.01, 0.06), (0.01, 0.05), YES, YES),
+        ((0.01, 0.06), (0.05, 0.06), PART, YES),
+        ((0.06, 0.01), (0.05, 0.06), NO, PART),
+        ((0.06, 0.01), (0.06, 0.05), NO, NO),
+    ],
+)
+def test_the_share_of_leakage(laminar, throttle, negligible, grows):
+    found = verdicts.share(Rig(), shares(laminar, throttle)).verdicts
+    assert [verdict.verdict for verdict in found] == [negligible, grows]
+
+
+def test_without_figures_there_is_no_verdict():
     assert list(verdict_table([]).columns) == ["figure", "conclusion", "verdict", "finding"]
 
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 from itertools import pairwise
 from xml.etree import ElementTree
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import open_page, problems_everywhere
+from published import assert_published_page
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.head_training import untrained_head
@@ -18,8 +20,8 @@ from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evalu
 from hydro_agents.report.canvas import looks_of
 from hydro_agents.report.content import interval_text
 from hydro_agents.report.leaks import LOOKS
+from hydro_agents.report.pages import StudyRecord, content_of, render_report, write_report, write_tables
 from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
-from hydro_agents.report.report import StudyRecord, content_of, render_report, write_report, write_tables
 from hydro_agents.report.study_findings import caution, failed_runs, findings_of, verdict
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
@@ -512,6 +514,10 @@ def written(evaluation, tmp_path_factory):
     price = leak_price(CONFIG, (0.01, 4.0))
     write_report(path, evaluation, replace(record(examples), leak_price=price, corrects={ODD_NAME: "PID"}))
     return path
+
+
+def test_the_page_holds_the_published_sections(written):
+    assert_published_page("study", written.read_text(encoding="utf-8").replace(escape(ODD_NAME), "PPO"))
 
 
 def test_nothing_is_cut_off_in_a_browser(browser, written):

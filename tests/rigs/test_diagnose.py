@@ -6,6 +6,7 @@ import pytest
 import yaml
 from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
+from published import assert_published_page
 from recorded import recorded_file
 
 FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
@@ -33,6 +34,7 @@ def test_record_and_diagnose_from_the_command_line(tmp_path, browser):
     assert problems_everywhere(browser, tmp_path / "out" / "diagnosis.html") == []
     page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
     assert "Internal leak of 0." in page
+    assert_published_page("diagnosis", page)
     assert "src=" not in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert_one_clear_line(hydro("diagnose", file, "--output", tmp_path / "out"), "holds results already")

@@ -9,6 +9,7 @@ import pytest
 import yaml
 from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
+from published import assert_published_page
 from recorded import SEED, recorded_file
 
 from hydro_agents.recordings.recording import read_recording
@@ -106,6 +107,7 @@ def test_the_new_rig_file_is_written_for_a_person(done):
 
 def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):
     page = (done[0] / "identification.html").read_text(encoding="utf-8")
+    assert_published_page("identification", page)
     assert "load: viscous damping" in page
     assert "src=" not in page
     assert "http" not in page.replace("http://www.w3.org", "")

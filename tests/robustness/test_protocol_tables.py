@@ -8,7 +8,7 @@ from small_protocol import Proportional, small
 
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import Participants
-from hydro_agents.evaluation.runner import STATUS, Results, run
+from hydro_agents.evaluation.runner import Results, run
 
 FAMILIES, LEAKS, PLANTS = ("step", "sine"), (0.03, 4.0), 6
 BASE = {"step": 0.5, "sine": 0.1}
@@ -47,7 +47,9 @@ def rows(controller, factor, condition="plain", group="leak", seed=0, scatter=0.
 def results_of(cases, bound=None):
     """Results with made-up cases, one failure, and two limit cycles."""
     status = [(name, "plain", "done", "") for name in cases["controller"].unique()]
-    status = pd.DataFrame([*status, ("good#1", "late", "failed", "why")], columns=STATUS)
+    status = pd.DataFrame(
+        [*status, ("good#1", "late", "failed", "why")], columns=["controller", "condition", "status", "message"]
+    )
     cycles = pd.DataFrame({"controller": ["PID", "PID", "good"], "limit_cycle": [1.0, 1.0, 0.0]})
     parts = {"tracking": cases, "standstill": cycles} | ({} if bound is None else {"best_found": bound})
     return Results(small(worst=3), Participants({}), parts, status)

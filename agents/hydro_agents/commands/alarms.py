@@ -51,15 +51,16 @@ def alarms(
     evidence on validation seeds, keeps the one that finds leaks soonest, and tests it on test seeds: false alarms,
     delays, leaks from the start, other faults, growth. It writes `alarm.yaml` (the settings), `alarms.md` and one CSV
     per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
-    shows how long on your machine. Ctrl-C keeps finished parts, and `--resume` continues.
+    shows how long on your machine. Ctrl-C keeps the finished jobs, and `--resume` continues.
     """
-    from hydro_agents.detection.alarm_job import SIZES, run_job
-    from hydro_agents.detection.alarm_store import PATTERN, Bench
-    from hydro_agents.detection.detectors import HEAD_FILE, DetectorChoice, make_detector
+    from hydro_agents.detection.alarm_job import SIZES, Bench, run_job
+    from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
+    from hydro_agents.detection.monitor import HEAD_FILE
     from hydro_agents.learning.opponents import shipped
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.running.text import frame_markdown
     from hydro_env import ConfigurationError
     from hydro_env.files import validate, write_text
@@ -78,13 +79,14 @@ def alarms(
     window_of(watching, config)  # refuses a task that it cannot read
     name = f"leakage head {Path(head or HEAD_FILE).name}" if detector == "head" else detector
     controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
-    names = ["alarm.yaml", "alarms.md", "*.csv", PATTERN]
+    names = ["alarm.yaml", "alarms.md", "*.csv", f"{JOBS_FOLDER}/*.npz"]
     with (
         output_folder(output, "alarms", names, resume=resume, overwrite=overwrite) as folder,
         ProgressDisplay() as display,
     ):
-        bench = Bench(config, controllers, watching, name, folder, together=16 if detector == "estimator" else 128)
-        settings, tables = run_job(bench, job, display.update)
+        together = 16 if detector == "estimator" else 128
+        bench = Bench(config, controllers, watching, name, folder, together, display.update)
+        settings, tables = run_job(bench, job)
         settings.save(folder / "alarm.yaml")
         parts = [f"`{command_line()}`"]
         for name, table in tables.items():

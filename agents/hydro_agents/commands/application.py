@@ -9,29 +9,12 @@ import shutil
 import signal
 import sys
 import textwrap
-from collections.abc import Callable
+from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from hydro_agents.commands.alarms import alarms
-from hydro_agents.commands.bound import bound
-from hydro_agents.commands.check_rig import check_rig
-from hydro_agents.commands.checkout import benchmark, reproduce
-from hydro_agents.commands.diagnose import diagnose
-from hydro_agents.commands.evaluate import evaluate
-from hydro_agents.commands.export import export
-from hydro_agents.commands.identify import identify
-from hydro_agents.commands.ladder import ladder
-from hydro_agents.commands.leak_bound import leak_bound
-from hydro_agents.commands.move_design import design_test_move
-from hydro_agents.commands.new_rig import new_rig
-from hydro_agents.commands.record import record
-from hydro_agents.commands.render import render
-from hydro_agents.commands.simulate import simulate
-from hydro_agents.commands.study import study
-from hydro_agents.commands.train import train
 from hydro_agents.running.console import discard_output
 from hydro_env import HydroError, __version__
 
@@ -49,20 +32,60 @@ class _Commands(TyperGroup):
             _end(getattr(stop, "exit_code", 130), "; ".join(["stopped", *getattr(stop, "__notes__", [])]))
 
 
-app = typer.Typer(
-    name="hydro",
-    cls=_Commands,
-    no_args_is_help=True,
-    rich_markup_mode="markdown",
-    pretty_exceptions_enable=False,
-    add_completion=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="""A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
+HELP = """A hydraulic servo axis whose piston seal may leak: simulate it, learn to control it, detect the leak.
 
 Begin with `hydro study` (the whole job; it soon says how many minutes it takes on your machine), or with
 `hydro simulate --leakage 1` (one run, a few seconds). Leaks are in l/min at 100 bar across the piston, as in practice:
-up to 0.03 is healthy, 1 to 4 is severe.""",
-)
+up to 0.03 is healthy, 1 to 4 is severe."""
+
+GROUPS = {
+    "A rig": {
+        "new-rig": "new_rig",
+        "check-rig": "check_rig",
+        "identify": "identify",
+        "simulate": "simulate",
+        "record": "record",
+    },
+    "Controllers": {
+        "study": "study",
+        "train": "train",
+        "evaluate": "evaluate",
+        "render": "render",
+        "export": "export",
+        "bound": "bound",
+        "ladder": "ladder",
+    },
+    "The leak": {
+        "diagnose": "diagnose",
+        "alarms": "alarms",
+        "test-move": "move_design:design_test_move",
+        "leak-bound": "leak_bound",
+    },
+    "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},
+}
+"""All commands under the headings of the help: by name the module, and its function if that has another name."""
+
+
+def application(only: str = "") -> typer.Typer:
+    """The whole application, or one with a single command: the modules of the others are not loaded."""
+    app = typer.Typer(
+        name="hydro",
+        cls=_Commands,
+        no_args_is_help=True,
+        rich_markup_mode="markdown",
+        pretty_exceptions_enable=False,
+        add_completion=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help=HELP,
+    )
+    app.callback()(common)
+    for heading, commands in GROUPS.items():
+        for name, place in commands.items():
+            if not only or name == only:
+                module, _, function = place.partition(":")
+                command = getattr(import_module(f"hydro_agents.commands.{module}"), function or module)
+                app.command(name, rich_help_panel=heading)(command)
+    return app
 
 
 def _print_version(wanted: bool) -> None:
@@ -71,7 +94,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def common(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -79,38 +101,6 @@ def common(
 ) -> None:
     """Options of all commands."""
     del version
-
-
-GROUPS: dict[str, dict[str, Callable[..., None]]] = {
-    "A rig": {
-        "new-rig": new_rig,
-        "check-rig": check_rig,
-        "identify": identify,
-        "simulate": simulate,
-        "record": record,
-    },
-    "Controllers": {
-        "study": study,
-        "train": train,
-        "evaluate": evaluate,
-        "render": render,
-        "export": export,
-        "bound": bound,
-        "ladder": ladder,
-    },
-    "The leak": {
-        "diagnose": diagnose,
-        "alarms": alarms,
-        "test-move": design_test_move,
-        "leak-bound": leak_bound,
-    },
-    "The paper, and this machine": {"reproduce": reproduce, "benchmark": benchmark},
-}
-"""All commands by name, under the headings of the help."""
-
-for heading, commands in GROUPS.items():
-    for name, command in commands.items():
-        app.command(name, rich_help_panel=heading)(command)
 
 
 class _Stopped(KeyboardInterrupt):
@@ -129,6 +119,8 @@ def main() -> None:
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
             signal.signal(number, _stop)
     try:
+        names = [name for commands in GROUPS.values() for name in commands]
+        app = application(next((word for word in sys.argv[1:2] if word in names), ""))
         code = app(standalone_mode=False, prog_name="hydro")
         sys.exit(code if isinstance(code, int) else 0)
     except _UsageError as error:

@@ -81,22 +81,24 @@ def evaluate(
     from hydro_env.files import validate, write_yaml
 
     if protocol is not None:
-        from hydro_agents.commands.leak_protocol import evaluate_leak_protocol
-        from hydro_agents.commands.robustness import Place, evaluate_protocol
-        from hydro_agents.evaluation.leak_protocol import is_leak_protocol
+        from hydro_agents.commands.robustness import Options, evaluate_protocol
+        from hydro_env.files import read_yaml
         from hydro_env.folders import config_file
 
-        file, place = config_file("protocols", protocol), Place(task, rig, output)
-        about_leaks = is_leak_protocol(file)
+        file = config_file("protocols", protocol)
+        options = Options(task, rig, output, jobs, resume, overwrite, command_line())
+        about_leaks = read_yaml(file).get("kind") == "leakage"
         # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
         foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
         for option, value in {**foreign, "--plants": plants}.items():
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
         if about_leaks:
-            evaluate_leak_protocol(file, head, place, jobs, resume, overwrite, command_line())
+            from hydro_agents.commands.leak_protocol import evaluate_leak_protocol
+
+            evaluate_leak_protocol(file, head, options)
             return
-        evaluate_protocol(protocol, named_agents(agent), config, place, jobs, resume, overwrite, command_line())
+        evaluate_protocol(protocol, named_agents(agent), config, options)
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, show
+from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
 
 MovingController = Annotated[
     str,
@@ -44,6 +44,7 @@ def leak_bound(
     ] = None,
     controller: MovingController = "pid",
     plants: Annotated[int | None, typer.Option(min=3, max=10_000, help="Plants per motion and leak.")] = None,
+    resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Compute how precisely any method could estimate the leak: the Cramér–Rao bound.
@@ -51,14 +52,16 @@ def leak_bound(
     The bound is the smallest standard deviation, in l/min at 100 bar, that the sensors, their noise and the motion
     allow when the plant's equations are known but its parameters are not. The command compares sets of unknowns, sets
     of sensors, lengths of the window, and motions. It takes some minutes; its first parts show how many on your
-    machine. It writes all numbers as CSV, tables as Markdown and a picture.
+    machine. It writes all numbers as CSV, tables as Markdown and a picture. Ctrl-C keeps the finished jobs, and
+    `--resume` goes on.
     """
-    from hydro_agents.evaluation.leak_bound_survey import SurveySettings, checked, survey
-    from hydro_agents.evaluation.leak_bound_tables import as_markdown
+    from hydro_agents.evaluation.leak_bound import SurveySettings, checked, survey
     from hydro_agents.learning.opponents import opponent
     from hydro_agents.report.bound_plots import bound_picture
+    from hydro_agents.report.leak_bound import bound_markdown
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_env.files import validate, write_text, write_whole
     from hydro_env.task.configuration import task_config
 
@@ -67,10 +70,13 @@ def leak_bound(
     config = task_config(task, rig=rig)
     checked(settings, config)
     moving = opponent(controller, config, f"--controller {controller}")
-    files = ["leak_bound.csv", "leak_bound.md", "leak_bound.png"]
-    with output_folder(output, "leak-bound", files, overwrite=overwrite), ProgressDisplay() as display:
-        table = survey(config, moving, settings, display.update)
-        text = as_markdown(table)
+    files = ["leak_bound.csv", "leak_bound.md", "leak_bound.png", f"{JOBS_FOLDER}/*.npz"]
+    with (
+        output_folder(output, "leak-bound", files, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        table = survey(config, moving, settings, output, display.update)
+        text = bound_markdown(table)
         write_text(output / "leak_bound.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "leak_bound.md", f"`{command_line()}`\n\n{text}\n")
         write_whole(output / "leak_bound.png", bound_picture(table))

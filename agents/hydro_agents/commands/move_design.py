@@ -39,12 +39,14 @@ def design_test_move(
     estimates from ordinary motion, slow motion and rest. It takes some minutes; its first parts show how many on
     your machine. `move.csv` holds the reference for your own axis.
     """
-    from hydro_agents.estimation.move_design import MoveSettings, design, limits_of
-    from hydro_agents.evaluation.move_trial import gain, move_table, trial, trial_markdown
+    from hydro_agents.estimation.move_design import MoveSettings, design, limits_of, moved
+    from hydro_agents.evaluation.leak_bound import trial
     from hydro_agents.learning.opponents import opponent
     from hydro_agents.report.bound_plots import move_picture
+    from hydro_agents.report.leak_bound import gain, move_table, trial_markdown
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
+    from hydro_agents.running.seeds import EVALUATION
     from hydro_env.files import validate, write_text, write_whole
     from hydro_env.task.configuration import task_config
 
@@ -66,10 +68,11 @@ def design_test_move(
         lines = [f"{config.control_period * k:.6g},{x:.6f}" for k, x in enumerate(reference)]
         write_text(output / "move.csv", "\n".join(["time_s,reference_m", *lines]) + "\n")
         leaks = (0.0, leak) if leak > 0.0 else (0.0,)
-        table, windows = trial(config, moving, best.move, leaks, plants, display.update)
+        table = trial(config, moving, best.move, leaks, plants, display.update)
         text = f"{move_table(best.move)}\n\n{gain(best)}\n\n{trial_markdown(table)}"
         write_text(output / "trial.csv", table.to_csv(index=False, float_format="%.6g"))
         write_text(output / "test_move.md", f"`{command_line()}`\n\n{text}\n")
+        windows = moved(config, moving, best.move, EVALUATION.take(plants), plants, leaks[-1])
         write_whole(output / "test_move.png", move_picture(best.move, windows, table, config.control_period))
     show(text)
     say(f"results in {output}")

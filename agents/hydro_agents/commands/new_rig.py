@@ -14,8 +14,7 @@ from hydro_agents.commands.options import OverwriteFile, check_new_file, say
 from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 
-BACK = "<"
-"""Typed as an answer: asks the question before once more."""
+BACK = "<"  # typed as an answer: asks the question before once more
 
 
 def _with_an_option_per_question(command: Callable[..., None]) -> Callable[..., None]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import pandas as pd
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.conditions import file_sha256
+from hydro_agents.evaluation.conditions import Protocol, file_sha256
 from hydro_agents.evaluation.participants import (
     CONDITION_MARK,
     Participants,
@@ -20,9 +20,11 @@ from hydro_agents.evaluation.participants import (
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
+from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.robustness import PAGE_FILE
-from hydro_agents.report.robustness_page import write_robustness_report
+from hydro_agents.report.pages import with_traces
+from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
+from hydro_agents.report.sections import render_page, sections_named
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
@@ -36,66 +38,109 @@ from hydro_env.folders import config_file
 
 PROTOCOL_FILE = "protocol.yaml"
 
+AnyProtocol = TypeVar("AnyProtocol", bound=Protocol[Any])
 
-class Place(NamedTuple):
-    """Where a protocol runs; ``None`` means the protocol's own value."""
+
+class Options(NamedTuple):
+    """How a protocol runs; ``None`` means the protocol's own value, or the default."""
 
     task: str | None  # name or file
     rig: Path | None
     output: Path | None  # default: results/<name of the protocol>
+    jobs: int | None  # side by side; default: one per core
+    resume: bool  # use the finished jobs in the folder
+    overwrite: bool  # replace the results in the folder
+    command: str  # the command line
+
+    def moved(self, protocol: AnyProtocol) -> AnyProtocol:
+        """The protocol with another task or on another rig, if one is given."""
+        return protocol if self.task is None and self.rig is None else protocol.moved(self.task, self.rig)
 
 
-def evaluate_protocol(
-    name: str,
-    agents: Mapping[str, str],
-    study_file: Path | None,
-    place: Place,
-    jobs: int | None,
-    resume: bool,
-    overwrite: bool,
-    command: str,
-) -> None:
-    """Run a protocol, write its tables and its page.
+class PageOf(NamedTuple):
+    """The page of a kind of protocol."""
+
+    file: str
+    sections: Sequence[str]  # unless the protocol names its own
+    content: Callable[[Results], Content]
+
+
+def evaluate_protocol(name: str, agents: Mapping[str, str], study_file: Path | None, options: Options) -> None:
+    """Run a robustness protocol, write its tables and its page.
 
     Args:
         name: of the protocol in ``configs/protocols``, or the path of a YAML file.
         agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
         study_file: a study whose controllers take part; default: all shipped controllers.
-        place: another task or rig, and the folder for the results.
-        jobs: number of jobs side by side; default: one per core.
-        resume: whether to use the finished jobs in the folder.
-        overwrite: whether to replace the results in the folder.
-        command: the command line.
+        options: how it runs.
 
     Raises:
         ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed (the
             results of the others are written first).
     """
-    protocol, file = protocol_named(name)
-    if place.task is not None or place.rig is not None:
-        protocol = protocol.moved(place.task, place.rig)
+    shipped, file = protocol_named(name)
+    protocol = options.moved(shipped)
     chosen = _participants(protocol, agents, study_file)
-    output = place.output if place.output is not None else Path("results") / file.stem
-    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", PAGE_FILE, FIGURE_FILES]
-    with output_folder(output, "evaluate", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
+
+    def content(results: Results) -> Content:
+        return with_traces(Content(results.tables(), protocol.task), lambda row: replay(protocol, chosen, row))
+
+    run_protocol(protocol, file, chosen, options, PageOf(PAGE_FILE, ROBUSTNESS, content), _print_ranking)
+
+
+def run_protocol(
+    protocol: Protocol[Any],
+    file: Path,
+    chosen: Any,
+    options: Options,
+    page: PageOf,
+    print_summary: Callable[[Results, ProgressDisplay], None],
+    notes: Sequence[str] = (),
+) -> None:
+    """Run a protocol of any kind, and write its tables and its page.
+
+    Args:
+        protocol: conditions and parts.
+        file: of the protocol.
+        chosen: the participants.
+        options: how it runs.
+        page: its page.
+        print_summary: prints the main figures.
+        notes: lines to print before the protocol runs.
+
+    Raises:
+        ConfigurationError: the folder cannot be used, or a participant failed (the results of the others are written
+            first).
+    """
+    sections_named(protocol.sections, f"{file}: sections")
+    output = options.output if options.output is not None else Path("results") / file.stem
+    writes = [PROTOCOL_FILE, f"{JOBS_FOLDER}/*.npz", "tables/*.csv", page.file, FIGURE_FILES]
+    with (
+        output_folder(output, "evaluate", writes, resume=options.resume, overwrite=options.overwrite),
+        ProgressDisplay() as display,
+    ):
         write_yaml(output / PROTOCOL_FILE, protocol.model_dump(mode="json"))
+        for note in notes:
+            display.say(note)
         facts = {
             "file": str(file),
             "file_sha256": file_sha256(file),
             "date": date_now(),
-            "command": command,
+            "command": options.command,
             "machine": machine_description(),
             **package_versions(),
         }
-        results = run(protocol, chosen, output, jobs or default_jobs(), display.update, list(facts.items()))
+        jobs = options.jobs or default_jobs()
+        results = run(protocol, chosen, output, jobs, display.update, list(facts.items()))
         results.write(output / "tables")
         display.update("page", 0, 1)
-        write_robustness_report(output, results.tables(), protocol.task, lambda row: replay(protocol, chosen, row))
+        sections = protocol.sections or page.sections
+        render_page(protocol.title, sections, page.content(results)).write(output / page.file)
         display.update("page", 1, 1)
-    _print_ranking(results, display)
+    print_summary(results, display)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
-    display.say(f"page: {(output / PAGE_FILE).resolve()}")
+    display.say(f"page: {(output / page.file).resolve()}")
     if errors := results.errors:
         more = f" (and {len(errors) - 1} more, see tables/status.csv)" if len(errors) > 1 else ""
         raise ConfigurationError(f"{errors[0]}{more}; {output} holds the other results")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.alarm_calibration import Candidate, OnsetLooks, calibrate
 from hydro_agents.detection.alarm_proof import (
@@ -20,9 +23,10 @@ from hydro_agents.detection.alarm_proof import (
     growth_table,
     share_table,
 )
-from hydro_agents.detection.alarm_simulation import Onset, Operation
-from hydro_agents.detection.alarm_store import Bench
-from hydro_agents.detection.looks import Activity
+from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.detector import Detector
+from hydro_agents.detection.looks import Activity, Looks, joined
+from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_agents.running.seeds import (
     ALARM_CALIBRATION,
     ALARM_CALIBRATION_ONSETS,
@@ -32,9 +36,9 @@ from hydro_agents.running.seeds import (
     ALARMS,
     SeedRange,
 )
+from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 
-Progress = Callable[[str, int, int], None]
 LEVELS = (0.1, 0.3, 1.0)
 """Leaks of the onsets, l/min at 100 bar; the alarm is designed for the first."""
 
@@ -77,68 +81,130 @@ SIZES = {
 """Default sizes by detector: for one look the estimator takes a thousand times as long as the head."""
 
 
+class Work(NamedTuple):
+    """Axes at work, and the onsets that each continue the same axes."""
+
+    operation: Operation
+    onsets: tuple[Onset, ...] = ()
+
+    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
+        """Its looks, onset by onset."""
+        before, *each = looks
+        time = self.operation.duration
+        return [OnsetLooks(onset, time, before, after) for onset, after in zip(self.onsets, each, strict=True)]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Settings that all looks of a calibration share."""
+
+    config: TaskConfig
+    controllers: Mapping[str, Controller]  # in turn, one for each job
+    detector: Detector
+    detector_name: str
+    folder: Path | None = None  # for the results of the jobs; None keeps none
+    together: int = 128  # largest number of axes of a job
+    progress: Report | None = None  # called when a job finishes
+
+    def looks(self, work: Mapping[str, Work]) -> dict[str, list[Looks]]:
+        """Looks up to the onset, and after each onset; see :func:`~hydro_agents.detection.alarm_simulation.simulate`.
+
+        Raises:
+            ConfigurationError: an operation is shorter than a window, or an axis cannot begin.
+        """
+        jobs: dict[tuple[str, int], Job] = {}
+        acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers.values()]
+        for name, (operation, onsets) in work.items():
+            fair = math.ceil(operation.axes / len(acting))
+            size = self.together if operation.axes > self.together else fair  # each controller gets a part
+            for number, first in enumerate(range(0, operation.axes, size)):
+                participant, digest = acting[number % len(acting)]
+                count = min(size, operation.axes - first)
+                part = replace(operation, first_seed=operation.first_seed + first, axes=count)
+                jobs[name, number] = Job(simulated, participant, (self.config, part, onsets), digest)
+        named = {f"{name}|{number}": job for (name, number), job in jobs.items()}
+        results = run_jobs(named, self.folder, None, self.progress)[0]
+        found: dict[str, list[list[Looks]]] = {name: [] for name in work}
+        for name, number in jobs:
+            result = results[f"{name}|{number}"]
+            if result.error:
+                raise ConfigurationError(result.error)
+            count = 1 + len(work[name].onsets)
+            fields = [{key: result.metrics[f"{index}.{key}"] for key in Looks._fields} for index in range(count)]
+            found[name].append([Looks(**each) for each in fields])
+        return {name: [joined(column) for column in zip(*parts, strict=True)] for name, parts in found.items()}
+
+
+def simulated(
+    acting: tuple[Controller, Detector], config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...]
+) -> Columns:
+    """The looks of :func:`~hydro_agents.detection.alarm_simulation.simulate`, named ``0.time``, ``0.score``, ….
+
+    Raises:
+        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+    """
+    controller, detector = acting
+    each = simulate(config, controller, detector, operation, onsets)
+    return {f"{index}.{key}": values for index, looks in enumerate(each) for key, values in looks._asdict().items()}
+
+
 class Result(NamedTuple):
-    """Settings of the best candidate, comparison of the candidates, and the tables of the test by name."""
+    """Settings of the best candidate, and the tables of the test by name."""
 
     settings: AlarmSettings
     tables: dict[str, pd.DataFrame]
 
 
-@dataclass(frozen=True)
-class _Simulated:
-    """Looks at axes at work."""
-
-    bench: Bench
-    job: AlarmJob
-    name: str
-    progress: Progress | None
-
-    def healthy(self, seeds: SeedRange) -> Operation:
-        axes = self.job.axes_of_healthy
-        return Operation(seeds.take(axes).start, axes, self.job.shift, self.job.interval)
-
-    def found(self, part: str, seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> list[OnsetLooks]:
-        past, first_seed = self.job.past, seeds.take(self.job.axes).start
-        work = Operation(first_seed, self.job.axes, past, self.job.interval, after=after)
-        before, *each = self.bench.looks(f"{self.name}_{part}", work, onsets, self.progress)
-        return [OnsetLooks(onset, past, before, looks) for onset, looks in zip(onsets, each, strict=True)]
-
-
-def run_job(bench: Bench, job: AlarmJob, progress: Progress | None = None) -> Result:
+def run_job(bench: Bench, job: AlarmJob) -> Result:
     """Calibrate an alarm and test it.
 
     Args:
         bench: task, controllers, detector and folder.
         job: sizes.
-        progress: called with a phase, the number of axes done, and their number.
 
     Raises:
-        ConfigurationError: too few hours, or files in the folder that belong to another job.
-        KeyboardInterrupt: Ctrl-C; the parts that are finished remain in the folder.
+        ConfigurationError: too few hours, or a score that does not rise with the leak.
+        KeyboardInterrupt: Ctrl-C; the finished jobs remain in the folder.
     """
+
+    def healthy(seeds: SeedRange) -> Work:
+        axes = job.axes_of_healthy
+        return Work(Operation(seeds.take(axes).start, axes, job.shift, job.interval))
+
+    def leaking(seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> Work:
+        return Work(Operation(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after), onsets)
+
     leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
-    validation = _Simulated(bench, job, "validation", progress)
-    healthy = bench.looks("validation_healthy", validation.healthy(ALARM_CALIBRATION), progress=progress)[0]
-    found = validation.found("onsets", ALARM_CALIBRATION_ONSETS, leaks, job.after)
+    work = {
+        "validation_healthy": healthy(ALARM_CALIBRATION),
+        "validation_onsets": leaking(ALARM_CALIBRATION_ONSETS, leaks, job.after),
+    }
+    looks = bench.looks(work)
+    found = work["validation_onsets"].found(looks["validation_onsets"])
     design = [each for each in found if each.onset.leak_lpm == LEVELS[0]]
     moving = [each for each in found if each.onset.then == Activity.MOVING]
-    tried = calibrate(healthy, design, moving, job.rate, job.learning, bench.detector_name)
+    quiet = looks["validation_healthy"][0]
+    tried = calibrate(quiet, design, moving, job.rate, job.learning, bench.detector_name)
     settings = tried[0].settings
 
-    test = _Simulated(bench, job, "test", progress)
     others = tuple(Onset(fault=fault) for fault in FAULTS)
-    after = test.found("onsets", ALARM_ONSETS, (*leaks, *others), job.after)
-    starts = []
-    for number, level in enumerate(LEVELS):
-        seeds = ALARM_STARTS.take(job.axes, 10_000 * number)
-        work = Operation(seeds.start, job.axes, job.past, job.interval, leak_lpm=level)
-        starts.append((f"{level:g} l/min from the start", bench.looks(f"test_start_{level:g}", work, (), progress)[0]))
-    growing = test.found("growth", ALARM_GROWTH, (Onset(3.0, grows=True),), after=job.past)
+    starts = {f"{level:g} l/min from the start": level for level in LEVELS}
+    work = {
+        "healthy": healthy(ALARMS),
+        "onsets": leaking(ALARM_ONSETS, (*leaks, *others), job.after),
+        "growth": leaking(ALARM_GROWTH, (Onset(3.0, grows=True),), job.past),
+    }
+    for number, (name, level) in enumerate(starts.items()):
+        first = ALARM_STARTS.take(job.axes, 10_000 * number).start
+        work[name] = Work(Operation(first, job.axes, job.past, job.interval, leak_lpm=level))
+    looks = bench.looks(work)
+    after = work["onsets"].found(looks["onsets"])
+    growing = work["growth"].found(looks["growth"])
     tables = {
         "candidates": _candidates(tried),
-        "false_alarms": false_alarms(settings, bench.looks("test_healthy", test.healthy(ALARMS), progress=progress)[0]),
+        "false_alarms": false_alarms(settings, looks["healthy"][0]),
         "delays": delay_table(settings, after[: len(leaks)]),
-        "from_the_start": share_table(settings, starts),
+        "from_the_start": share_table(settings, [(name, looks[name][0]) for name in starts]),
         "other_faults": fault_table(settings, after[len(leaks) :]),
         "growth": growth_summary(growth_table(growing[0], LIMIT_LPM, LEVELS[0])),
     }

@@ -27,9 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.normal_equations import factor, hold, substitute, whiten
+from hydro_agents.detection.balance_parts import best_valve, factor, hold, spool_between, substitute, whiten
 from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
-from hydro_agents.detection.spool import best_valve, spool_between
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes

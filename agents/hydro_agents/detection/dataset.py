@@ -1,21 +1,27 @@
-"""Labelled windows for the training of the leakage head: simulated axes in many kinds of operation, with faults."""
+"""Settings and windows of the leakage head's training: simulated axes in many kinds of operation, with faults."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.detection.detector import CAUSE_OF_FAULT
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, features_of
-from hydro_agents.detection.manners import OPERATIONS, Operation
+from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
+from hydro_agents.detection.operations import OPERATIONS, Operation
 from hydro_agents.detection.sheet import Sheet, sheet_of
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import TaskConfig
-from hydro_env.task.configuration import task_config
+from hydro_agents.running.seeds import THRESHOLDS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, faults_of
 from hydro_env.task.sensors import SENSORS
 
@@ -28,7 +34,7 @@ LABEL_OF_FAULT = {
 """Index of the label of each fault."""
 
 KINDS = tuple(kind for kind in FAULT_KINDS if kind != "sensor_freeze")
-"""Faults of the training; a stuck sensor is detected without the network (:mod:`hydro_agents.detection.stuck`)."""
+"""Faults of the training; a stuck sensor is found without the network."""
 
 LEAKS = ("constant", "onset", "growth", "orifice")
 """Leaks of the training: constant laminar gap, beginning or growing within the window, constant orifice."""
@@ -45,8 +51,83 @@ healthy bound upwards; the other leaks are drawn from three times that bound upw
 NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
 """Share of chunks with other sensor noise, and its range as a factor on the task's."""
 
+RISE = 0.05
+"""Part of the training during which the learning rate rises."""
+
 LATEST = 0.9
 """Latest onset of a leak, as a fraction of the window."""
+
+
+class HeadTrainingSettings(Group):
+    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds those of the studies."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
+    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
+    windows: int = Field(3, ge=1, le=100, description="windows from each run")
+    longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
+    healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
+    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
+    changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
+    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
+    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    epochs: int = Field(20, ge=1, le=100_000)
+    batch: int = Field(256, ge=1, le=1_000_000)
+    learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
+    weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
+    size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
+    width: int = Field(128, ge=2, le=LARGEST_WIDTH)
+    torch_threads: int = Field(2, ge=1, le=256)
+
+    def check(self, config: TaskConfig) -> None:
+        """Check that the training leaks and the window suit a task.
+
+        Raises:
+            ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
+                lacks a sensor.
+        """
+        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
+        if absent:
+            raise ConfigurationError(
+                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
+                "leak without it"
+            )
+        if config.steps < SHORTEST_WINDOW:
+            raise ConfigurationError(
+                f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "
+                f"least {SHORTEST_WINDOW}"
+            )
+        healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
+        if self.lowest_healthy_flow >= healthy:
+            raise ConfigurationError(
+                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
+                f"leakage.class_bounds[0] = {healthy:g} l/min"
+            )
+        if self.changing_share + self.orifice_share > 1.0:
+            raise ConfigurationError(
+                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
+                "must be at most 1 together"
+            )
+        if self.highest_flow <= faulty:
+            raise ConfigurationError(
+                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
+                f"leakage.faulty_range[0] = {faulty:g} l/min"
+            )
+
+    def learning_rate_at(self, share: float) -> float:
+        """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""
+        factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
+        return self.learning_rate * max(factor, 1e-3)
+
+    def longest_window(self, config: TaskConfig) -> int:
+        """Samples of the longest window."""
+        return round(self.longest * config.steps)
+
+    def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
+        """What the windows are made of."""
+        return Plan(config, controllers, self)
 
 
 class Windows(NamedTuple):
@@ -75,26 +156,19 @@ class Chunk(NamedTuple):
     axes: int
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True)
+class Plan:
     """Sources of the windows."""
 
     config: TaskConfig
     controllers: Sequence[Controller]
-    healthy_share: float
-    fault_share: float
-    changing_share: float  # runs whose leak begins or grows within the window
-    orifice_share: float
-    lowest_flow: float  # l/min at 100 bar
-    highest_flow: float
-    shortest: int  # samples
-    longest: int
-    per_run: int  # windows of each run
+    settings: HeadTrainingSettings
 
     def chunks(self, episodes: int) -> list[Chunk]:
         """Groups of runs that are simulated together."""
         parts = []
         total = sum(row.share for row in OPERATIONS)
-        changing, orifice = 0.5 * self.changing_share, self.orifice_share
+        changing, orifice = 0.5 * self.settings.changing_share, self.settings.orifice_share
         shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
         for number, row in enumerate(OPERATIONS):
             acting = range(len(self.controllers)) if row.manner is None else [-1]
@@ -123,17 +197,18 @@ class Plan(NamedTuple):
 
     def _chunk(self, chunk: Chunk, seeds: NDArray[np.int64], sheet: Sheet) -> Windows:
         generator = np.random.default_rng([int(seeds[0]), chunk.row])
-        row, count, config = OPERATIONS[chunk.row], chunk.axes, self.config
+        row, count, config, settings = OPERATIONS[chunk.row], chunk.axes, self.config, self.settings
+        shortest, longest = config.steps, settings.longest_window(config)
         # Whole lengths in a few steps: the windows of one length are read together.
-        choices = np.unique(np.geomspace(self.shortest, self.longest, 5).round().astype(int))
-        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(self.per_run)]
-        steps = self.longest + self.longest // 4
+        choices = np.unique(np.geomspace(shortest, longest, 5).round().astype(int))
+        sizes = [int(choices[0] if turn % 2 == 0 else generator.choice(choices)) for turn in range(settings.windows)]
+        steps = longest + longest // 4
         leakage = config.leakage.model_dump() | {"schedule": "constant"}
         if chunk.leak == "orifice":
             leakage |= {"law": "orifice"}
         if changing := chunk.leak in CHANGING:  # the run ends with its only window
             sizes = [int(generator.choice(sizes))]
-            steps = sizes[0] + int(generator.integers(self.shortest) if generator.random() > AT_START else 0)
+            steps = sizes[0] + int(generator.integers(shortest) if generator.random() > AT_START else 0)
             begin, last = 1.0 - sizes[0] / steps, 1.0 - (1.0 - LATEST) * sizes[0] / steps
             leakage |= {"schedule": chunk.leak, "start_range": (begin, last)}
         duration = steps * config.control_period
@@ -144,7 +219,7 @@ class Plan(NamedTuple):
             sensors[name]["noise"] *= noise
         task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
         flow = self._leaks(generator, count)
-        faults, fault, labels = draw_faults(config, generator, count, self.fault_share)
+        faults, fault, labels = draw_faults(config, generator, count, settings.fault_share)
         labels[:, 0] = flow > config.leakage.class_bounds[0]
         layout = ObservationLayout.of(task)
         columns = [layout.index(name) for name in SIGNALS]
@@ -172,10 +247,12 @@ class Plan(NamedTuple):
 
     def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:
         """Leaks in l/min: healthy, or above the healthy bound; log-uniform."""
-        bound = self.config.leakage.class_bounds[0]
-        healthy = generator.random(count) < self.healthy_share
-        low = np.where(healthy, self.lowest_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound))
-        high = np.where(healthy, bound, self.highest_flow)
+        bound, settings = self.config.leakage.class_bounds[0], self.settings
+        healthy = generator.random(count) < settings.healthy_share
+        low = np.where(
+            healthy, settings.lowest_healthy_flow, np.where(generator.random(count) < SMALL, bound, 3.0 * bound)
+        )
+        high = np.where(healthy, bound, settings.highest_flow)
         flow: NDArray[np.float64] = np.exp(generator.uniform(np.log(low), np.log(high)))
         return flow
 

@@ -190,3 +190,12 @@ def logit(probability: NDArray[Any]) -> Floats:
     """Logarithm of the odds, finite for 0 and 1."""
     inside = np.clip(np.asarray(probability, dtype=np.float64), 1e-15, 1.0 - 1e-15)
     return np.asarray(np.log(inside / (1.0 - inside)))
+
+
+def threshold_at_false_alarm_rate(healthy_scores: NDArray[Any], rate: float) -> float:
+    """Lowest threshold that flags at most the share ``rate`` of the healthy scores."""
+    ordered = np.sort(np.asarray(healthy_scores, dtype=np.float64))[::-1]
+    allowed = int(np.floor(rate * len(ordered)))
+    if allowed >= len(ordered):
+        return 0.0
+    return float(np.nextafter(ordered[allowed], np.inf))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, fit_balance
-from hydro_agents.detection.repair import fill_gaps, mark_lost
+from hydro_agents.detection.damaged_signals import repaired
 from hydro_agents.detection.sheet import Sheet, Unknowns
 from hydro_agents.detection.window_statistics import (
     leak_changes,
@@ -27,71 +27,15 @@ from hydro_env.task.sensors import SENSORS
 SIGNALS = (*SENSORS, "previous_command")
 """Measured signals that the head reads, in this order."""
 
-SPOOL, COMMAND = SIGNALS.index("spool_position"), SIGNALS.index("previous_command")
-
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
-
-FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
-"""Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""
 
 LAST_PARTS = 3
 """Number of last parts of the window whose own leak is a feature, for the size of a growing leak."""
 
-FEATURES = (
-    *(f"fitted {name}" for name in Unknowns._fields),
-    *(f"deviation of {name}" for name in Unknowns._fields),
-    "misfit of travel",
-    "misfit of flows",
-    "small internal leak",
-    "small external leak",
-    "internal leak over deviation",
-    "external leak over deviation",
-    "mean spool error",
-    "spread of spool error",
-    "spool error over position",
-    "spool error against direction",
-    "spool error at rest",
-    "mean pressure a",
-    "mean pressure b",
-    "mean pressure difference",
-    "mean size of pressure difference",
-    "spread of pressure a",
-    "spread of pressure b",
-    "change of pressure a",
-    "change of pressure b",
-    "mean spool",
-    "mean size of spool",
-    "spread of spool",
-    "change of spool",
-    "change of command",
-    "share of full command",
-    "mean position",
-    "spread of position",
-    "change of position",
-    "spring",
-    "force offset",
-    "friction",
-    "misfit of force",
-    *(f"lost samples of {name}" for name in SENSORS),
-    *(f"change of leak in part {part + 1}" for part in range(PARTS)),
-    *(f"leak in part {part + 1}" for part in range(PARTS - LAST_PARTS, PARTS)),
-    "deviation of leak in last part",
-    "change of leak",
-    "duration",
-)
-"""Names of the features."""
-
-SPREAD = FEATURES.index("spread of position")
-STILL = np.log10(3e-4)
-"""The axis stands still if this feature is below this value."""
-
-CHANGE = FEATURES.index("change of leak")
-"""The feature that separates windows with a constant leak from windows with a changing one."""
-
 
 class Motion(NamedTuple):
-    """The features from "small internal leak" to "misfit of force", each a plain number."""
+    """The features of the motion, each a plain number."""
 
     small_internal_leak: float
     small_external_leak: float
@@ -125,27 +69,32 @@ class Motion(NamedTuple):
     misfit_of_force: float
 
 
+FEATURES = (
+    *(f"fitted {name}" for name in Unknowns._fields),
+    *(f"deviation of {name}" for name in Unknowns._fields),
+    "misfit of travel",
+    "misfit of flows",
+    *(name.replace("_", " ") for name in Motion._fields),
+    *(f"lost samples of {name}" for name in SENSORS),
+    *(f"change of leak in part {part + 1}" for part in range(PARTS)),
+    *(f"leak in part {part + 1}" for part in range(PARTS - LAST_PARTS, PARTS)),
+    "deviation of leak in last part",
+    "change of leak",
+    "duration",
+)
+"""Names of the features."""
+
+SPREAD = FEATURES.index("spread of position")
+STILL = np.log10(3e-4)
+"""The axis stands still if this feature is below this value."""
+
+CHANGE = FEATURES.index("change of leak")
+"""The feature that separates windows with a constant leak from windows with a changing one."""
+
+
 _AFTER_FIT = 2 * COUNT + 2
 _write_motion = tuple_writer(Motion, first=_AFTER_FIT)
 _read_coefficients = tuple_reader(Coefficients)
-
-
-def _build_repair(sources: int) -> Any:
-    def repair(signals, sheet, filled, lost):
-        assert sources >= 0  # keys numba's cache
-        flags = np.empty(signals.shape[2])
-        for window in range(signals.shape[0]):
-            for sensor in range(lost.shape[1]):
-                far = FAR_FROM_END_SPOOL if sensor == SPOOL else FAR_FROM_END
-                values = signals[window, sensor]
-                mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
-                lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
-            values = signals[window, COMMAND]
-            for k in range(values.shape[0]):
-                flags[k] = 0.0 if values[k] == values[k] else 1.0
-            fill_gaps(values, flags, filled[window, COMMAND])
-
-    return compiled(repair)
 
 
 def _build_describe(sources: int) -> Any:
@@ -227,22 +176,7 @@ def _build_describe(sources: int) -> Any:
 AFTER_MOTION = _AFTER_FIT + len(Motion._fields)
 """Number of the first feature after those of :class:`Motion`."""
 
-repair, describe = _build_repair(SOURCES), _build_describe(SOURCES)
-
-
-class Repaired(NamedTuple):
-    """Signals without gaps."""
-
-    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the previous reading
-    lost: NDArray[np.float64]  # (N, 4), share of lost samples of each sensor
-
-
-def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
-    """Fill lost samples: NaN, and short falls to the lower end of a sensor's range."""
-    values = np.ascontiguousarray(signals, dtype=np.float64)
-    result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
-    repair(values, sheet, *result)
-    return result
+describe = _build_describe(SOURCES)
 
 
 def features_of(signals: NDArray[Any], sheet: Sheet) -> NDArray[np.float32]:

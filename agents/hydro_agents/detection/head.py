@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch
+from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SIGNALS, SPREAD, STILL, features_of
-from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals
+from hydro_agents.detection.intervals import GROUPS, SIZES, WIDTHS, groups, intervals, quantiles
 from hydro_agents.detection.sheet import sheet_of
-from hydro_agents.detection.stuck import stuck_sensors
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -35,11 +35,8 @@ LARGEST_WIDTH, LAYERS = 1024, 3
 UPDATES_PER_WINDOW = 16
 """Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
 
-SMALLEST_FLOW = 0.01
-"""l/min at 100 bar; smaller leaks count as none, and an interval that begins here begins at 0."""
-
-LARGEST_FLOW = 100.0
-"""l/min at 100 bar; largest answer."""
+SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
+"""l/min at 100 bar; smaller leaks count as none: an interval that begins there begins at 0. No answer is larger."""
 
 FARTHEST = 8.0
 """Limit of a feature, in standard deviations from its mean in training."""
@@ -59,8 +56,7 @@ class LeakageEstimate(NamedTuple):
     valve_fault: NDArray[np.float64]  # of null shift, worn edges, changed flow or hysteresis
     sensor_fault: NDArray[np.float64]  # of offset, gain, freeze or drop-out
     return_line: NDArray[np.float64]  # of raised tank pressure
-    outside: NDArray[np.float64]  # 1: unlike the training, or a sensor is stuck: the answer
-    # does not count; else 0
+    outside: NDArray[np.float64]  # 1: the answer does not count (unlike the training, or a stuck sensor)
 
     @property
     def none(self) -> NDArray[np.float64]:
@@ -156,15 +152,6 @@ def probabilities(
     logits = output[:, : len(LABELS)].copy()
     logits[:, 0] += still_shift * (features[:, SPREAD] < STILL)
     result: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-logits))
-    return result
-
-
-def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
-    middle, below, above = output[:, -3:].T
-    result: NDArray[np.float64] = np.column_stack(
-        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
-    )
     return result
 
 

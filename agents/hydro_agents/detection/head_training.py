@@ -11,118 +11,44 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import Plan, Windows
-from hydro_agents.detection.features import FEATURES, LABELS
+from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
+from hydro_agents.detection.detector import threshold_at_false_alarm_rate
+from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
-    LARGEST_WIDTH,
     LAYERS,
-    SHORTEST_WINDOW,
+    SMALLEST_FLOW,
     HeadSettings,
     LeakageHead,
+    probabilities,
     standardised,
     tensors_like,
 )
-from hydro_agents.detection.head_calibration import COVERAGE, calibrated, size_target
+from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
-from hydro_env.task.configuration import LEAKAGE_LIMIT
-from hydro_env.task.sensors import SENSORS
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
-RISE = 0.05
-"""Part of the training during which the learning rate rises."""
-
 RIDGE = 0.05
 """Added to the covariance of the standardised features before inversion."""
 
+FALSE_ALARM_RATE = 0.01
+
+CHANGING_SHARE = 0.15
+"""Share of the windows that are treated as windows with a changing leak."""
+
+LARGEST_SHIFT = 2.0
+"""Largest size of the shift of a leak's logit at standstill."""
+
+OUTSIDE_RATE = 0.01
+"""Share of validation windows that are marked as unlike the training."""
+
 Progress = Callable[[str, int, int, float], None]
-
-
-class HeadTrainingSettings(Group):
-    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds those of the studies."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
-
-    episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
-    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
-    windows: int = Field(3, ge=1, le=100, description="windows from each run")
-    longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
-    healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
-    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
-    changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
-    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
-    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
-    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
-    epochs: int = Field(20, ge=1, le=100_000)
-    batch: int = Field(256, ge=1, le=1_000_000)
-    learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
-    weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
-    size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
-    width: int = Field(128, ge=2, le=LARGEST_WIDTH)
-    torch_threads: int = Field(2, ge=1, le=256)
-
-    def check(self, config: TaskConfig) -> None:
-        """Check that the training leaks and the window suit a task.
-
-        Raises:
-            ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
-                lacks a sensor.
-        """
-        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
-        if absent:
-            raise ConfigurationError(
-                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
-                "leak without it"
-            )
-        if config.steps < SHORTEST_WINDOW:
-            raise ConfigurationError(
-                f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "
-                f"least {SHORTEST_WINDOW}"
-            )
-        healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
-        if self.lowest_healthy_flow >= healthy:
-            raise ConfigurationError(
-                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
-                f"leakage.class_bounds[0] = {healthy:g} l/min"
-            )
-        if self.changing_share + self.orifice_share > 1.0:
-            raise ConfigurationError(
-                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
-                "must be at most 1 together"
-            )
-        if self.highest_flow <= faulty:
-            raise ConfigurationError(
-                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
-                f"leakage.faulty_range[0] = {faulty:g} l/min"
-            )
-
-    def learning_rate_at(self, share: float) -> float:
-        """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""
-        factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
-        return self.learning_rate * max(factor, 1e-3)
-
-    def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
-        """What the windows are made of."""
-        return Plan(
-            config=config,
-            controllers=controllers,
-            healthy_share=self.healthy_share,
-            fault_share=self.fault_share,
-            changing_share=self.changing_share,
-            orifice_share=self.orifice_share,
-            lowest_flow=self.lowest_healthy_flow,
-            highest_flow=self.highest_flow,
-            shortest=config.steps,
-            longest=round(self.longest * config.steps),
-            per_run=self.windows,
-        )
 
 
 def make_network(width: int) -> nn.Sequential:
@@ -192,7 +118,7 @@ def train_head(
         raise
     record = {"seed": seed, "settings": settings.model_dump(mode="json"), "seconds": 0.0}
     head = calibrated(
-        job.tensors(), config, round(settings.longest * config.steps), Windows.joined(job.parts["validation"]), record
+        job.tensors(), config, settings.longest_window(config), Windows.joined(job.parts["validation"]), record
     )
     record["seconds"] = round(time.monotonic() - began, 1)
     return head
@@ -331,3 +257,46 @@ class _Job:
             self.save()
             if self.progress is not None:
                 self.progress("training", self.epoch, settings.epochs, float(np.mean(losses)))
+
+
+def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
+    """log10 of the flow, but of at least the smallest flow that counts."""
+    return np.log10(np.maximum(flow_lpm, SMALLEST_FLOW)).astype(np.float32)
+
+
+def calibrated(
+    tensors: dict[str, NDArray[Any]],
+    config: TaskConfig,
+    longest: int,
+    windows: Windows,
+    record: dict[str, Any],
+) -> LeakageHead:
+    """The head with thresholds, intervals and the bound of "outside" from validation windows.
+
+    Thresholds and intervals come from the windows with the task's own sensors and a laminar leak. The threshold of a
+    leak gives 1 % false alarms among healthy axes without other faults, both at standstill and in motion; the threshold
+    of any other label gives 1 % among axes without it. Intervals: :mod:`hydro_agents.detection.intervals`.
+    """
+    inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
+    tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)
+    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
+    windows, inputs = Windows(*(values[usual] for values in windows)), inputs[usual]
+    plain = HeadSettings(config, config.steps, longest, 0.5, record)
+    output = LeakageHead(tensors, plain).outputs(inputs)
+    clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
+    still = windows.features[:, SPREAD] < STILL
+    if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:
+        logits = [threshold_at_false_alarm_rate(output[clean & here, 0], FALSE_ALARM_RATE) for here in (still, ~still)]
+        tensors["still_shift"][0] = np.clip(logits[1] - logits[0], -LARGEST_SHIFT, LARGEST_SHIFT)
+    probability = probabilities(output, windows.features, float(tensors["still_shift"][0]))
+    for label in range(len(LABELS)):
+        without = windows.labels[:, label] == 0.0 if label > 0 else clean
+        tensors["thresholds"][label] = threshold_at_false_alarm_rate(probability[without, label], FALSE_ALARM_RATE)
+    threshold = min(float(tensors["thresholds"][0]), 1.0)
+    found, size = quantiles(output), size_target(windows.flow_lpm)
+    tensors["widths"] = np.quantile(found[:, 2] - found[:, 0], np.arange(1, WIDTHS) / WIDTHS).astype(np.float32)
+    tensors["changing"][0] = np.quantile(windows.features[:, CHANGE], 1.0 - CHANGING_SHARE)
+    group = groups(found, windows.features[:, CHANGE], tensors["widths"], float(tensors["changing"][0]))
+    for number in range(GROUPS):
+        tensors["widening"][number] = distances(found, size, group == number)
+    return LeakageHead(tensors, HeadSettings(config, config.steps, longest, threshold, record))

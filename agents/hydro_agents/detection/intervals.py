@@ -24,6 +24,21 @@ changing leak."""
 ROUNDS = 6
 """Iterations of the search for the ends."""
 
+COVERAGE = 0.9
+"""Share of the intervals that contain the true size."""
+
+FEWEST, REACH = 40, 0.2
+"""Smallest number of windows for a size; largest distance of a window from the size, in decades."""
+
+
+def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The 5, 50 and 95 % quantiles (N, 3) of log10 of the flow, from the outputs of the network."""
+    middle, below, above = output[:, -3:].T
+    result: NDArray[np.float64] = np.column_stack(
+        [middle - np.logaddexp(0.0, below - 2.0), middle, middle + np.logaddexp(0.0, above - 2.0)]
+    )
+    return result
+
 
 def groups(
     quantiles: NDArray[np.float64], change: NDArray[Any], widths: NDArray[Any], changing: float
@@ -59,3 +74,25 @@ def intervals(quantiles: NDArray[np.float64], distance: NDArray[Any]) -> NDArray
             end = middle + (near * distance[:, :, side]).sum(axis=1) * reach
         ends.append(end)
     return np.column_stack([middle, *ends])
+
+
+def distances(quantiles: NDArray[np.float64], size: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """95 % quantile of the distance between truth and middle quantile, at each of SIZES and to each side.
+
+    Args:
+        quantiles: 5, 50 and 95 % of log10 of the size, (N, 3).
+        size: log10 of the true size, (N,).
+        chosen: windows of the group; if it has fewer than FEWEST of a size, all windows of that size are used.
+
+    Returns:
+        As a fraction of the distance of the outer quantiles, (SIZES, 2).
+    """
+    low, middle, high = quantiles.T
+    off = np.column_stack([(middle - size) / (middle - low), (size - middle) / (high - middle)])
+    found = np.ones((len(SIZES), 2))
+    for number, place in enumerate(SIZES):
+        near = np.abs(size - place) < REACH
+        mine = near & chosen if (near & chosen).sum() >= FEWEST else near
+        if mine.any():
+            found[number] = np.quantile(off[mine], 0.5 * (1.0 + COVERAGE), axis=0)
+    return np.maximum(found, 0.0)

@@ -1,4 +1,4 @@
-"""The leakage head on an axis: weights that fit its task, and a controller with the head attached."""
+"""The leakage head in use: as a detector of windows, attached to a controller, and loaded for a task."""
 
 from __future__ import annotations
 
@@ -10,11 +10,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats, as_batch, check_layout
+from hydro_agents.detection.detector import Cause, Reading, Windows, logit
+from hydro_agents.detection.features import LABELS
 from hydro_agents.detection.head import HeadState, LeakageEstimate, LeakageHead
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, TaskConfig
 
 HEAD_FILE = "leakage_head"
+
+OUTSIDE = "unlike all that the leakage head was trained on"
+
+OTHER_CAUSES = tuple(cause for cause in Cause if Cause.INTERNAL_LEAK < cause < Cause.UNKNOWN)
+"""Causes that the head names besides a leak past the piston."""
+
+
+class HeadDetector:
+    """The leakage head: its score is the logit of the probability of a leak."""
+
+    def __init__(self, head: LeakageHead) -> None:
+        self.head, self.window = head, head.settings.window
+        self.threshold: float | None = float(logit(np.array([head.settings.threshold]))[0])
+
+    def refuses(self, task: TaskConfig, samples: int) -> str:
+        """The reason if rig or control period differ from those of its training, or the windows are too short."""
+        settings = self.head.settings
+        if settings.task.plant != task.plant:
+            return "the leakage head was trained for another rig"
+        if settings.task.control_period != task.control_period:
+            return f"the leakage head was trained for a control period of {1e3 * settings.task.control_period:g} ms"
+        if samples < settings.window:
+            return f"the leakage head reads windows of at least {settings.window * task.control_period:g} s"
+        return ""
+
+    def read(self, windows: Windows, task: TaskConfig) -> Reading:
+        """Read windows; a window unlike those of the training, or with a stuck sensor, has the cause ``UNKNOWN``."""
+        del task
+        found = self.head.estimate_windows(windows.signals)
+        outside = found.outside > 0.0
+        excess = self._excess(found)
+        named = np.where(excess.max(axis=1) > 0.0, np.array(OTHER_CAUSES)[excess.argmax(axis=1)], Cause.NONE)
+        return Reading.of(
+            logit(found.probability),
+            np.where(outside, Cause.UNKNOWN, named),
+            probability=found.probability,
+            flow_lpm=found.flow_lpm,
+            low_lpm=found.low_lpm,
+            high_lpm=found.high_lpm,
+            fault=tuple(
+                " and ".join(cause.in_full for cause, above in zip(OTHER_CAUSES, row, strict=True) if above)
+                for row in (excess > 0.0).tolist()
+            ),
+            why=tuple(np.where(outside, OUTSIDE, "").tolist()),
+        )
+
+    def _excess(self, found: LeakageEstimate) -> Any:
+        """Logits of the other causes above their thresholds, (N, causes)."""
+        names = [cause.word.replace(" ", "_") for cause in OTHER_CAUSES]
+        thresholds = logit(self.head.tensors["thresholds"])[[LABELS.index(name) for name in names]]
+        return logit(np.column_stack([getattr(found, name) for name in names])) - thresholds
 
 
 @dataclass

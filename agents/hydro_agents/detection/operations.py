@@ -1,4 +1,4 @@
-"""Operations of the axes of the protocol: those of the head's training, and unseen ones."""
+"""Operations of simulated axes: their motions, and who acts on them; those of the head's training, and unseen ones."""
 
 from __future__ import annotations
 
@@ -9,12 +9,188 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats, ObservationLayout, as_batch
-from hydro_agents.detection.manners import MANNERS, Operation, loaded, slow, still
+from hydro_agents.estimation.known_windows import at_rest
 from hydro_agents.learning.opponents import shipped
 from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
 
+Array = NDArray[np.float64]
+Span = tuple[float, float]
+Change = Callable[[TaskConfig], TaskConfig]
 Make = Callable[[TaskConfig, int, int], Controller]
 """Makes the controller of the axes from the task, the number of axes and a seed."""
+
+WAVES = ("sine", "square", "noise")
+"""Waves that may be added to the command; noise is a new random level in each half period."""
+
+
+class Manner(NamedTuple):
+    """How an axis is operated: ranges from which each axis draws; all are log-uniform."""
+
+    gain: Span = (2.0, 60.0)  # command for an error of one stroke
+    delay: Span = (1.0, 1.0)  # control periods from the error to the command; 1: none
+    interval: Span = (1.0, 1.0)  # control periods between two decisions
+    step: Span = (1e-9, 1e-9)  # resolution of the command
+    relay: Span = (1e-9, 1e-9)  # size of a relay command towards the reference, instead of the gain; 1e-9: none
+    amplitude: Span = (1e-9, 1e-9)  # of the wave
+    period: Span = (2.0, 2.0)  # of the wave, control periods
+    waves: tuple[str, ...] = WAVES
+
+
+MANNERS = {
+    "proportional": Manner(),
+    "by hand": Manner(gain=(2.0, 20.0), delay=(20.0, 60.0), interval=(15.0, 100.0), step=(0.01, 0.1)),
+    "chattering": Manner(relay=(0.02, 0.5), delay=(1.0, 3.0)),
+    "dithering": Manner(gain=(5.0, 50.0), amplitude=(0.01, 0.15), period=(2.0, 15.0)),
+    "open loop": Manner(gain=(0.2, 2.0), amplitude=(0.02, 0.6), period=(30.0, 600.0)),
+}
+"""Manners by name."""
+
+
+class _Operator:
+    """Acts on N axes: commands from the position error, beside the command that holds the initial position.
+
+    The state holds that command (N,) and the memory of the operation.
+    """
+
+    def __init__(self, config: TaskConfig) -> None:
+        self.layout, self.control_period = ObservationLayout.of(config), config.control_period
+        self.stroke = config.plant.cylinder.stroke
+
+    def predict(
+        self,
+        observation: Floats,
+        state: tuple[Array, Any] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[Array, Any]]:
+        """Commands (N, 1) of one control period; the arguments are those of a controller."""
+        del episode_start, deterministic
+        batch, _ = as_batch(observation)
+        error = self.layout.si(batch, "tracking_error") / self.stroke
+        holding, memory = (
+            state if state is not None else (self.layout.si(batch, "previous_command"), self.at_start(error))
+        )
+        command, memory = self.act(error, holding, memory)
+        return np.clip(command, -1.0, 1.0).astype(np.float32)[:, None], (holding, memory)
+
+    def at_start(self, error: Array) -> Any:
+        """The memory at the start of an episode; ``error`` (N,) in strokes."""
+        raise NotImplementedError
+
+    def act(self, error: Array, holding: Array, memory: Any) -> tuple[Array, Any]:
+        """Commands (N,), and the memory for the next call."""
+        raise NotImplementedError
+
+
+class _Decided(NamedTuple):
+    """Memory of :class:`Operation`."""
+
+    time: int  # control periods since the start
+    command: Array  # (N,), of the last decision
+    level: Array  # (N,), of the noise
+    errors: Array  # (longest delay, N)
+
+
+class Operation(_Operator):
+    """Operates N axes in one manner, each with its own parameters; one episode per axis.
+
+    Args:
+        manner: ranges of the parameters.
+        config: the task.
+        count: number of axes N.
+        seed: of the parameters.
+    """
+
+    def __init__(self, manner: Manner, config: TaskConfig, count: int, seed: int) -> None:
+        super().__init__(config)
+        self.generator = np.random.default_rng(seed)
+
+        def drawn(span: Span) -> Array:
+            return np.exp(self.generator.uniform(np.log(span[0]), np.log(span[1]), count))
+
+        self.gain, self.amplitude, self.relay = drawn(manner.gain), drawn(manner.amplitude), drawn(manner.relay)
+        self.has_relay = self.relay > 1e-6
+        self.step = drawn(manner.step)
+        self.delay = drawn(manner.delay).round().astype(int)
+        self.interval, self.period = drawn(manner.interval).round(), drawn(manner.period).round()
+        self.wave = self.generator.integers(0, len(manner.waves), count)
+        self.wave = np.array([WAVES.index(name) for name in manner.waves])[self.wave]
+
+    def at_start(self, error: Array) -> _Decided:
+        """The memory at the start of an episode."""
+        return _Decided(0, np.zeros_like(error), np.zeros_like(error), np.repeat(error[None], int(self.delay.max()), 0))
+
+    def act(self, error: Array, holding: Array, memory: _Decided) -> tuple[Array, _Decided]:
+        """Commands (N,): of the last decision, and a wave."""
+        time, axes = memory.time, np.arange(len(error))
+        errors = np.concatenate([memory.errors[1:], error[None]])
+        seen = errors[len(errors) - self.delay, axes]
+        wanted = np.where(self.has_relay, self.relay * np.sign(seen), self.gain * seen)
+        decided = np.where(time % self.interval == 0, np.round(wanted / self.step) * self.step, memory.command)
+        phase = time % self.period / self.period
+        new_level = (time % np.maximum(self.period // 2, 1)) == 0
+        level = np.where(new_level, self.generator.uniform(-1.0, 1.0, len(error)), memory.level)
+        shapes = np.stack([np.sin(2.0 * np.pi * phase), np.where(phase < 0.5, 1.0, -1.0), level])
+        command = holding + decided + self.amplitude * shapes[self.wave, axes]
+        return command, _Decided(time + 1, decided, level, errors)
+
+
+class _Memory(NamedTuple):
+    time: int  # control periods since the start
+    error: Array  # (N,), of the previous sample
+    command: Array  # (N,), relative to the holding command
+
+
+class _Unseen(_Operator):
+    """Base of the operations outside the training; each axis draws its own parameters."""
+
+    def __init__(self, config: TaskConfig, count: int, seed: int) -> None:
+        super().__init__(config)
+        self.numbers = np.random.default_rng([seed, 7]).random((4, count))
+
+    def at_start(self, error: Array) -> _Memory:
+        """The memory at the start of an episode."""
+        return _Memory(0, error, np.zeros_like(error))
+
+    def act(self, error: Array, holding: Array, memory: _Memory) -> tuple[Array, _Memory]:
+        """Commands (N,)."""
+        command = self.command(memory, error)
+        return holding + command, _Memory(memory.time + 1, error, command)
+
+    def command(self, memory: _Memory, error: Array) -> Array:
+        """Commands (N,) relative to the holding command; ``error`` (N,) in strokes."""
+        raise NotImplementedError
+
+
+class SlidingMode(_Unseen):
+    """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
+
+    def command(self, memory: _Memory, error: Array) -> Array:
+        """Commands (N,)."""
+        lead, layer, size, _ = self.numbers
+        surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / self.control_period
+        return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
+
+
+class ThreeStep(_Unseen):
+    """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
+
+    def command(self, memory: _Memory, error: Array) -> Array:
+        """Commands (N,)."""
+        band, size = 0.003 + 0.01 * self.numbers[0], 0.05 + 0.3 * self.numbers[1]
+        keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
+        return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
+
+
+class SweptSine(_Unseen):
+    """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
+
+    def command(self, memory: _Memory, error: Array) -> Array:
+        """Commands (N,)."""
+        time, rate = memory.time * self.control_period, 1.0 + 4.0 * self.numbers[1]
+        size = 0.03 + 0.2 * self.numbers[0]
+        return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
 
 
 class Acting(NamedTuple):
@@ -27,8 +203,30 @@ class Acting(NamedTuple):
 class Motion(NamedTuple):
     """The motion of the axes: a change of the task."""
 
-    change: Callable[[TaskConfig], TaskConfig]
+    change: Change
     label: str
+
+
+def ordinary(config: TaskConfig) -> TaskConfig:
+    """The task as it is."""
+    return config
+
+
+def slow(config: TaskConfig, factor: float = 12.0) -> TaskConfig:
+    """The task with references that are slower by a factor."""
+    r = config.references
+    low, high = r.frequency_range
+    changes = {
+        "speed_share": r.speed_share / factor,
+        "acceleration_limit": max(r.acceleration_limit / factor**2, 0.011),
+        "frequency_range": (low / factor, high / factor),
+    }
+    return task_config(config, references=r.model_dump() | changes)
+
+
+def loaded(config: TaskConfig) -> TaskConfig:
+    """The task with changing external forces."""
+    return task_config(config, disturbance=config.disturbance.model_dump() | {"kind": "mixed"})
 
 
 def _shipped(kind: str) -> Make:
@@ -37,73 +235,6 @@ def _shipped(kind: str) -> Make:
 
 def _manner(name: str) -> Make:
     return lambda config, count, seed: Operation(MANNERS[name], config, count, seed)
-
-
-class _Memory(NamedTuple):
-    time: int  # control periods since the start
-    holding: NDArray[np.float64]  # (N,), command that holds the initial position
-    error: NDArray[np.float64]  # (N,), of the previous sample
-    command: NDArray[np.float64]  # (N,)
-
-
-class _Unseen:
-    """Base of the operations outside the training; each axis draws its own parameters."""
-
-    def __init__(self, config: TaskConfig, count: int, seed: int) -> None:
-        self.layout, self.period = ObservationLayout.of(config), config.control_period
-        self.stroke = config.plant.cylinder.stroke
-        self.numbers = np.random.default_rng([seed, 7]).random((4, count))
-
-    def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commands (N,) relative to the holding command; ``error`` (N,) in strokes."""
-        raise NotImplementedError
-
-    def predict(
-        self,
-        observation: Floats,
-        state: _Memory | None = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], Any]:
-        """Commands (N, 1); the arguments are those of a controller."""
-        del episode_start, deterministic
-        batch, _ = as_batch(observation)
-        error = self.layout.si(batch, "tracking_error") / self.stroke
-        if state is None:
-            state = _Memory(0, self.layout.si(batch, "previous_command"), error, np.zeros_like(error))
-        command = self.command(state, error)
-        action = np.clip(state.holding + command, -1.0, 1.0).astype(np.float32)[:, None]
-        return action, _Memory(state.time + 1, state.holding, error, command)
-
-
-class SlidingMode(_Unseen):
-    """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
-
-    def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commands (N,)."""
-        lead, layer, size, _ = self.numbers
-        surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / self.period
-        return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
-
-
-class ThreeStep(_Unseen):
-    """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
-
-    def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commands (N,)."""
-        band, size = 0.003 + 0.01 * self.numbers[0], 0.05 + 0.3 * self.numbers[1]
-        keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
-        return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
-
-
-class SweptSine(_Unseen):
-    """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
-
-    def command(self, memory: _Memory, error: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Commands (N,)."""
-        time, rate = memory.time * self.period, 1.0 + 4.0 * self.numbers[1]
-        size = 0.03 + 0.2 * self.numbers[0]
-        return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
 
 
 ACTING: dict[str, Acting] = {
@@ -120,9 +251,35 @@ ACTING: dict[str, Acting] = {
 """Controllers of the axes, by name."""
 
 MOTIONS: dict[str, Motion] = {
-    "ordinary": Motion(lambda config: config, "all kinds of reference"),
+    "ordinary": Motion(ordinary, "all kinds of reference"),
     "slow": Motion(slow, "references 12 times slower"),
-    "standing still": Motion(still, "a place that is held"),
+    "standing still": Motion(at_rest, "a place that is held"),
     "changing loads": Motion(loaded, "changing external forces"),
 }
 """Motions of the axes, by name."""
+
+
+class Row(NamedTuple):
+    """A part of the training data: its share, the task of the axes, and their manner of operation."""
+
+    name: str
+    share: float
+    task: Change
+    manner: Manner | None  # None: the controllers of the study
+
+
+OPERATIONS = (
+    Row("controllers", 0.23, ordinary, None),
+    Row("controllers, slow references", 0.08, slow, None),
+    Row("controllers, standing still", 0.11, at_rest, None),
+    Row("controllers, changing loads", 0.06, loaded, None),
+    Row("proportional", 0.08, ordinary, MANNERS["proportional"]),
+    Row("proportional, standing still", 0.07, at_rest, MANNERS["proportional"]),
+    Row("by hand", 0.10, ordinary, MANNERS["by hand"]),
+    Row("chattering", 0.08, ordinary, MANNERS["chattering"]),
+    Row("chattering, standing still", 0.03, at_rest, MANNERS["chattering"]),
+    Row("dithering", 0.05, ordinary, MANNERS["dithering"]),
+    Row("dithering, standing still", 0.03, at_rest, MANNERS["dithering"]),
+    Row("open loop", 0.08, ordinary, MANNERS["open loop"]),
+)
+"""The mixture of the training data."""

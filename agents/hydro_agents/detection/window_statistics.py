@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hydro_agents.detection.normal_equations import factor, substitute
+from hydro_agents.detection.balance_parts import factor, substitute
 from hydro_env.compiling import inline
 
 STILL_COMMAND = 2e-3

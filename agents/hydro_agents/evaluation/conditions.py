@@ -11,7 +11,7 @@ import hashlib
 import json
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
 
 from pydantic import Field, StringConstraints, model_validator
 
@@ -40,6 +40,7 @@ AnyCondition = TypeVar("AnyCondition", bound=Condition)
 class Protocol(Group, Generic[AnyCondition]):
     """What every protocol has; ``configs/protocols`` holds some."""
 
+    who: ClassVar[str] = "controller"  # what takes part; the name of its column in the tables
     kind: str
     title: str
     task: TaskConfig = Field(default_factory=TaskConfig)

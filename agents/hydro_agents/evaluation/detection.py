@@ -1,24 +1,19 @@
-"""Evaluation of the leakage head under each controller: episodes, rates, ROC, sizes."""
+"""Evaluation of the leakage head under each controller: episodes, rates, curves over all thresholds, sizes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hydro_agents.controllers.base import ObservationLayout
+from hydro_agents.detection.detector import Detector, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.roc import (
-    area_under_roc,
-    average_precision,
-    detection_rate,
-    precision_recall_curve,
-    roc_curve,
-    threshold_at_false_alarm_rate,
-)
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.evaluation.parts import Cell
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
@@ -31,6 +26,8 @@ if TYPE_CHECKING:
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.evaluation.participants import Participants
     from hydro_agents.evaluation.protocol import StudyProtocol
+
+Floats = NDArray[np.float64]
 
 FALSE_ALARM_RATE = 0.01
 RANGE_EDGES = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 4.0)
@@ -67,7 +64,7 @@ def detection_cases(config: TaskConfig, count: int) -> Cases:
 
 
 def signal_columns(names: tuple[str, ...]) -> list[int]:
-    """Columns of the observation that the head reads."""
+    """Columns of the observation that a detector reads."""
     return [names.index(name) for name in SIGNALS]
 
 
@@ -90,21 +87,25 @@ def watched(pair: tuple[Controller, LeakageHead], config: TaskConfig, cases: Cas
     """
     controller, head = pair
     columns = signal_columns(head.settings.layout.names)
-    return detection_columns(cases, run_cases(config, controller, cases, columns, states=False), head)
+    rollout = run_cases(config, controller, cases, columns, states=False)
+    return detection_columns(cases, rollout, HeadDetector(head), config)
 
 
-def detection_columns(cases: Cases, rollout: Rollout, head: LeakageHead) -> Columns:
-    """Per episode: the leak, and the head's estimate from the whole episode."""
+def detection_columns(cases: Cases, rollout: Rollout, detector: Detector, config: TaskConfig) -> Columns:
+    """Per episode: the leak, and the detector's reading of the whole episode."""
     assert rollout.signals is not None
     assert cases.leakage_flow_lpm is not None
-    estimate = head.estimate_signals(rollout.signals)
+    assert detector.threshold is not None
+    layout = ObservationLayout.of(config)
+    scale = np.array([layout.scale[column] for column in signal_columns(layout.names)])
+    reading = detector.read(Windows.of(rollout.signals.astype(np.float64) * scale[:, None]), config)
     return {
         "seed": cases.seeds,
         "leakage_flow_lpm": cases.leakage_flow_lpm,
         "class": np.array([LEAKAGE_CLASSES[code] for code in rollout.leakage_class]),
-        "probability": estimate.probability,
-        "estimated_flow_lpm": estimate.flow_lpm,
-        "flagged": estimate.probability >= head.settings.threshold,
+        "probability": reading.probability,
+        "estimated_flow_lpm": reading.flow_lpm,
+        "flagged": reading.score >= detector.threshold,
     }
 
 
@@ -170,3 +171,60 @@ def detection_curves(detection: pd.DataFrame, config: TaskConfig) -> pd.DataFram
 
 def _healthy_and_leaking(flow: NDArray[np.float64], bounds: LeakBounds) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return flow <= bounds.healthy_up_to, flow > bounds.leaking_above
+
+
+class Curve(NamedTuple):
+    """A curve over all thresholds."""
+
+    x: Floats
+    y: Floats
+    threshold: Floats
+
+
+def _counts(scores: NDArray[Any], positive: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
+    """True and false positives at each distinct threshold, in falling order; the first entry is zero."""
+    order = np.argsort(-scores, kind="stable")
+    sorted_scores = np.asarray(scores, dtype=np.float64)[order]
+    last_of_each = np.append(np.flatnonzero(np.diff(sorted_scores)), len(scores) - 1)
+    true = np.cumsum(positive[order])[last_of_each]
+    false = 1 + last_of_each - true
+    return (
+        np.concatenate([[0.0], true]),
+        np.concatenate([[0.0], false]),
+        np.concatenate([[np.inf], sorted_scores[last_of_each]]),
+    )
+
+
+def roc_curve(scores: NDArray[Any], positive: NDArray[np.bool_]) -> Curve:
+    """Detection rate (y) over false-alarm rate (x); scores at or above the threshold are flagged."""
+    true, false, threshold = _counts(scores, positive)
+    return Curve(false / max(false[-1], 1.0), true / max(true[-1], 1.0), threshold)
+
+
+def area_under_roc(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
+    """Probability that a leak scores higher than a healthy seal (ties count half); NaN without both kinds."""
+    if positive.all() or not positive.any():
+        return float("nan")
+    curve = roc_curve(scores, positive)
+    return float(np.trapezoid(curve.y, curve.x))
+
+
+def precision_recall_curve(scores: NDArray[Any], positive: NDArray[np.bool_]) -> Curve:
+    """Precision (y) over recall (x)."""
+    true, false, threshold = _counts(scores, positive)
+    flagged = true + false
+    precision = np.divide(true, flagged, out=np.ones_like(true), where=flagged > 0)
+    return Curve(true / max(true[-1], 1.0), precision, threshold)
+
+
+def average_precision(scores: NDArray[Any], positive: NDArray[np.bool_]) -> float:
+    """Area under precision over recall as a sum of steps; NaN without positives."""
+    if not positive.any():
+        return float("nan")
+    curve = precision_recall_curve(scores, positive)
+    return float(np.sum(np.diff(curve.x) * curve.y[1:]))
+
+
+def detection_rate(scores: NDArray[Any], threshold: float) -> float:
+    """Share of scores at or above the threshold; NaN without scores."""
+    return float(np.mean(np.asarray(scores) >= threshold)) if len(scores) else float("nan")

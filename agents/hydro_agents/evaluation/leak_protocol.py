@@ -1,45 +1,35 @@
-"""The protocol as data: conditions, each with an operation of the axes, faults, and changes of plant and sensors."""
+"""Leakage protocols: detectors under conditions, each an operation of the axes, faults, and changes of the task."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from hydro_agents.detection.detectors import DetectorChoice
 from hydro_agents.detection.operations import ACTING, MOTIONS
+from hydro_agents.evaluation.conditions import Condition, Name, Protocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
-from hydro_agents.running.tasks import Surroundings, read_task
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group, read_yaml, validate
-from hydro_env.folders import config_file
-from hydro_env.mistakes import did_you_mean, kept, known_name, refuse, unknown
+from hydro_env.mistakes import known_name, unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
 from hydro_env.task.faults import FAULTS, fault_limits
-
-KIND: Literal["leakage"] = "leakage"
-"""``kind`` of such a protocol in its file."""
 
 HEALTHY, DRAWN = 0.0, -1.0
 """Levels of drawn leaks: from the healthy range of the task, and from all of its ranges with half of the axes
 healthy."""
 
-Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 Level = Annotated[float, Field(ge=DRAWN, le=LEAKAGE_LIMIT)]
 
 
-class LeakCondition(Surroundings):
+class LeakCondition(Condition):
     """One condition; the detectors do not know it."""
 
-    group: str = Field("other", description="conditions that belong together in tables and pictures")
-    label: str = Field("", description="short text; default: the name")
     acting: Annotated[str, known_name(ACTING, "controller")] = Field(
         "PID", description=f"controller of the axes: {', '.join(ACTING)}"
     )
@@ -70,12 +60,12 @@ class LeakCondition(Surroundings):
         return self
 
 
-class LeakProtocol(Group):
+class LeakProtocol(Protocol[LeakCondition]):
     """A leakage protocol; ``configs/protocols/leakage.yaml`` is the one of the project."""
 
-    kind: Literal["leakage"] = KIND
+    who: ClassVar[str] = "detector"
+    kind: Literal["leakage"] = "leakage"
     title: str = "Leak detection"
-    task: TaskConfig = Field(default_factory=TaskConfig)
     levels: tuple[Level, ...] = Field((HEALTHY, 0.3, 1.0), min_length=1)
     detectors: dict[str, DetectorChoice] = Field(min_length=1)
     alarms: dict[str, str] = Field(
@@ -85,69 +75,32 @@ class LeakProtocol(Group):
     bound_conditions: tuple[Name, ...] = Field((), description="for which the Cramér–Rao bound is computed")
     bound_windows: int = Field(24, ge=1, le=10_000, description="of them, per level")
     base: Name = Field("ordinary", description="the condition with all leak sizes, to which the others are compared")
-    conditions: dict[Name, LeakCondition] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> LeakProtocol:
-        if self.base not in self.conditions:
-            raise ValueError(
-                f"base: '{self.base}' is not one of the conditions{did_you_mean(self.base, self.conditions)}"
-            )
-        strange = [name for name in self.bound_conditions if name not in self.conditions]
-        if strange:
-            guess = did_you_mean(strange[0], self.conditions)
-            raise ValueError(f"bound_conditions: '{strange[0]}' is not one of the conditions{guess}")
-        foreign = [name for name in self.alarms if name not in self.detectors]
-        if foreign:
-            guess = did_you_mean(foreign[0], self.detectors)
-            raise ValueError(f"alarms: '{foreign[0]}' is not one of the detectors{guess}")
-        for name, condition in self.conditions.items():
-            foreign = [detector for detector in condition.detectors or () if detector not in self.detectors]
-            if foreign:
-                raise ValueError(f"conditions.{name}: detectors: {unknown(foreign[0], self.detectors, 'detector')}")
+        self.check_conditions("base", (self.base,))
+        self.check_conditions("bound_conditions", self.bound_conditions)
+        named = {"alarms": tuple(self.alarms)}
+        named |= {f"conditions.{name}: detectors": each.detectors or () for name, each in self.conditions.items()}
+        for key, detectors in named.items():
+            for detector in detectors:
+                if detector not in self.detectors:
+                    raise ValueError(f"{key}: {unknown(detector, self.detectors, 'detector')}")
         return self
 
+    def asked(self) -> tuple[str, ...]:
+        """The parts that the other keys ask for."""
+        wanted = {"alarm": self.alarm_hours > 0.0 and bool(self.alarms), "leak_bound": bool(self.bound_conditions)}
+        return ("windows", *(name for name, asked in wanted.items() if asked))
+
     @classmethod
-    def from_yaml(cls, path: str | Path) -> LeakProtocol:
-        """Read a protocol.
-
-        Raises:
-            ConfigurationError: an unknown key or value; the message names the file and the condition.
-        """
-        values, folder = read_yaml(path), Path(path).parent
-        errors: list[ConfigurationError] = []
-        with kept(errors):
-            if "task" in values:
-                values["task"] = read_task(values.pop("task"), Path(path))
+    def prepare(cls, values: dict[str, Any], file: Path, errors: list[ConfigurationError]) -> None:
+        """Find the settings of the alarms beside the file of the protocol."""
+        del errors
         if isinstance(values.get("alarms"), dict):
-            values["alarms"] = {name: str(folder / str(file)) for name, file in values["alarms"].items()}
-        conditions = values.get("conditions")
-        for condition in conditions.values() if isinstance(conditions, dict) else ():
-            with kept(errors):
-                if isinstance(condition, dict) and isinstance(condition.get("rig"), str):
-                    condition["rig"] = str(config_file("rigs", condition.pop("rig"), folder))
-        with kept(errors):
-            protocol = validate(cls, values, str(path))
-        refuse(errors, str(path))
-        for name in protocol.conditions:
-            with kept(errors):
-                protocol.task_in(name)
-        refuse(errors, str(path))
-        return protocol
+            values["alarms"] = {name: str(file.parent / str(path)) for name, path in values["alarms"].items()}
 
-    def moved(self, task: str | None, rig: str | Path | None) -> LeakProtocol:
-        """The protocol with another task, or on another rig.
-
-        Raises:
-            ConfigurationError: the task or rig does not exist, or a condition does not fit it.
-        """
-        base = task_config(self.task if task is None else task, rig=rig)
-        moved = validate(LeakProtocol, {**self.model_dump(), "task": base}, "protocol")
-        for name in moved.conditions:
-            moved.task_in(name)
-        return moved
-
-    def task_in(self, name: str) -> TaskConfig:
+    def changed_task(self, name: str) -> TaskConfig:
         """The task of the runs of a condition.
 
         Raises:
@@ -186,15 +139,20 @@ class LeakProtocol(Group):
         faults = {fault: np.full(count, size) for fault, size in condition.faults.items()}
         return Cases(seeds, flow, None, condition.parameters_on(task) or None, faults or None)
 
-    @cached_property
-    def sha256(self) -> str:
-        """SHA-256 of the whole protocol, including all files that it names, as sorted JSON."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()
-
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, controller of the axes, changes (JSON)."""
-        own = {"group", "label", "acting", "motion", "begins", "duration", "levels", "share", "detectors"}
+        own = {
+            "group",
+            "label",
+            "description",
+            "acting",
+            "motion",
+            "begins",
+            "duration",
+            "levels",
+            "share",
+            "detectors",
+        }
         rows: list[dict[str, Any]] = []
         for name, condition in self.conditions.items():
             changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=own)
@@ -212,8 +170,3 @@ class LeakProtocol(Group):
                 }
             )
         return pd.DataFrame(rows)
-
-
-def is_leak_protocol(file: Path) -> bool:
-    """Whether a file holds a leakage protocol."""
-    return read_yaml(file).get("kind") == KIND

@@ -1,20 +1,24 @@
-"""The tables of the protocol: detection, verdicts, sizes and intervals, reliability, masking."""
+"""The tables of a leakage protocol: thresholds and verdicts, detection, sizes and intervals, reliability, masking.
+
+docs/leakage.md describes their columns.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.detector import VERDICTS, Cause
-from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, LeakProtocol
-from hydro_agents.evaluation.leak_running import LeakRun
+from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
+from hydro_agents.evaluation.leak_alarm import alarm_table
+from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
+from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
-from hydro_env.files import write_whole
+
+KIND = "leakage"
+FALSE_ALARM_RATE = 0.01
 
 BINS = np.linspace(0.0, 1.0, 11)
 """Edges of the bins of the reliability curve."""
@@ -28,36 +32,76 @@ FAR = 6.0
 SECONDS_PER_HOUR = 3600.0
 
 
-@dataclass(frozen=True)
-class LeakTables:
-    """Every table of a protocol; docs/leakage.md describes their columns."""
+@table("conditions", KIND)
+def conditions(results: Results) -> pd.DataFrame:
+    """One row per condition, see :meth:`LeakProtocol.table`."""
+    made: pd.DataFrame = results.protocol.table()
+    return made
 
-    detection: pd.DataFrame
-    verdicts: pd.DataFrame
-    sizes: pd.DataFrame
-    reliability: pd.DataFrame
-    masking: pd.DataFrame
-    thresholds: pd.DataFrame
-    conditions: pd.DataFrame
-    status: pd.DataFrame
-    windows: pd.DataFrame
-    protocol: pd.DataFrame
-    bound: pd.DataFrame = field(default_factory=pd.DataFrame)
-    alarms: pd.DataFrame = field(default_factory=pd.DataFrame)
 
-    def write(self, folder: Path) -> None:
-        """Write every table that is not empty as CSV.
+@table("status", KIND)
+def status(results: Results) -> pd.DataFrame:
+    """What became of every detector under every condition."""
+    return results.status
 
-        Raises:
-            ConfigurationError: a file cannot be written.
-        """
-        for name, table in self.by_name().items():
-            if not table.empty:
-                write_whole(folder / f"{name}.csv", table.to_csv(index=False).encode())
 
-    def by_name(self) -> dict[str, pd.DataFrame]:
-        """The tables by the names of their files."""
-        return {part.name: getattr(self, part.name) for part in fields(self)}
+@table("protocol", KIND)
+def facts(results: Results) -> pd.DataFrame:
+    """Keys and values: what ran, when, and where."""
+    protocol, count = results.protocol, str(len(results.table("windows")))
+    own = [("title", protocol.title), ("sha256", protocol.sha256), ("windows", count)]
+    return pd.DataFrame([*own, *results.facts], columns=["key", "value"])
+
+
+@table("alarms", KIND)
+def alarms(results: Results) -> pd.DataFrame:
+    """False alarms per 100 h, delays and misses of each alarm."""
+    return alarm_table(results.part("alarm"))
+
+
+@table("thresholds", KIND)
+def thresholds(results: Results) -> pd.DataFrame:
+    """For each detector: the threshold at 1 % false alarms on healthy validation windows, and the threshold in use."""
+    read, rows = results.part("windows"), []
+    for name, detector in results.participants.detectors.items() if len(read) else ():
+        score = read.loc[read["validation"] & (read["detector"] == name), "score"].to_numpy()
+        found = np.nan  # a detector that cannot read these windows
+        if len(score):
+            found = threshold_at_false_alarm_rate(np.nan_to_num(score, nan=-np.inf), FALSE_ALARM_RATE)
+        used = found if detector.threshold is None else detector.threshold
+        rows.append({"detector": name, "at_1_percent": found, "used": used, "windows": len(score)})
+    return pd.DataFrame(rows)
+
+
+@table("windows", KIND)
+def windows(results: Results) -> pd.DataFrame:
+    """The windows of all detectors with a threshold, without those of the validation; see :func:`judged`."""
+    read = results.part("windows")
+    if read.empty:
+        return read
+    known = results.table("thresholds")
+    chosen = ~read["validation"] & read["detector"].isin(known.loc[known["used"].notna(), "detector"])
+    healthy_bound = results.protocol.task.leakage.class_bounds[0]
+    return judged(read[chosen].drop(columns="validation"), known, healthy_bound)
+
+
+def judged(windows: pd.DataFrame, thresholds: pd.DataFrame, healthy_bound: float) -> pd.DataFrame:
+    """The windows of runs that did not fail, with four additional columns.
+
+    ``flagged`` (with the threshold in use), ``at_1_percent`` (with the threshold at 1 % false alarms), ``verdict`` (its
+    number), and ``leaking`` (true leak above the bound of a healthy seal, l/min at 100 bar).
+    """
+    windows = windows[windows["failed"] == 0.0]
+    known = thresholds.set_index("detector")
+    score = windows["score"].to_numpy()
+    flagged, at_1_percent = (
+        score >= windows["detector"].map(known[column]).to_numpy()  # NaN is above nothing
+        for column in ("used", "at_1_percent")
+    )
+    verdict = np.where(flagged, float(Cause.INTERNAL_LEAK), windows["otherwise"].to_numpy())
+    verdict = np.where(np.isnan(score), float(Cause.UNKNOWN), verdict).astype(int)
+    leaking = windows["leak_lpm"].to_numpy() > healthy_bound
+    return windows.assign(flagged=flagged, at_1_percent=at_1_percent, verdict=verdict, leaking=leaking)
 
 
 def share(values: Any) -> Interval:
@@ -73,16 +117,23 @@ def _columns(name: str, interval: Interval) -> dict[str, float]:
 _CELL = ["detector", "condition", "level"]
 
 
-def detection_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
+def _cells(results: Results) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
+    """The windows of each detector, condition and level."""
+    found = results.table("windows")
+    for key, frame in found.groupby(_CELL, sort=False) if len(found) else ():
+        yield dict(zip(_CELL, key, strict=True)), frame
+
+
+@table("detection", KIND)
+def detection(results: Results) -> pd.DataFrame:
     """Share of windows reported as a leak past the piston, with the detector's threshold and with the one at 1 %.
 
     ``per_hour``: for consecutive windows without overlap.
     """
     rows = []
-    for key, frame in run.windows.groupby(_CELL, sort=False):
-        cell = dict(zip(_CELL, key, strict=True))
+    for cell, frame in _cells(results):
         flagged = share(frame["flagged"])
-        windows_per_hour = SECONDS_PER_HOUR / protocol.conditions[cell["condition"]].duration
+        windows_per_hour = SECONDS_PER_HOUR / results.protocol.conditions[cell["condition"]].duration
         rows.append(
             cell
             | _columns("flagged", flagged)
@@ -96,21 +147,22 @@ def detection_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def verdict_table(run: LeakRun) -> pd.DataFrame:
+@table("verdicts", KIND)
+def verdicts(results: Results) -> pd.DataFrame:
     """The confusion table: share of each verdict by detector, condition and leak level."""
     rows = []
-    for key, frame in run.windows.groupby(_CELL, sort=False):
+    for cell, frame in _cells(results):
         counts = np.bincount(frame["verdict"], minlength=len(VERDICTS)) / len(frame)
-        rows.append(dict(zip(_CELL, key, strict=True)) | dict(zip(VERDICTS, counts, strict=True)))
+        rows.append(cell | dict(zip(VERDICTS, counts, strict=True)))
     return pd.DataFrame(rows)
 
 
-def size_table(run: LeakRun) -> pd.DataFrame:
+@table("sizes", KIND)
+def sizes(results: Results) -> pd.DataFrame:
     """Errors of the size and coverage of the 90 % intervals, over windows in which the detector gives an answer."""
-    sigma = _bound_of(run.bound)
+    sigma = _bound_of(results)
     rows = []
-    for key, frame in run.windows.groupby(_CELL, sort=False):
-        cell = dict(zip(_CELL, key, strict=True))
+    for cell, frame in _cells(results):
         told = frame[frame["flow_lpm"].notna()]
         truth = told["leak_lpm"].to_numpy()
         estimate = told["flow_lpm"].to_numpy()
@@ -135,33 +187,36 @@ def size_table(run: LeakRun) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _bound_of(bound: pd.DataFrame) -> dict[tuple[str, float], float]:
+def _bound_of(results: Results) -> dict[tuple[str, float], float]:
     """Median bound of each condition and level."""
-    if bound.empty:
+    rows = results.part("leak_bound")
+    if rows.empty:
         return {}
-    found = bound.groupby(["condition", "level"])["sigma_lpm"].median()
+    found = rows.groupby(["condition", "level"])["sigma_lpm"].median()
     return {(str(condition), float(level)): float(value) for (condition, level), value in found.items()}
 
 
-def reliability_table(run: LeakRun) -> pd.DataFrame:
+@table("reliability", KIND)
+def reliability(results: Results) -> pd.DataFrame:
     """Probability against frequency of a leak, by detector and condition with drawn leaks, half of them healthy.
 
     ``error`` is the calibration error of the whole curve: the mean distance of probability and frequency, weighted by
     the number of windows.
     """
     rows = []
-    drawn = run.windows[(run.windows["level"] == DRAWN) & run.windows["probability"].notna()]
-    for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False):
+    found = results.table("windows")
+    drawn = found[(found["level"] == DRAWN) & found["probability"].notna()] if len(found) else found
+    for (detector, condition), frame in drawn.groupby(["detector", "condition"], sort=False) if len(drawn) else ():
         probability = frame["probability"].to_numpy()
         leaking = frame["leaking"].to_numpy(dtype=bool)
         place = np.clip(np.digitize(probability, BINS) - 1, 0, len(BINS) - 2)
         parts = []
         for number in np.unique(place):
             here = place == number
-            found = share(leaking[here])
+            frequent = share(leaking[here])
             parts.append(
                 {"detector": detector, "condition": condition, "probability": float(probability[here].mean())}
-                | _columns("frequency", found)
+                | _columns("frequency", frequent)
                 | {"windows": int(here.sum())}
             )
         distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
@@ -169,12 +224,14 @@ def reliability_table(run: LeakRun) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def masking_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
+@table("masking", KIND)
+def masking(results: Results) -> pd.DataFrame:
     """Detection and position error by controller of the axes: does better control hide the leak?"""
-    sigma = _bound_of(run.bound)
+    sigma = _bound_of(results)
     rows = []
-    for (detector, condition, level), frame in run.windows.groupby(_CELL, sort=False):
-        chosen = protocol.conditions[str(condition)]
+    for cell, frame in _cells(results):
+        detector, condition, level = cell.values()
+        chosen = results.protocol.conditions[condition]
         if chosen.group not in ("levels", "controller") or level <= 0.0:
             continue
         rows.append(
@@ -184,28 +241,3 @@ def masking_table(run: LeakRun, protocol: LeakProtocol) -> pd.DataFrame:
             | {"bound_lpm": sigma.get((str(condition), float(level)), np.nan), "windows": len(frame)}
         )
     return pd.DataFrame(rows)
-
-
-def make_tables(protocol: LeakProtocol, run: LeakRun, facts: Sequence[tuple[str, str]] = ()) -> LeakTables:
-    """All tables of a run.
-
-    Args:
-        protocol: the protocol.
-        run: its results.
-        facts: keys and values of the table ``protocol``, in addition to title and hash.
-    """
-    known = [("title", protocol.title), ("sha256", protocol.sha256), ("windows", str(len(run.windows))), *facts]
-    return LeakTables(
-        detection=detection_table(run, protocol),
-        verdicts=verdict_table(run),
-        sizes=size_table(run),
-        reliability=reliability_table(run),
-        masking=masking_table(run, protocol),
-        thresholds=run.thresholds,
-        conditions=protocol.table(),
-        status=run.status,
-        windows=run.windows,
-        protocol=pd.DataFrame(known, columns=["key", "value"]),
-        alarms=run.alarms,
-        bound=run.bound,
-    )

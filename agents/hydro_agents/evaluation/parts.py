@@ -3,6 +3,11 @@
 A part is a function of a protocol and its participants that yields :class:`Cell` by cell: one participant under one
 condition, as jobs that can run anywhere. The runner (:mod:`hydro_agents.evaluation.runner`) runs the jobs of all parts
 together, and joins the rows of a part into one table. A new part is such a function and an entry of :data:`PARTS`.
+
+Participants may be anything: a part asks for those that it measures. A part of detectors, for example, yields one cell
+per detector, condition and leak level; ``refused`` holds the answer of the detector's ``refuses``; windows of healthy
+axes from validation seeds are further cells, whose rows give the threshold when a table is made. A part without
+participants, such as a bound, yields cells under a name of its own.
 """
 
 from __future__ import annotations
@@ -46,6 +51,9 @@ PARTS = {
     "force_step": Part("force_step", "hydro_agents.evaluation.experiments:force_steps"),
     "force_sine": Part("force_sine", "hydro_agents.evaluation.experiments:force_sines"),
     "hold": Part("standstill", "hydro_agents.evaluation.experiments:hold"),
+    "windows": Part("windows", "hydro_agents.evaluation.leak_windows:windows", ("leakage",)),
+    "alarm": Part("alarms", "hydro_agents.evaluation.leak_alarm:alarm", ("leakage",)),
+    "leak_bound": Part("bound", "hydro_agents.evaluation.leak_bound:leak_bound", ("leakage",)),
     "leak_price": Part("leak_price", "hydro_agents.evaluation.experiments:price"),
 }
 """Every part by its name. Its module is imported when a protocol has the part."""

@@ -28,7 +28,6 @@ from hydro_agents.running.jobs import Job, Report, run_jobs
 from hydro_env.files import write_whole
 
 DONE, NOT_APPLICABLE, FAILED = "done", "not applicable", "failed"
-STATUS = ["controller", "condition", "status", "message"]
 
 
 @dataclass
@@ -76,19 +75,23 @@ class Results:
     @property
     def working(self) -> set[str]:
         """Names, with training seeds, of the participants that failed nowhere."""
-        failed = set(self.status.loc[self.status["status"] == FAILED, "controller"])
-        return set(self.status["controller"]) - failed
+        names = self.status[self.protocol.who]
+        return set(names) - set(names[self.status["status"] == FAILED])
 
     @property
     def errors(self) -> list[str]:
         """One line per failure."""
         failed = self.status[self.status["status"] == FAILED]
-        return [f"{row['controller']} under {row['condition']}: {row['message']}" for _, row in failed.iterrows()]
+        return [f"{row[self.protocol.who]} under {row['condition']}: {row['message']}" for _, row in failed.iterrows()]
 
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {"robustness": "hydro_agents.evaluation.robustness_tables", "study": "hydro_agents.evaluation.tables"}
+_MODULES = {
+    "robustness": "hydro_agents.evaluation.robustness_tables",
+    "leakage": "hydro_agents.evaluation.leak_tables",
+    "study": "hydro_agents.evaluation.tables",
+}
 """Modules that register the tables of a kind of protocol."""
 
 
@@ -154,23 +157,23 @@ def run(
         if answers and not error:
             columns = {name: np.concatenate([each.metrics[name] for each in answers]) for name in answers[0].metrics}
             frames.setdefault(part, []).append(pd.DataFrame({**cell.known, **columns}))
-    statuses = _statuses([*refused, *ran])
+    statuses = _statuses(protocol.who, [*refused, *ran])
     if protocol.measured[0] not in frames:
-        reasons = statuses[statuses["message"] != ""].drop_duplicates("controller")
-        told = "; ".join(f"{row['controller']}: {row['message']}" for row in reasons.to_dict("records"))
-        raise ControllerError(f"no controller ran under any condition; {told}")
+        reasons = statuses[statuses["message"] != ""].drop_duplicates(protocol.who)
+        told = "; ".join(f"{row[protocol.who]}: {row['message']}" for row in reasons.to_dict("records"))
+        raise ControllerError(f"no {protocol.who} ran under any condition; {told}")
     rows = {part: pd.concat(each, ignore_index=True) for part, each in frames.items()}
     return Results(protocol, chosen, rows, statuses, reused, facts)
 
 
 def _keys(cells: Sequence[tuple[str, Cell]]) -> Iterator[tuple[str, Job]]:
-    for part, cell in cells:
+    for place, (part, cell) in enumerate(cells):
         for number, job in enumerate(cell.jobs):
-            yield (job.file if job.digest else f"{part}|{cell.participant}|{cell.condition}|{number}"), job
+            yield (job.file if job.digest else f"{part}|{place}|{number}"), job
 
 
-def _statuses(rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
+def _statuses(who: str, rows: Sequence[tuple[str, str, str, str]]) -> pd.DataFrame:
     """One row per participant and condition: the first failure if any part failed."""
-    table = pd.DataFrame(rows, columns=STATUS)
+    table = pd.DataFrame(rows, columns=[who, "condition", "status", "message"])
     table = table.sort_values("message", key=lambda messages: messages == "", kind="stable")
-    return table.drop_duplicates(STATUS[:2]).sort_index(ignore_index=True)
+    return table.drop_duplicates([who, "condition"]).sort_index(ignore_index=True)

@@ -48,7 +48,6 @@ def render(template: str, values: Mapping[str, Any], folder: Path = TEMPLATES) -
 
 
 def _number(value: float) -> str:
-    """A number in C, exact."""
     if np.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
     return repr(float(value))

@@ -20,7 +20,6 @@ from hydro_env import ConfigurationError, TaskConfig, __version__
 
 STARTED, CONTINUED = "started.", "continued."
 
-
 OUTPUTS = ("voltage", "next_state", "lost_signals")
 DOUBLE = np.dtype(np.float64)
 _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -251,7 +250,6 @@ def memory_type(name: str) -> str:
 
 
 def _field(name: str) -> str:
-    """Name in C of a part of the memory."""
     return re.sub(r"\W", "_", name.removeprefix("controller."))
 
 

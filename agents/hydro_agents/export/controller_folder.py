@@ -39,14 +39,9 @@ FILES = (
     "README.md",
     FILE,
 )
-"""Names of the files of an exported controller."""
 
-
-FAMILIES = ("step", "multi_sine", "start_stop")
-"""References of the closed-loop episodes, if the task has them."""
-
-LONGEST = 250
-"""Control periods per episode of the vectors."""
+FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
+LONGEST = 250  # control periods per episode of the vectors
 
 
 @dataclass(frozen=True)

@@ -59,14 +59,10 @@ def literals(values: Sequence[float]) -> str:
 
 
 Typed = tuple[str, str]
-"""Text and type of an expression."""
-
 _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _BITS = {ast.BitXor: "^", ast.RShift: ">>"}
-_NUMBERS = (BOOL, INT, FLOAT, DOUBLE)
-"""Types that C converts as Python does, the widest last."""
-
+_NUMBERS = (BOOL, INT, FLOAT, DOUBLE)  # types that C converts as Python does, the widest last
 _FUNCTIONS = (
     *(math.asinh, math.cos, math.exp, math.floor, math.hypot),
     *(math.log, math.log10, math.sin, math.tanh),

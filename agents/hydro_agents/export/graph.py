@@ -52,7 +52,6 @@ ELEMENTWISE = {
 """Name of the operation of each NumPy function that works element by element."""
 
 KINDS = tuple(np.dtype(kind) for kind in (np.float64, np.float32, np.int64, np.bool_))
-"""Number types of a graph."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from hydro_agents.detection.balance import fit, fit_balance
-from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of, repair
+from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
+from hydro_agents.detection.features import FEATURES, SIGNALS, describe, features_of
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
-from hydro_agents.detection.stuck import bounds_of, find_stuck
 from hydro_agents.export.c_files import CCode, c_code, compared, csv_text, render
 from hydro_agents.export.c_writer import CWriter
 from hydro_agents.export.exported import FILE, ContractSignal, onnx_session, sealed
@@ -49,9 +49,7 @@ FIELDS = {
     "return_line": "probability of raised tank pressure",
     "outside": "1: the answer is not valid, because the window is unlike the training; else 0",
 }
-FORGET = 4
-"""Multiples of window times interval after which the C code restarts its sample counter."""
-
+FORGET = 4  # multiples of window times interval after which the C code restarts its sample counter
 
 NETWORK_FILE = "leakage_head_network.onnx"
 FILES = (
@@ -63,17 +61,11 @@ FILES = (
     "README.md",
     FILE,
 )
-"""Names of the files of an exported leakage head."""
-
 LARGEST_DIFFERENCE = 2e-5
 """Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
 
-LEAKS = (0.01, 0.5, 2.0)
-"""l/min at 100 bar, in the episodes of the test vectors."""
-
-ESTIMATES = 4
-"""Control periods per episode of the test vectors."""
-
+LEAKS = (0.01, 0.5, 2.0)  # l/min at 100 bar, in the episodes of the test vectors
+ESTIMATES = 4  # control periods per episode of the test vectors
 RULES = {
     "sampling": "one call per sample_time; all signals of a call are sampled at the same instant",
     "previous_command": "of sample k is the command of sample k-1 that the valve received (1: full voltage)",

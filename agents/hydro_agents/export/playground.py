@@ -61,9 +61,7 @@ VIEW = (
 
 _SENSOR = ("noise", "low", "high", "resolution")
 
-CENTRE = 0.02
-"""m; about the middle of the range that the supply can hold against the spring."""
-
+CENTRE = 0.02  # m; about the middle of the range that the supply can hold against the spring
 SEED = 20151
 
 _RIG_SLIDERS = (
@@ -75,7 +73,6 @@ _FIELDS = ("name", "unit", "low", "high", "scale", "parameter")
 RIG_SLIDERS: tuple[dict[str, Any], ...] = tuple(
     {**dict(zip(_FIELDS, row, strict=True)), "digits": 0} for row in _RIG_SLIDERS
 )
-
 
 PAGE_FILE = "playground.html"
 
@@ -239,7 +236,6 @@ def axis_sources(config: TaskConfig, controllers: Sequence[Written], head: Leaka
 
 
 def _signal(name: str, config: TaskConfig) -> str:
-    """The C expression for a signal of a controller."""
     if name in SENSORS:
         return f"view->measured[{SENSORS.index(name)}]"
     if name == "previous_voltage":

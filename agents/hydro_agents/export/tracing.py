@@ -296,7 +296,6 @@ def _filled(number: float) -> Callable[..., Traced]:
 
 
 def _searchsorted(self: Traced, edges: Any, values: Any) -> Any:
-    """Number of ascending edges below each value."""
     return (values.reshape(-1, 1) > edges).astype(np.int64).sum(axis=1)
 
 

@@ -75,8 +75,6 @@ class Translator:
 
 
 class _Body:
-    """One function in C."""
-
     def __init__(self, translator: Translator, function: Any, types: Sequence[str], name: str) -> None:
         self._all, self._name = translator, name
         known = {**function.py_func.__globals__, **inspect.getclosurevars(function.py_func).nonlocals}

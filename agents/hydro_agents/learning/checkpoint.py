@@ -41,13 +41,10 @@ KIND = "training checkpoint"
 class Checkpoint(NamedTuple):
     """A training at the start of a rollout."""
 
-    tensors: dict[str, NDArray[Any]]
-    """Networks, optimiser, environment, generators and the last observation."""
-
+    tensors: dict[str, NDArray[Any]]  # networks, optimiser, environment, generators and the last observation
     steps: int
     updates: int
-    seconds: float
-    """Duration of training, all sessions together."""
+    seconds: float  # duration of training, all sessions together
 
 
 def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoint:
@@ -177,7 +174,6 @@ def _plain(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
-    """The inverse of :func:`_plain`."""
     return array if like.dtype.names is None else array.view(like.dtype).reshape(like.shape)
 
 

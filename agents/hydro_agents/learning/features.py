@@ -19,18 +19,11 @@ from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
-NORMALISING_SEEDS = SCALES.take(240)
-"""Plants on which the inputs are observed for their typical sizes."""
-
-MIDDLE = 0.6
-"""Share of the samples that stay within one unit."""
-
-RARE = 0.3
-"""Unit of an input that is constant most of the time, as a fraction of its standard deviation."""
-
+NORMALISING_SEEDS = SCALES.take(240)  # plants on which the inputs are observed for their typical sizes
+MIDDLE = 0.6  # share of the samples that stay within one unit
+RARE = 0.3  # unit of an input that is constant most of the time, as a fraction of its standard deviation
 LEAST = 0.02
 """An input is constant most of the time if its unit (from MIDDLE) is below this fraction of its standard deviation."""
-
 
 HISTORY_SIGNALS = (
     "position",
@@ -41,18 +34,11 @@ HISTORY_SIGNALS = (
     "previous_command",
     "tracking_error",
 )
-HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)
-"""Ages of the samples in the history, in control periods."""
+HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in control periods
 
-
-LASTING_TIME = 0.2
-"""s; time constant of the slow average of the correction. Integral action handles slower errors."""
-
-PREVIEW_SCALE = 0.01
-"""m; scale of the rebuilt samples of the preview, the same as in the observation."""
-
-FEATURE_LIMIT = 50.0
-"""Inputs of the policy are limited to ± this value."""
+LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
+PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
+FEATURE_LIMIT = 50.0  # inputs of the policy are limited to ± this value
 
 
 class Normalisation(NamedTuple):
@@ -96,26 +82,15 @@ def observed(
 class FeatureState(NamedTuple):
     """Memory of N axes; no call changes its argument."""
 
-    base: Any
-    """Memory of the controller that the policy corrects; ``None`` without one."""
-
-    ring: NDArray[np.float32]
-    """Ring buffer of recent signals (N, length, signals); the oldest is at ``slot``."""
-
-    slot: int
-    """Index for the next signals."""
-
-    base_command: NDArray[np.float32]
-    """Command of the corrected controller at the last call, (N, 1)."""
-
+    base: Any  # memory of the controller that the policy corrects; ``None`` without one
+    ring: NDArray[np.float32]  # ring buffer of recent signals (N, length, signals); the oldest is at ``slot``
+    slot: int  # index for the next signals
+    base_command: NDArray[np.float32]  # command of the corrected controller at the last call, (N, 1)
     correction: NDArray[np.float32]
     """The policy's correction of that controller's command in the previous period, (N, 1); after the limits."""
 
-    lasting: NDArray[np.float32]
-    """Slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)."""
-
-    reference: NDArray[np.float64]
-    """The reference from one period ago to the farthest preview, m, (N, samples)."""
+    lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
+    reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
 
     def aligned(self) -> FeatureState:
         """The same memory with the oldest signals at index 0 of the ring."""

@@ -18,8 +18,6 @@ from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 SHIPPED_WEIGHTS = {"ppo": "policy"}
-"""Names of the files in the folder of shipped weights, by kind."""
-
 EXPORTED = "hydro_agents.export.exported:ExportedController"
 """The class that runs a folder of ``hydro export``; by name, because that room imports this one."""
 

@@ -43,8 +43,6 @@ class _StoredFeatures(Group):
 
 
 class _StoredPolicy(Group):
-    """The JSON beside the weights of a policy."""
-
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
 
     features: _StoredFeatures
@@ -286,7 +284,6 @@ def _stored_normalisation(tensors: dict[str, NDArray[Any]], size: int, path: str
 
 
 def _sizes(layers: Layers) -> list[int]:
-    """Number of inputs, and of the outputs of each layer."""
     return [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]
 
 

@@ -17,14 +17,9 @@ from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import TYPICAL_SIZE
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 
-PLANTS = 256
-"""Number of plants that are drawn for the mean and the spread of each parameter."""
-
-ERROR_SCALE = 1e-3
-"""m; scale of the true error."""
-
-SMALLEST_LEAK = 1e-4
-"""l/min; the leak enters as the logarithm of its size relative to this."""
+PLANTS = 256  # number of plants that are drawn for the mean and the spread of each parameter
+ERROR_SCALE = 1e-3  # m; scale of the true error
+SMALLEST_LEAK = 1e-4  # l/min; the leak enters as the logarithm of its size relative to this
 
 
 class Privileged:

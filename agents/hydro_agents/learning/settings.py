@@ -9,8 +9,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from hydro_env.files import Group
 
-LARGEST_ROLLOUT = 10_000_000
-"""Largest number of samples of a rollout; it takes some gigabytes of memory."""
+LARGEST_ROLLOUT = 10_000_000  # largest number of samples of a rollout; it takes some gigabytes of memory
 
 
 class Prices(Group):

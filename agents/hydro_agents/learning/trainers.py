@@ -95,7 +95,6 @@ TRAINERS: dict[str, Trainer] = {
     "sac": OffPolicyTrainer("SAC", "stable_baselines3", "stable-baselines3"),
     "tqc": OffPolicyTrainer("TQC", "sb3_contrib", "sb3-contrib"),
 }
-"""Trainers by their ``kind`` in a YAML file."""
 
 
 def trainer(kind: str) -> Trainer:

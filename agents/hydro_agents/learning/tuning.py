@@ -33,18 +33,12 @@ Objective = Literal["mean", "equal"]
 LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
 """l/min at 100 bar; every candidate runs with each leak in each family."""
 
-POPULATION = 14
-"""Number of candidates per generation."""
-
+POPULATION = 14  # number of candidates per generation
 EVALUATIONS = 2800
-"""Total number of candidates."""
-
 EFFORT_TIME = 3e-3
 """s; the squared change of the command in a period costs as much as the travel at full speed in this time."""
 
-REFUSED = 1e3
-"""m; cost of an invalid or failing candidate."""
-
+REFUSED = 1e3  # m; cost of an invalid or failing candidate
 _SIGMA = 0.2
 
 
@@ -75,10 +69,8 @@ class TuningCases:
 class Score:
     """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
 
-    mean: float
-    """Mean over all cases of the mean absolute error."""
-    equal: float
-    """Geometric mean over the families of the mean over their cases; all families have the same weight."""
+    mean: float  # mean over all cases of the mean absolute error
+    equal: float  # geometric mean over the families of the mean over their cases; all families have the same weight
 
 
 class Trial:

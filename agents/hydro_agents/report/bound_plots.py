@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from hydro_agents.estimation.information import TASK
 from hydro_agents.estimation.known_windows import KnownWindows
 from hydro_agents.estimation.move_design import Move
-from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
-from hydro_agents.evaluation.leak_bound_tables import ORDINARY, shown
+from hydro_agents.evaluation.leak_bound import ALL_SENSORS
 from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES
 from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis, ticks
+from hydro_agents.report.leak_bound import ORDINARY, shown
 
 
 def convergence_picture(table: pd.DataFrame) -> bytes:

@@ -57,7 +57,8 @@ def heat_map(content: Content, caption: str, column: str) -> list[Block]:
         shown += rows
     blocks: list[Block] = [Table(caption, header, shown, style="heat", folded=False, breaks=breaks)]
     for title, rows in folded.items():
-        blocks.append(Fold(f"{title} ({len(rows)} conditions)", [Table("", header, rows, style="heat")]))
+        count = "1 condition" if len(rows) == 1 else f"{len(rows)} conditions"
+        blocks.append(Fold(f"{title} ({count})", [Table("", header, rows, style="heat")]))
     return blocks
 
 

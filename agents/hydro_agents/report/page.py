@@ -73,17 +73,17 @@ def _shared_letters(html: str) -> str:
     return LETTER.sub("", html).replace("<body>", f"<body>\n{store}", 1) if letters else html
 
 
-def templates(*folders: Path, prose: bool = False) -> jinja2.Environment:
-    """Templates of some folders and of this one: HTML, or prose with free line breaks.
+def templates(*folders: Path) -> jinja2.Environment:
+    """Templates of some folders and of this one.
 
     Filters: ``n`` is :func:`~hydro_agents.running.text.number`, ``s`` is :func:`~hydro_agents.running.text.setting`.
     """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader([*folders, Path(__file__).parent]),
-        autoescape=not prose,
+        autoescape=True,
         undefined=jinja2.StrictUndefined,
-        trim_blocks=not prose,
-        lstrip_blocks=not prose,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters.update({"n": number, "s": setting})
     return environment

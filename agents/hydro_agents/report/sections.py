@@ -174,13 +174,14 @@ def render_page(
     Args:
         title: of the page.
         names: of its sections, in order.
-        content: what they show.
+        content: what they show; a policy that corrects another controller gets its full name.
         origin: command, date and version; default: those of the facts.
         sources: sentence about the files that hold the numbers; default: the tables beside the page.
 
     Raises:
         ConfigurationError: a section is unknown.
     """
+    content = content.with_full_names()
     parts = [
         (part, blocks)
         for part in sections_named(names)

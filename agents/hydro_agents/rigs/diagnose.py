@@ -11,10 +11,10 @@ import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import NO_COMMANDS, Detector, Reading, Windows
-from hydro_agents.detection.detectors import HeadDetector
 from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
+from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import Checked, check_recording

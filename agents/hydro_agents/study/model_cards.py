@@ -99,7 +99,6 @@ def head_card(head: LeakageHead, evaluation: Evaluation, command: str, weights: 
 
 
 def _axis(config: TaskConfig) -> str:
-    """The axis that weights were made for, in one sentence."""
     cylinder, period = config.plant.cylinder, 1e3 * config.control_period
     sizes = f"bore {1e3 * cylinder.bore_diameter:.4g} mm, stroke {1e3 * cylinder.stroke:.4g} mm"
     return f"It was trained for a cylinder of {sizes}, with a control period of {period:g} ms."

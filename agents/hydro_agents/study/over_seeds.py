@@ -22,9 +22,7 @@ from hydro_agents.study.training import read_curve
 from hydro_env.files import write_whole
 
 TABLE, CURVES, CURVE_FILE = "tables/over_seeds.csv", "tables/learning_curves.csv", "learning_curve.svg"
-SEED = "seed"
-"""Begins the names of the studies' folders and of the table's columns, as in ``seed 0``."""
-
+SEED = "seed"  # begins the names of the studies' folders and of the table's columns, as in ``seed 0``
 FIRST_ERROR = "first_mean_error_mm"
 """Column of the learning curves: error of the first controller on the same validation plants."""
 

@@ -17,7 +17,7 @@ from hydro_agents.evaluation.protocol import Evaluation, evaluate
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.learning.progress import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.report import StudyRecord, write_report, write_tables
+from hydro_agents.report.pages import StudyRecord, write_report, write_tables
 from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay, console_table

@@ -10,8 +10,9 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text, make_controller
+from hydro_agents.detection.dataset import HeadTrainingSettings
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.detection.head_training import HeadTrainingSettings, train_head
+from hydro_agents.detection.head_training import train_head
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.starting_gains import stable_start
@@ -28,9 +29,7 @@ TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfeven
 """Files that the training of a controller writes; the names of checkpoints begin with ``checkpoint``."""
 
 TUNING_LOG = "tuning.csv"
-TUNING_FILES = (GAINS_FILE, TUNING_LOG)
-"""Files that the tuning of a controller writes."""
-
+TUNING_FILES = (GAINS_FILE, TUNING_LOG)  # files that the tuning of a controller writes
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import mannwhitneyu
 
-from hydro_agents.detection.roc import (
+from hydro_agents.detection.detector import threshold_at_false_alarm_rate
+from hydro_agents.evaluation.detection import (
     area_under_roc,
     average_precision,
     detection_rate,
     precision_recall_curve,
     roc_curve,
-    threshold_at_false_alarm_rate,
 )
 
 

@@ -1,4 +1,7 @@
-"""The spool between two samples: the best-fitting candidate valve gives its motion, and the readings correct it."""
+"""Parts of the flow balance, in compiled code: the spool between two samples, and small least-squares systems.
+
+The candidate valve that fits the readings best gives the spool's motion, and the readings correct it.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,12 @@ import math
 
 from hydro_agents.detection.sheet import POINTS
 from hydro_env.compiling import inline
+
+SMALLEST_PIVOT = 0.05
+"""Lower limit of a pivot; it keeps a matrix definite after the subtraction of known noise."""
+
+OUTLIER = 3.0
+"""Standard deviations beyond which a residual counts linearly (Huber)."""
 
 
 @inline
@@ -70,3 +79,58 @@ def spool_between(reading, command, transition, noise, valve, spool, error, smoo
         for point in range(POINTS):
             share = (point + 0.5) / POINTS
             spool[k, point] += (1.0 - share) * smooth[k] + share * smooth[k + 1]
+
+
+@inline
+def whiten(value, slope, other, filtered, whitened, spread, blend, unit):
+    """Write the whitened residual and derivatives to ``whitened``; returns the residual's square, linear for outliers.
+
+    If ``other`` is true, the residual is the difference of both travels, else position minus the travel of chamber a.
+    """
+    count = spread.shape[0]
+    innovation = value - filtered[count]
+    filtered[count] += blend * innovation
+    size = abs(unit * innovation)
+    weight = unit * (1.0 if size < OUTLIER else math.sqrt(OUTLIER / size))
+    for i in range(count):
+        change = spread[i] * (slope[1, i] - slope[0, i] if other else -slope[0, i]) - filtered[i]
+        filtered[i] += blend * change
+        whitened[i] = weight * change
+    whitened[count] = weight * innovation
+    return size * size if size < OUTLIER else OUTLIER * (2.0 * size - OUTLIER)
+
+
+@inline
+def factor(matrix):
+    """Cholesky factor of a symmetric positive definite matrix, in place; only the lower half is used."""
+    for i in range(matrix.shape[0]):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = math.sqrt(max(total, SMALLEST_PIVOT)) if i == j else total / matrix[j, j]
+
+
+@inline
+def hold(matrix, right, unknown, value):
+    """Fix an unknown of the normal equations at a value, in place; only the lower half of the matrix is used."""
+    for i in range(right.shape[0]):
+        row, column = max(i, unknown), min(i, unknown)
+        right[i] -= matrix[row, column] * value
+        matrix[row, column] = 0.0
+    matrix[unknown, unknown], right[unknown] = 1.0, value
+
+
+@inline
+def substitute(lower, right):
+    """Solve with a Cholesky factor, in place."""
+    count = right.shape[0]
+    for i in range(count):
+        for k in range(i):
+            right[i] -= lower[i, k] * right[k]
+        right[i] /= lower[i, i]
+    for back in range(count):
+        i = count - 1 - back
+        for k in range(i + 1, count):
+            right[i] -= lower[k, i] * right[k]
+        right[i] /= lower[i, i]

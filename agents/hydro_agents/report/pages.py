@@ -1,4 +1,4 @@
-"""Writes the page of a study, and the tables of its evaluation."""
+"""Writes the pages of protocols and studies: one HTML file each, without external parts, and its figures beside it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,20 @@ from hydro_agents.report.content import Content
 from hydro_agents.report.page import Page
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY
-from hydro_agents.report.traces import Example
+from hydro_agents.report.traces import Example, Replay, worst_traces
 from hydro_env.files import write_whole
+
+
+def with_traces(content: Content, replay: Replay) -> Content:
+    """The content with the worst cases of every controller, run again (see :func:`worst_traces`)."""
+    if len(content.controllers) < 2:
+        return content
+    preview = max(content.task.references.preview_times, default=0.0)
+    traces = worst_traces(replay, content.table("cases"), content.baseline, content.label, preview)
+    return Content(content.tables, content.task, {**content.others, "traces": traces})
+
+
+# Studies ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,7 @@ class StudyRecord:
 
 
 def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> None:
-    """Write the report as one HTML file without external parts, and its figures into a folder beside it.
+    """Write the page of a study.
 
     Raises:
         ConfigurationError: a file cannot be written.
@@ -48,8 +60,8 @@ def write_report(path: Path, evaluation: Evaluation, record: StudyRecord) -> Non
 
 
 def render_report(evaluation: Evaluation, record: StudyRecord) -> Page:
-    """The report. A controller that corrects another is named like 'PPO on PID'."""
-    return render_page(record.title, STUDY, content_of(evaluation, record).with_full_names())
+    """The page of a study. A controller that corrects another is named like 'PPO on PID'."""
+    return render_page(record.title, STUDY, content_of(evaluation, record))
 
 
 def content_of(evaluation: Evaluation, record: StudyRecord | None = None) -> Content:

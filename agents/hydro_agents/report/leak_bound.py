@@ -1,4 +1,4 @@
-"""The bound as tables."""
+"""Tables as text of ``hydro leak-bound`` and ``hydro test-move``."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 import pandas as pd
 
-from hydro_agents.estimation.information import TASK
+from hydro_agents.estimation.information import TASK, ratios_to_bound
 from hydro_agents.estimation.known_windows import MOTIONS
-from hydro_agents.evaluation.leak_bound_survey import ALL_SENSORS
+from hydro_agents.estimation.move_design import Design, Move
+from hydro_agents.evaluation.leak_bound import ALL_SENSORS
 from hydro_agents.running.text import frame_markdown, number, setting
 
 ORDINARY = next(iter(MOTIONS))
@@ -62,6 +63,55 @@ def _spread(values: pd.Series[float]) -> str:
     return f"{_digits(median)} ({_digits(low)} to {_digits(high)})"
 
 
-def as_markdown(table: pd.DataFrame) -> str:
+def bound_markdown(table: pd.DataFrame) -> str:
     """All tables of :func:`tables` as Markdown."""
     return "\n\n".join(f"{title}:\n\n{frame_markdown(part)}" for title, part in tables(table).items())
+
+
+def trial_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Bound and errors of the estimate by motion and leak; cells are text, l/min at 100 bar."""
+    rows = []
+    for (motion, leak), part in table.groupby(["motion", "leakage_flow_lpm"], sort=False):
+        kept = part[part["holds"]]
+        within = (kept["estimate_lpm"] - leak).abs() <= 1.645 * kept["deviation_lpm"]
+        median = float((kept["estimate_lpm"] - leak).abs().median()) if len(kept) else np.nan
+        ratio = ratios_to_bound(*(kept[name].to_numpy() for name in ("leakage_flow_lpm", "estimate_lpm", "sigma_lpm")))
+        rows.append(
+            {
+                "motion": motion,
+                "leak, l/min": setting(float(leak)),
+                "bound, median": number(float(part["sigma_lpm"].median()), digits=2),
+                "largest": number(float(part["sigma_lpm"].max()), digits=2),
+                "error, median": number(median, digits=2),
+                "error over bound": number(ratio[0].ratio if ratio else np.nan, digits=2),
+                "within 90 %": f"{within.sum()} of {len(kept)}",
+                "model holds": f"{len(kept)} of {len(part)}",
+            }
+        )
+    return pd.DataFrame(rows).set_index("motion")
+
+
+def move_table(move: Move) -> str:
+    """The move as Markdown, one row per stroke."""
+    rows = [
+        (f"{1e3 * one.start:.1f}", f"{one.hold:.2f}", f"{1e3 * one.end:.1f}", f"{one.duration:.2f}")
+        for one in move.strokes
+    ]
+    last = (f"{1e3 * move.strokes[-1].end:.1f}", f"{move.last_hold:.2f}", "–", "–")
+    frame = pd.DataFrame([*rows, last], columns=["hold at, mm", "for, s", "then move to, mm", "in, s"])
+    frame.index = pd.Index(range(1, len(frame) + 1), name="")
+    return frame_markdown(frame)
+
+
+def gain(best: Design) -> str:
+    """Gain of the search on the plants of the design, as a sentence."""
+    first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
+    return (
+        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of one stroke there and back at "
+        f"mid-range: {first}."
+    )
+
+
+def trial_markdown(table: pd.DataFrame) -> str:
+    """The table of :func:`trial_table` as Markdown."""
+    return frame_markdown(trial_table(table))

@@ -7,7 +7,10 @@ from proportional import Proportional
 
 from hydro_agents.evaluation.stiffness import force_step
 from hydro_agents.report.canvas import COLOURS
-from hydro_agents.report.robustness_page import PAGE_FILE, write_robustness_report
+from hydro_agents.report.content import Content
+from hydro_agents.report.pages import with_traces
+from hydro_agents.report.robustness import ROBUSTNESS
+from hydro_agents.report.sections import render_page
 from hydro_agents.report.traces import worst_rows, worst_traces
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
@@ -66,9 +69,9 @@ def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
     assert not np.array_equal(good.position["Good"], good.position["PID"])
 
 
-def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(tmp_path, config, controllers, replay):
+def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(config, controllers, replay):
     stiffness = force_step(config, controllers, [1.0], 1)
-    write_robustness_report(tmp_path, {**protocol_tables(), "force_step": stiffness}, config, replay)
-    page = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
+    content = with_traces(Content({**protocol_tables(), "force_step": stiffness}, config), replay)
+    page = render_page("Robustness", ROBUSTNESS, content).html
     for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS[1], "<h2>Stiffness</h2>"):
         assert text in page

@@ -1,0 +1,150 @@
+"""Damaged signals: lost samples take the previous reading, and sensors that repeat one reading count as stuck."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.detection.sheet import Sheet
+from hydro_env import TaskConfig
+from hydro_env.compiling import SOURCES, compiled, inline
+from hydro_env.task.sensors import SENSORS
+
+SPOOL, COMMAND = SENSORS.index("spool_position"), len(SENSORS)
+"""Rows of a window; the command follows the sensors."""
+
+LONGEST_GAP = 5
+"""Samples; a reading that stays at the lower end of its range for longer is valid."""
+
+FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
+"""Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""
+
+SHORTEST, FEWEST = 0.1, 20
+"""s, and samples: shortest repetition of one reading that marks a sensor as stuck. With noise of one acquisition step,
+the smallest that is judged, 20 equal readings occur by chance once in 10¹¹ samples."""
+
+
+@inline
+def mark_lost(values, low, high, far, lost):
+    """Mark lost samples by 1 in ``lost``: NaN, and short falls to the lower end of the sensor's range.
+
+    ``far`` is the fraction of the range by which a valid signal does not fall within one period.
+    """
+    samples = values.shape[0]
+    end = low + 1e-9 * (high - low)
+    begin = 0  # of the run of readings at the end of the range
+    for k in range(samples):
+        lost[k] = 0.0 if values[k] == values[k] else 1.0
+    for k in range(samples + 1):
+        if not (k < samples and values[min(k, samples - 1)] <= end):
+            if k - begin <= LONGEST_GAP:
+                for gap in range(begin, k):
+                    fallen = values[max(gap - 1, 0)] > low + far * (high - low)
+                    if gap > begin or fallen or (begin == 0 and values[samples - 1] <= end):
+                        lost[gap] = 1.0
+            begin = k + 1
+
+
+@inline
+def fill_gaps(values, lost, filled):
+    """Copy a signal to ``filled``, with lost readings replaced by the previous one; returns the share of lost readings.
+
+    Gaps at the start take the first reading; a signal without any reading is 0.
+    """
+    samples = values.shape[0]
+    first = 0
+    for k in range(samples):
+        if lost[k] == 0.0:
+            first = k
+            break
+    held, share = values[first] if values[first] == values[first] else 0.0, 0.0
+    for k in range(samples):
+        if lost[k] == 0.0:
+            held = values[k]
+        else:
+            share += 1.0
+        filled[k] = held
+    return share / samples
+
+
+def _build_repair(sources: int) -> Any:
+    def repair(signals, sheet, filled, lost):
+        assert sources >= 0  # keys numba's cache
+        flags = np.empty(signals.shape[2])
+        for window in range(signals.shape[0]):
+            for sensor in range(lost.shape[1]):
+                far = FAR_FROM_END_SPOOL if sensor == SPOOL else FAR_FROM_END
+                values = signals[window, sensor]
+                mark_lost(values, sheet.sensor_low[sensor], sheet.sensor_high[sensor], far, flags)
+                lost[window, sensor] = fill_gaps(values, flags, filled[window, sensor])
+            values = signals[window, COMMAND]
+            for k in range(values.shape[0]):
+                flags[k] = 0.0 if values[k] == values[k] else 1.0
+            fill_gaps(values, flags, filled[window, COMMAND])
+
+    return compiled(repair)
+
+
+def _build_find_stuck(sources: int) -> Any:
+    def find_stuck(signals, bounds, stuck):
+        assert sources >= 0  # keys numba's cache
+        for window in range(signals.shape[0]):
+            for sensor in range(bounds.shape[0]):
+                low, high, shortest = bounds[sensor, 0], bounds[sensor, 1], bounds[sensor, 2]
+                values = signals[window, sensor]
+                run = 0.0
+                stuck[window, sensor] = 0.0
+                for k in range(1, signals.shape[2]):
+                    run = run + 1.0 if values[k] == values[k - 1] and low < values[k] < high else 0.0
+                    if run >= shortest:
+                        stuck[window, sensor] = 1.0
+
+    return compiled(find_stuck)
+
+
+repair, find_stuck = _build_repair(SOURCES), _build_find_stuck(SOURCES)
+
+
+class Repaired(NamedTuple):
+    """Signals without gaps."""
+
+    signals: NDArray[np.float64]  # (N, 5, T), lost samples replaced by the previous reading
+    lost: NDArray[np.float64]  # (N, 4), share of lost samples of each sensor
+
+
+def repaired(signals: NDArray[Any], sheet: Sheet) -> Repaired:
+    """Fill lost samples: NaN, and short falls to the lower end of a sensor's range."""
+    values = np.ascontiguousarray(signals, dtype=np.float64)
+    result = Repaired(np.empty_like(values), np.empty((len(values), len(SENSORS))))
+    repair(values, sheet, *result)
+    return result
+
+
+def bounds_of(config: TaskConfig) -> NDArray[np.float64]:
+    """For each sensor, (4, 3): range of readings in which it is judged, and number of equal readings of a stuck one.
+
+    At an end of its range a working sensor repeats itself as well. A sensor with noise below one acquisition step is
+    not judged.
+    """
+    shortest = max(FEWEST, round(SHORTEST / config.control_period))
+    rows = []
+    for name in SENSORS:
+        sensor = getattr(config.sensors, name)
+        judged = config.sensors.enabled and sensor.noise >= sensor.resolution and sensor.noise > 0.0
+        step = max(0.5 * sensor.resolution, 1e-6 * (sensor.high - sensor.low))
+        rows.append((sensor.low + step, sensor.high - step, shortest if judged else np.inf))
+    return np.array(rows, dtype=np.float64)
+
+
+def stuck_sensors(signals: NDArray[np.float64], config: TaskConfig) -> NDArray[np.bool_]:
+    """Whether each sensor is stuck in each window, (N, 4).
+
+    Args:
+        signals: (N, 5, T) in SI units: position, pressures, spool position and command; NaN where a sample is lost.
+        config: the task, which describes the sensors.
+    """
+    stuck = np.empty((len(signals), len(SENSORS)))
+    find_stuck(np.ascontiguousarray(signals, dtype=np.float64), bounds_of(config), stuck)
+    return stuck > 0.0

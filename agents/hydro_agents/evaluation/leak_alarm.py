@@ -1,0 +1,112 @@
+"""The part ``alarm``: an alarm watches healthy axes for hours, and axes before and after the onset of a leak."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_calibration import PATIENCE, OnsetLooks, delays, peaks, poisson_interval
+from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.detector import Detector
+from hydro_agents.detection.looks import Activity, Looks
+from hydro_agents.evaluation.leak_protocol import HEALTHY, LeakProtocol
+from hydro_agents.evaluation.leak_windows import Detectors
+from hydro_agents.evaluation.parts import Cell
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.jobs import Columns, Job, fingerprint
+from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS
+from hydro_agents.running.statistics import share_interval
+from hydro_env import ConfigurationError, TaskConfig
+
+SHIFT, PAST, AFTER = 600.0, 300.0, 62.0
+"""Simulated time in s: of a healthy axis; of a leaking axis before and after the onset."""
+
+LEAKS = tuple(Onset(level, then) for level in (0.1, 0.3, 1.0) for then in (None, *Activity))
+
+AXES_TOGETHER = 60
+
+
+def alarm(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
+    """Each alarm on ``alarm_hours`` of healthy axes, and on as many axes with the onset of a leak."""
+    axes = max(int(np.ceil(protocol.alarm_hours * 3600.0 / SHIFT)), 1)
+    for reader, (detector, settings) in chosen.alarms.items():
+        digest = fingerprint(detector)
+        for work, seeds, duration, after in (
+            (at_healthy_axes, LEAKAGE_ALARMS.take(axes), SHIFT, 0.0),
+            (at_onsets, LEAKAGE_ONSETS.take(axes), PAST, AFTER),
+        ):
+            jobs = []
+            for first in range(0, axes, AXES_TOGETHER):
+                count = min(AXES_TOGETHER, axes - first)
+                operation = Operation(seeds.start + first, count, duration, settings.interval, after=after)
+                jobs.append(Job(work, detector, (protocol.task, settings, operation), digest))
+            yield Cell(reader, known={"detector": reader}, jobs=tuple(jobs))
+
+
+def at_healthy_axes(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+    """Alarms and hours of each healthy axis.
+
+    Raises:
+        ConfigurationError: the detector cannot read the axes, or they cannot begin.
+    """
+    (looks,) = _looks(detector, config, operation)
+    found = peaks(LeakAlarm(settings).follow(looks)[0].total)
+    return {
+        "leak_lpm": np.full(operation.axes, HEALTHY),
+        "then": np.full(operation.axes, "all"),
+        "alarms": np.array([float((axis > 1.0).sum()) for axis in found]),
+        "hours": np.full(operation.axes, looks.hours / operation.axes),
+    }
+
+
+def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+    """Delay in s from each onset to the alarm (infinite: none) of each axis, and whether it had an earlier alarm.
+
+    Raises:
+        ConfigurationError: the detector cannot read the axes, or they cannot begin.
+    """
+    before, *each = _looks(detector, config, operation, LEAKS)
+    watching, rows = LeakAlarm(settings), []
+    for onset, looks in zip(LEAKS, each, strict=True):
+        delay, early = delays(watching, OnsetLooks(onset, operation.duration, before, looks))
+        then = onset.then.name.lower() if onset.then is not None else "all"
+        rows.append(
+            pd.DataFrame(
+                {"leak_lpm": onset.leak_lpm, "then": then, "delay_s": delay, "early": early.astype(np.float64)}
+            )
+        )
+    table = pd.concat(rows)
+    return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
+
+
+def _looks(detector: Detector, config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...] = ()) -> list[Looks]:
+    try:
+        return simulate(config, shipped("pid", config), detector, operation, onsets)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"the alarm cannot watch: {error}") from None
+
+
+def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset.
+
+    Args:
+        rows: of the part, one per axis and onset.
+    """
+    found: list[dict[str, object]] = []
+    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
+        row = {"detector": reader, "leak_lpm": leak, "then": then}
+        if leak == HEALTHY:
+            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
+            rate = poisson_interval(count, hours / 100.0)
+            row |= {"alarms": count, "hours": hours, "per_100_h": rate.value}
+            found.append(row | {"per_100_h_low": rate.low, "per_100_h_high": rate.high, "axes": len(axes)})
+            continue
+        delay = axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy()
+        missed = share_interval(int((delay > PATIENCE).sum()), len(delay))
+        median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
+        row |= {"axes": len(delay), "median_s": float(median), "p90_s": float(late)}
+        found.append(row | {"missed": missed.value, "missed_low": missed.low, "missed_high": missed.high})
+    return pd.DataFrame(found)

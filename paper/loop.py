@@ -1,0 +1,145 @@
+"""The closed position loop: a sensible gain, the frequency response, and runs of the nonlinear plant."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from functools import lru_cache
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+
+from hydro_agents.controllers.sampled_loop import (
+    COMMAND_LATENCY,
+    CONTROL_PERIOD,
+    SampledLoop,
+    places_in_reach,
+    sampled_loop,
+)
+from hydro_agents.report.leaks import LINES, TIGHT
+from hydro_env import HydroError, PlantParameters, equilibrium, simulate
+from hydro_env.plant.states import STATE_NAMES
+from hydro_env.units import FULL_VOLTAGE
+from paper.rig import Rig, with_leak
+
+GAIN_MARGIN = 2.0
+"""Gain margin: largest stable gain over the gain in use."""
+
+INNER = 1e-3
+"""s; sample time of the plant in a loop. Control period and latency are multiples of it."""
+
+NYQUIST = 0.5 / CONTROL_PERIOD
+FREQUENCIES = np.geomspace(1e-3, 0.999, 500) * NYQUIST
+
+
+@lru_cache(maxsize=8)
+def sensible_gain(rig: Rig) -> float:
+    """Gain (command per metre, 1 = 10 V): the largest stable one over the whole reach with a tight seal, over a margin.
+
+    Raises:
+        HydroError: no gain is stable, or no gain is too large.
+    """
+    plant, limits = with_leak(rig.parameters, TIGHT, "laminar"), []
+    for place in places_in_reach(plant):
+        with contextlib.suppress(HydroError):  # a place that cannot be held
+            limits.append(sampled_loop(plant, place).largest_stable_gain())
+    limit = min(limits, default=0.0)
+    if not 0.0 < limit < math.inf:
+        raise HydroError(f"no sensible gain: the largest stable one of the position loop is {limit:g} per metre")
+    return limit / GAIN_MARGIN
+
+
+def bandwidth(loop: SampledLoop, gain: float) -> float:
+    """Frequency in Hz where the gain from reference to position first falls 3 dB below its value at rest, or NaN."""
+    nyquist = 0.5 / loop.control_period
+    frequencies = np.geomspace(1e-4, 0.999, 1200) * nyquist
+    size = np.abs(loop.response(gain, frequencies)) / loop.final_value(gain)
+    below = np.flatnonzero(size < np.sqrt(0.5))
+    if len(below) == 0 or below[0] == 0:
+        return float("nan")
+    last = below[0] - 1
+    share = (size[last] - np.sqrt(0.5)) / (size[last] - size[last + 1])
+    return float(frequencies[last] * (frequencies[last + 1] / frequencies[last]) ** share)
+
+
+def closed_loop_run(
+    parameters: PlantParameters,
+    reference: ArrayLike,
+    gain: float,
+    start: float,
+    offset: float = 0.0,
+    deviation: float = 0.0,
+) -> pd.DataFrame:
+    """Simulate the nonlinear plant under a sampled proportional controller; one row per sample, including the end.
+
+    Args:
+        parameters: the plant.
+        reference: m, one value per control period, shape (n,).
+        gain: command (1 = 10 V) per metre of reference − position.
+        start: m, initial position, at rest.
+        offset: added to the command, which stays within ±1.
+        deviation: m, added to the initial position.
+
+    Returns:
+        ``time_s``, ``reference_m``, ``position_m``, ``command`` (1 = 10 V).
+    """
+    targets = np.asarray(reference, dtype=np.float64)
+    state, holding = equilibrium(parameters, start)
+    state, before = state | {"position": start + deviation}, holding / FULL_VOLTAGE
+    per_period, late = round(CONTROL_PERIOD / INNER), round(COMMAND_LATENCY / INNER)
+    positions, commands = [np.array([state["position"]])], []
+    for target in targets:
+        command = float(np.clip(gain * (target - state["position"]) + offset, -1.0, 1.0))
+        acting = np.repeat([before, command], [late, per_period - late])
+        run = simulate(parameters, FULL_VOLTAGE * acting, INNER, state)
+        positions.append(run.position[1:])
+        commands.append(acting)
+        state = dict(zip(STATE_NAMES, run.states[-1].tolist(), strict=True))
+        before = command
+    held, acting = np.repeat(targets, per_period), np.concatenate(commands)
+    return pd.DataFrame(
+        {
+            "time_s": INNER * np.arange(len(held) + 1),
+            "reference_m": np.append(held, held[-1]),
+            "position_m": np.concatenate(positions),
+            "command": np.append(acting, acting[-1]),
+        }
+    )
+
+
+def closed_bode_table(rig: Rig) -> pd.DataFrame:
+    """Gain and phase (degrees) from reference to position over frequency by leak, at the rig's place.
+
+    Repeated in every row of a leak: ``gain_per_m`` (command per metre), ``largest_gain_per_m``, ``at_rest`` (m per m),
+    ``bandwidth_hz`` (−3 dB from ``at_rest``), ``peak_hz`` and ``peak`` (largest gain).
+    """
+    gain, parts = sensible_gain(rig), []
+    for leak in LINES:
+        loop = sampled_loop(with_leak(rig.parameters, leak, "laminar"), rig.place)
+        response = loop.response(gain, FREQUENCIES)
+        size = np.abs(response)
+        columns = {"leak_lpm": leak, "frequency_hz": FREQUENCIES, "gain": size}
+        columns |= {"phase_deg": np.degrees(np.unwrap(np.angle(response))), "gain_per_m": gain}
+        columns |= {"largest_gain_per_m": loop.largest_stable_gain(), "at_rest": loop.final_value(gain)}
+        top = int(np.argmax(size))
+        columns |= {"bandwidth_hz": bandwidth(loop, gain), "peak_hz": FREQUENCIES[top], "peak": size[top]}
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def closed_bode_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row per leak with the repeated columns, and the second peak above the bandwidth, due to the oil column.
+
+    ``hump_hz`` and ``hump`` (its gain) are NaN where there is none.
+    """
+    rows = {}
+    for leak, part in table.groupby("leak_lpm"):
+        size, hertz = part["gain"].to_numpy(), part["frequency_hz"].to_numpy()
+        inner = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1
+        beyond = [k for k in inner if not hertz[k] <= float(part["bandwidth_hz"].iloc[0])]
+        top = max(beyond, key=lambda k: size[k], default=None)
+        rows[leak] = {"hump_hz": hertz[top] if top is not None else math.nan}
+        rows[leak]["hump"] = size[top] if top is not None else math.nan
+    repeated = table.drop_duplicates("leak_lpm").set_index("leak_lpm")
+    return repeated.join(pd.DataFrame.from_dict(rows, orient="index").rename_axis("leak_lpm"))
