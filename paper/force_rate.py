@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.leaks import FEW_LINES
 from hydro_env import equilibrium, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_rate_terms
 from hydro_env.plant.arrays import coefficient_array, derivative_array
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.states import STATE_NAMES
+from paper.leaks import FEW_LINES
 from paper.rig import LAWS, Law, Rig, simplified, with_leak
 
 DRAWN = 1.0

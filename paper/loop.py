@@ -17,10 +17,10 @@ from hydro_agents.controllers.sampled_loop import (
     places_in_reach,
     sampled_loop,
 )
-from hydro_agents.report.leaks import LINES, TIGHT
 from hydro_env import HydroError, PlantParameters, equilibrium, simulate
 from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import FULL_VOLTAGE
+from paper.leaks import LINES, TIGHT
 from paper.rig import Rig, with_leak
 
 GAIN_MARGIN = 2.0

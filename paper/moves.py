@@ -7,9 +7,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.sampled_loop import CONTROL_PERIOD
-from hydro_agents.report.leaks import LINES
 from hydro_env import equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
+from paper.leaks import LINES
 from paper.loop import INNER, closed_loop_run, sensible_gain
 from paper.rig import Rig, simplified, with_leak
 from paper.signals import recorded

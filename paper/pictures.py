@@ -16,11 +16,12 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from hydro_agents.report.canvas import COLOURS, GREY, INK, LINES, PALE, PAPER, legend_inside, looks_of, ticks
-from hydro_agents.report.leaks import FEW_LINES, LOOKS, SCAN, TIGHT, flow
-from hydro_agents.report.leaks import LINES as LEAKS
+from hydro_agents.report.canvas import LEAK_LOOKS as LOOKS
 from hydro_agents.running.text import number, setting
 from hydro_env import resistance_from_flow
 from paper.force_rate import DRAWN, DRIVE, TERMS
+from paper.leaks import FEW_LINES, SCAN, TIGHT, flow
+from paper.leaks import LINES as LEAKS
 from paper.loop import NYQUIST
 from paper.moves import FIRST_STOP
 from paper.rig import LAWS, SHORT_LAWS, Rig

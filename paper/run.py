@@ -10,7 +10,6 @@ import pandas as pd
 
 from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD
 from hydro_agents.report.canvas import WIDE, Plot, as_plot, render
-from hydro_agents.report.leaks import MODERATE, SEVERE, TIGHT, flow
 from hydro_agents.report.page import Page, make_page
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
@@ -19,6 +18,7 @@ from hydro_agents.running.text import Table
 from hydro_env import HydroError, TaskConfig
 from hydro_env.files import write_text, write_whole
 from paper.figures import FIGURES, Entry
+from paper.leaks import MODERATE, SEVERE, TIGHT, flow
 from paper.loop import GAIN_MARGIN
 from paper.rig import Rig, rig_from
 from paper.verdicts import Shown

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from hydro_agents.controllers.sampled_loop import sampled_loop
-from hydro_agents.report.leaks import MODERATE, TIGHT
 from hydro_env import ConfigurationError, HydroError, PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_limits
 from hydro_env.units import orifice_gain_from_flow
 from paper.force_rate import force_rate_table, shares
+from paper.leaks import MODERATE, TIGHT
 from paper.loop import bandwidth, sensible_gain
 from paper.moves import FIRST_STOP, HELD
 from paper.rig import Law, Rig, quick_stop, with_friction_share, with_leak

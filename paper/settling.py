@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
 from hydro_env import ConfigurationError, HydroError, PlantParameters, Trajectory, resistance_from_flow
 from hydro_env.plant.linearisation import Mode, linearise
 from hydro_env.plant.states import STATE_NAMES
+from paper.leaks import FINE_BELOW, MODERATE, SCAN, TIGHT
 from paper.rig import LAWS, Law, Rig, quick_stop, simplified, with_friction_share, with_leak
 from paper.signals import SETTLED, band_envelope, last_above, recorded_acceleration, swing_envelope
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.leaks import LEVELS, MODERATE, SEVERE, TIGHT, flow
 from hydro_agents.running.text import Table, number, setting, span
 from paper.force_rate import DRAWN, TERMS, shares
+from paper.leaks import LEVELS, MODERATE, SEVERE, TIGHT, flow
 from paper.loop import closed_bode_summary, sensible_gain
 from paper.moves import closed_moves_summary, displacement_summary, ramp_speed
 from paper.pictures import SHOWN

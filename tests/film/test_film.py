@@ -8,8 +8,7 @@ from PIL import Image
 
 import hydro_env  # noqa: F401
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.report.film import frame_rate, write_film
-from hydro_agents.report.film_frames import Panel, film, film_size, panel_frames, panels
+from hydro_agents.report.film import Panel, film, film_size, frame_rate, panel_frames, panels, write_film
 from hydro_agents.running.folders import config_folder
 from hydro_env import ConfigurationError, TaskConfig, rendering
 from tests.command_line import hydro

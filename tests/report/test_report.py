@@ -11,17 +11,17 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import open_page, problems_everywhere
+from contrast import contrast, mixed
 from published import assert_published_page
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
-from hydro_agents.report.canvas import looks_of
+from hydro_agents.report.canvas import LEAK_LOOKS, looks_of
 from hydro_agents.report.content import interval_text
-from hydro_agents.report.leaks import LOOKS
 from hydro_agents.report.pages import StudyRecord, content_of, render_report, write_report, write_tables
-from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES, contrast, mixed
+from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, VARIABLES
 from hydro_agents.report.study_findings import caution, failed_runs, findings_of, verdict
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
@@ -368,8 +368,8 @@ def test_lines_stand_out_from_the_page_and_from_each_other(theme):
     assert all(contrast(getattr(NEUTRALS[name], theme), paper) >= 4.5 for name in ("ink", "grey"))
     brightness = [contrast(colour, "#000000") for colour in leaks]
     assert brightness == sorted(brightness)  # dark is tight
-    drawn = sorted(LOOKS)
-    assert all(LOOKS[a].line != LOOKS[b].line for a, b in pairwise(drawn))
+    drawn = sorted(LEAK_LOOKS)
+    assert all(LEAK_LOOKS[a].line != LEAK_LOOKS[b].line for a, b in pairwise(drawn))
     assert not set(leaks) & {getattr(colour, theme) for colour in SERIES}
 
 

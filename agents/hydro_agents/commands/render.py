@@ -56,8 +56,7 @@ def render(
     """
     from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import named_faults
-    from hydro_agents.report.film import FORMATS, check_mp4, frame_rate, write_film
-    from hydro_agents.report.film_frames import film, film_size, panels
+    from hydro_agents.report.film import FORMATS, check_mp4, film, film_size, frame_rate, panels, write_film
     from hydro_agents.running.console import ProgressDisplay
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config

@@ -31,7 +31,8 @@ from hydro_agents.export.leakage_head import head_code
 from hydro_agents.export.plant import plant_code
 from hydro_agents.export.translator import Translator
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.report.leaks import LOOKS
+from hydro_agents.report.canvas import LEAK_LOOKS
+from hydro_agents.report.palette import css_rules
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, HydroError, TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits
@@ -274,7 +275,7 @@ def playground_page() -> str:
         "testPressure": LEAKAGE_TEST_PRESSURE,
         "litrePerMinute": LITRE_PER_MINUTE,
         "rigSliders": [{**one, "value": own[one["parameter"]] / one["scale"]} for one in RIG_SLIDERS],
-        "leakColours": [[round(255 * part) for part in to_rgb(look.colour)] for look in LOOKS.values()],
+        "leakColours": [[round(255 * part) for part in to_rgb(look.colour)] for look in LEAK_LOOKS.values()],
         "oil": OIL,
         "axes": [
             {"name": name, "controller": number} for number, name in enumerate(("PID", "Flow linearisation", "Mine"))
@@ -292,7 +293,7 @@ def playground_page() -> str:
     values: dict[str, Any] = {
         **parts,
         "page": script,
-        "style": (TEMPLATES / "style.css").read_text(encoding="utf-8"),
+        "style": f"{css_rules()}\n{(TEMPLATES / 'style.css').read_text(encoding='utf-8')}",
         "facts": json.dumps(facts, ensure_ascii=False, separators=(",", ":"), default=float),
         "wasm": wasm,
         "window": f"{head.settings.window * config.control_period:g}",

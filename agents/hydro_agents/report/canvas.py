@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import matplotlib
 import numpy as np
@@ -23,11 +23,8 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from hydro_agents.report.hover import name_categories, with_values
-from hydro_agents.report.palette import NEUTRALS, SERIES, themed
+from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, themed
 from hydro_agents.running.text import number, setting
-
-if TYPE_CHECKING:
-    from hydro_agents.evaluation.protocol import Evaluation
 
 Array = NDArray[np.floating[Any]]
 
@@ -109,6 +106,14 @@ COLOURS = tuple(colour.light for colour in SERIES)
 
 MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
 
+_DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.5, 1)), "-")
+
+LEAK_LOOKS = {
+    leak: Look(colour.light, marker, line)
+    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
+}
+"""By leak, from a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
+
 
 def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
     """The look of each controller, by its position in the list."""
@@ -116,11 +121,6 @@ def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
         name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
         for i, name in enumerate(names)
     }
-
-
-def controllers_of(evaluation: Evaluation) -> list[str]:
-    """Names of the controllers; the first is the baseline of the comparison."""
-    return [str(name) for name in evaluation.cases["controller"].unique()]
 
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:

@@ -1,22 +1,124 @@
-"""Writes films: GIF and WebP by Pillow, MP4 by the ffmpeg that ``imageio-ffmpeg`` brings."""
+"""Films of the same episode under several controllers and leaks, one panel each: GIF, WebP or MP4."""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
-from hydro_env import ConfigurationError
+from hydro_agents.controllers.base import Controller
+from hydro_env import ConfigurationError, ServoHydraulicEnv, TaskConfig
+from hydro_env.canvas import HEIGHT, INK, PAPER, WIDTH
+
+Pixels = NDArray[np.uint8]
+
+TITLE, TITLE_SIZE = 44, 24
+"""Height of the strip above each panel and size of its text, in pixels of a full panel."""
 
 FORMATS = (".mp4", ".gif", ".webp")
 
 GIF_COLOURS = 96
 GIF_TICK = 10  # ms; durations in a GIF are multiples of it
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One axis of the film."""
+
+    title: str
+    controller: Controller
+    leakage_flow_lpm: float | None  # l/min at 100 bar; None: drawn
+
+
+def panels(controllers: Mapping[str, Controller], leaks: Sequence[float]) -> list[Panel]:
+    """Every controller with every leak; without ``leaks``, with the leak that the episode draws."""
+    if not leaks:
+        return [Panel(name, controller, None) for name, controller in controllers.items()]
+    return [
+        Panel(f"{name}, leak of {leak:g} l/min", controller, leak)
+        for name, controller in controllers.items()
+        for leak in leaks
+    ]
+
+
+def panel_frames(
+    config: TaskConfig, panel: Panel, seed: int, options: Mapping[str, Any], periods_per_frame: int
+) -> Iterator[Pixels]:
+    """Pictures (540, 960, 3) of an episode, the first at its start; a failed axis keeps its last picture.
+
+    Args:
+        config: the task.
+        panel: controller and leak.
+        seed: of plant, reference and noise.
+        options: of ``reset``, except the leak.
+        periods_per_frame: control periods from one picture to the next.
+    """
+    leak = {} if panel.leakage_flow_lpm is None else {"leakage_flow_lpm": panel.leakage_flow_lpm}
+    with ServoHydraulicEnv(config, render_mode="rgb_array") as env:
+        observation, _ = env.reset(seed=seed, options={**options, **leak})
+        memory, over = None, False
+        for step in range(config.steps + 1):
+            if step % periods_per_frame == 0:
+                picture = env.render()
+                assert picture is not None
+                yield picture
+            if not over:
+                action, memory = panel.controller.predict(observation, memory)
+                observation, _, failed, ended, _ = env.step(action)
+                over = failed or ended
+
+
+def film(
+    config: TaskConfig,
+    shown: Sequence[Panel],
+    seed: int,
+    options: Mapping[str, Any],
+    periods_per_frame: int,
+    width: int,
+    columns: int,
+) -> Iterator[Image.Image]:
+    """Frames of the film: the panels in a grid, row by row; see :func:`panel_frames`.
+
+    Args:
+        config: the task.
+        shown: the panels.
+        seed: of plant, reference and noise, the same for all panels.
+        options: of ``reset``, except the leak.
+        periods_per_frame: control periods from one frame to the next.
+        width: of the film in pixels.
+        columns: number of panels side by side.
+    """
+    size = film_size(len(shown), width, columns)
+    rows = math.ceil(len(shown) / columns)
+    font = ImageFont.load_default(size=TITLE_SIZE)
+    for pictures in zip(
+        *(panel_frames(config, panel, seed, options, periods_per_frame) for panel in shown), strict=True
+    ):
+        sheet = Image.new("RGB", (columns * WIDTH, rows * (HEIGHT + TITLE)), PAPER)
+        draw = ImageDraw.Draw(sheet)
+        for index, (panel, picture) in enumerate(zip(shown, pictures, strict=True)):
+            left, top = index % columns * WIDTH, index // columns * (HEIGHT + TITLE)
+            sheet.paste(Image.fromarray(picture), (left, top + TITLE))
+            draw.text((left + 34, top + TITLE / 2), panel.title, INK, font, anchor="lm")
+        yield sheet.resize(size, Image.Resampling.LANCZOS)
+
+
+def film_size(panel_count: int, width: int, columns: int) -> tuple[int, int]:
+    """Width and height in pixels, both even, as codecs require."""
+    rows = math.ceil(panel_count / columns)
+    height = width * rows * (HEIGHT + TITLE) / (columns * WIDTH)
+    return width // 2 * 2, round(height / 2) * 2
+
+
+# Files --------------------------------------------------------------------------------------------------------------
 
 
 class Rate(NamedTuple):

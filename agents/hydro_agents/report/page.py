@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 
 from hydro_agents.report.canvas import Plot
-from hydro_agents.report.palette import css_variables
+from hydro_agents.report.palette import css_rules
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import number, setting
 from hydro_env.files import write_whole
@@ -51,7 +51,7 @@ def make_page(template: Path, origin: Origin, **values: Any) -> Page:
             become files.
     """
     environment = templates(template.parent)
-    environment.globals["css_variables"] = css_variables
+    environment.globals["css_rules"] = css_rules
     html = environment.get_template(template.name).render(origin=origin, **values)
     return Page(_shared_letters(html), {f"{plot.key}.svg": plot.file for plot in _plots(values.values())})
 

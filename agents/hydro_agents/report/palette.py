@@ -9,8 +9,6 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-import numpy as np
-
 
 class Colour(NamedTuple):
     """A colour in both themes, as ``#rrggbb``."""
@@ -64,9 +62,13 @@ def _variables() -> dict[str, Colour]:
 VARIABLES = _variables()
 
 
-def css_variables(theme: str) -> str:
-    """Declarations of all variables for the theme ``light`` or ``dark``."""
-    return " ".join(f"--{name}: {getattr(colour, theme)};" for name, colour in VARIABLES.items())
+def css_rules() -> str:
+    """Rules of a style that declare all variables in both themes."""
+    light, dark = (
+        " ".join(f"--{name}: {getattr(colour, theme)};" for name, colour in VARIABLES.items())
+        for theme in ("light", "dark")
+    )
+    return f":root {{ {light} }}\n@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
 
 
 def themed(svg: str) -> str:
@@ -74,25 +76,3 @@ def themed(svg: str) -> str:
     names = {colour.light: name for name, colour in reversed(VARIABLES.items())}
     names |= {"#000000": "ink"}
     return re.sub(r"#[0-9a-f]{6}\b", lambda m: f"var(--{names[m[0]]})" if m[0] in names else m[0], svg)
-
-
-def mixed(colour: str, background: str, percent: float) -> str:
-    """The colour mixed with a background, like ``color-mix`` of CSS in sRGB."""
-    pairs = zip(_channels(colour), _channels(background), strict=True)
-    return "#" + "".join(f"{round(b + percent / 100.0 * (a - b)):02x}" for a, b in pairs)
-
-
-def contrast(first: str, second: str) -> float:
-    """Contrast ratio of two colours (WCAG 2); 3 suffices for lines, 4.5 for text."""
-    lighter, darker = sorted((_luminance(first), _luminance(second)), reverse=True)
-    return (lighter + 0.05) / (darker + 0.05)
-
-
-def _channels(colour: str) -> tuple[int, int, int]:
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
-
-
-def _luminance(colour: str) -> float:
-    parts = [part / 255.0 for part in _channels(colour)]
-    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
-    return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))

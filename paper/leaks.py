@@ -1,11 +1,6 @@
-"""The leak levels of all pages in l/min at 100 bar, and the look of each, the same in all figures."""
+"""The leak levels of the figures in l/min at 100 bar."""
 
 from __future__ import annotations
-
-from typing import Any
-
-from hydro_agents.report.canvas import Look
-from hydro_agents.report.palette import LEAKS
 
 TIGHT, MODERATE, SEVERE = 0.01, 1.0, 4.0
 """A new seal; the bound between moderate and severe; the largest leak of the task."""
@@ -23,14 +18,6 @@ LINES = (0.01, 0.3, 1.0, 2.0, 4.0)
 FEW_LINES = (0.01, 0.3, 1.0, 4.0)
 SCAN = (0.01, 0.1, 0.3, 1.0, 4.0)
 """Like LINES, for figures with room for fewer lines, or with more weight on incipient leaks."""
-
-_DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.5, 1)), "-")
-
-LOOKS = {
-    leak: Look(colour.light, marker, line)
-    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
-}
-"""From a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
 
 
 def flow(leak: float) -> str:
