@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hydro_env.errors import ConfigurationError
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parameters import PARAMETER_PATHS, PlantParameters, from_vector, to_vector
+from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL
 from hydro_env.reset_options import ResetOptions
 from hydro_env.task import kernel as task_kernel
 from hydro_env.task.configuration import TaskConfig
@@ -41,7 +42,6 @@ from hydro_env.task.record import (
 from hydro_env.task.reference_signals import REFERENCE_FAMILIES
 from hydro_env.task.settings import draws_of, settings_of
 from hydro_env.task.signals import POSITION, layout_of, observation_layout
-from hydro_env.units import resistance_from_flow
 
 AXES_PER_THREAD = 256
 """Smallest number of axes per thread; with fewer, starting the thread takes longer than its work."""
@@ -294,20 +294,17 @@ class Axes:
         """The physical parameters of an axis in its present episode, leakage and faults included."""
         vector = self.physical[axis].copy()
         names = Coefficients._fields
-        conductance = self.coefficient[axis, names.index("leakage_conductance")]
-        vector[PARAMETER_PATHS.index("leakage.internal_resistance")] = (
-            1.0 / conductance if conductance > 0.0 else np.inf
-        )
+        for law in LEAK_LAWS.values():
+            coefficient = self.coefficient[axis, names.index(law.coefficient)]
+            vector[PARAMETER_PATHS.index(f"leakage.{law.parameter}")] = law.value_of_coefficient(coefficient)
         faults = dict(zip(FAULTS, self.column("fault")[axis], strict=True))
         vector[PARAMETER_PATHS.index("valve.null_shift")] += faults["valve_null_shift"]
         vector[PARAMETER_PATHS.index("valve.underlap")] += faults["valve_underlap"]
         vector[PARAMETER_PATHS.index("valve.rated_flow")] *= 1.0 + faults["valve_flow"]
         vector[PARAMETER_PATHS.index("supply.tank_pressure")] += faults["tank_pressure"]
         if faults["external_leak"] > 0.0:
-            rod_seal = PARAMETER_PATHS.index("leakage.external_resistance")
-            vector[rod_seal] = 1.0 / (1.0 / vector[rod_seal] + 1.0 / resistance_from_flow(faults["external_leak"]))
-        orifice = self.coefficient[axis, names.index("leakage_orifice_gain")]
-        vector[PARAMETER_PATHS.index("leakage.orifice_gain")] = orifice
+            rod_seal = PARAMETER_PATHS.index(f"leakage.{ROD_SEAL.parameter}")
+            vector[rod_seal] = 1.0 / (1.0 / vector[rod_seal] + 1.0 / ROD_SEAL.value(faults["external_leak"]))
         return from_vector(vector)
 
     def external_force(self, axis: int) -> float:

@@ -103,11 +103,6 @@ def flow_from_resistance(resistance: float) -> float:
     return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE
 
 
-def orifice_gain_from_flow(flow_lpm: float) -> float:
-    """Gain in m³/(s √Pa) of a throttle that passes a leak quoted in l/min at 100 bar."""
-    return flow_lpm * LITRE_PER_MINUTE / math.sqrt(LEAKAGE_TEST_PRESSURE)
-
-
 def _no_truth_value(value: object) -> object:
     if isinstance(value, bool):
         raise ValueError("must be a number, not true/false")

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from hydro_env import ConfigurationError, PlantParameters, Trajectory, resistance_from_flow, simulate
+from hydro_env import ConfigurationError, PlantParameters, Trajectory, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency, reachable_range, speed_limits
+from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.rig import read_rig
 from hydro_env.task.sensors import Sensor, Sensors, scaled
-from hydro_env.units import orifice_gain_from_flow
 
 Law = Literal["laminar", "throttle"]
 
@@ -113,10 +113,7 @@ def rig_from(path: Path | None) -> Rig:
 
 def with_leak(parameters: PlantParameters, flow_lpm: float, law: Law) -> PlantParameters:
     """The plant with a leak of ``flow_lpm`` at 100 bar across the piston, and no other internal leak."""
-    if law == "laminar":
-        return parameters.replace(leakage={"internal_resistance": resistance_from_flow(flow_lpm), "orifice_gain": 0.0})
-    gain = orifice_gain_from_flow(flow_lpm)
-    return parameters.replace(leakage={"internal_resistance": math.inf, "orifice_gain": gain})
+    return parameters.replace(leakage=leak_past_piston(flow_lpm, "laminar" if law == "laminar" else "orifice"))
 
 
 def simplified(parameters: PlantParameters, friction: str, underlap: bool) -> PlantParameters:

@@ -25,7 +25,7 @@ from hydro_env.task.configuration import task_config
 
 ROOT = Path(__file__).resolve().parents[1]
 PLANT_RECIPES = {"A second valve model": 3, "A new state": 4}
-TASK_RECIPES = {"A new measured signal": 3, "A reward term": 2, "A reference family": 1}
+TASK_RECIPES = {"A leak law": 1, "A new measured signal": 3, "A reward term": 2, "A reference family": 1}
 EVALUATION_RECIPES = {"A metric": 1, "A condition": 0, "A section of a page": 1}
 IN_YAML = ("A condition", "A controller", "A detector", "Another algorithm")
 AGENT_RECIPES = {"A controller": 1, "A detector": 1, "Another algorithm": 1}
@@ -116,7 +116,7 @@ def test_the_recipes_of_task_and_agents(sources, tmp_path):
     watched_axis(tmp_path / "before", {})
     for recipe in [*TASK_RECIPES, *EVALUATION_RECIPES, *AGENT_RECIPES]:
         apply(recipe, sources)
-    run(sources, "try_task", "try_chain", "try_agents", "try_detector", "try_evaluation")
+    run(sources, "try_task", "try_chain", "try_leak_law", "try_agents", "try_detector", "try_evaluation")
 
 
 def lively_episode(**task) -> np.ndarray:
@@ -156,6 +156,14 @@ def try_chain() -> None:
     watched_axis(Path("after"), FITTED)
     for file in ("ppo.csv", "pid.csv", "leak.csv"):
         assert Path("after", file).read_bytes() == Path("before", file).read_bytes(), file
+
+
+def try_leak_law() -> None:
+    """Two litres per minute are two, by the new law too, wherever the project speaks of leaks."""
+    from hydro_env.plant.parts.leakage import LEAK_LAWS
+
+    assert "turbulent" in LEAK_LAWS
+    assert pytest.main(["-q", "-x", "-p", "no:cacheprovider", str(Path(__file__).with_name("test_leak_laws.py"))]) == 0
 
 
 def try_plant() -> None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hydro_env.compiling import inline
 from hydro_env.plant.parts.chambers import smallest_volumes
 from hydro_env.plant.parts.friction import friction_rate
+from hydro_env.plant.parts.leakage import internal_leakage_slope
 from hydro_env.plant.parts.load import end_stop_rate, oil_column_rate
 from hydro_env.plant.parts.supply import supply_line_rate
 from hydro_env.plant.parts.valve import valve_rate
@@ -30,7 +31,7 @@ def rates(s, c):
     """:class:`Rates` near a state: slope of S at zero drop, edges fully open, oil without air."""
     volume_a, volume_b = smallest_volumes(s.position, c)
     slope = 1.0 / math.sqrt(math.sqrt(c.transition_squared))
-    leak = c.leakage_conductance + c.leakage_orifice_gain * slope
+    leak = internal_leakage_slope(slope, c)
     return Rates(
         chamber_a=c.bulk_modulus / volume_a * (c.edge_gain * slope + leak),
         chamber_b=c.bulk_modulus / volume_b * (c.edge_ratio * c.edge_gain * slope + leak + c.external_conductance),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hydro_env.plant.arrays import coefficient_array, derived_array, equilibrium
 from hydro_env.plant.kernel import MAXIMUM_STEP, STABLE_PRODUCT
 from hydro_env.plant.parameters import PlantParameters
 from hydro_env.plant.parts.friction import FrictionModel
+from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, Law, Leakage
 from hydro_env.plant.rates import Rates, rates
 from hydro_env.plant.simulate import DERIVED_NAMES, valid_ranges
 from hydro_env.plant.states import STATE_NAMES, State
@@ -194,23 +195,23 @@ def _why_no_rest(parameters: PlantParameters) -> str:
             f"supply.pump_flow = {supply.pump_flow:.3g} m³/s ({pump:.3g} l/min): at rest valve and leaks draw "
             f"{flows['supply_flow']:.3g} m³/s ({drawn:.3g} l/min); it must be more, or supply.model constant"
         )
-    tight = {"internal_resistance": math.inf, "external_resistance": math.inf, "orifice_gain": 0.0}
-    for name, none in tight.items():
-        if getattr(leakage, name) == none or not _can_rest(parameters.replace(leakage={name: none})):
+    for law in (*LEAK_LAWS.values(), ROD_SEAL):
+        name, value, tight = law.parameter, getattr(leakage, law.parameter), law.value(0.0)
+        if value == tight or not _can_rest(parameters.replace(leakage={name: tight})):
             continue
-        unit = "m³/(s √Pa)" if name == "orifice_gain" else "Pa s/m³"
-        bound = "at most" if name == "orifice_gain" else "at least"
-        limit = _leak_limit(parameters, name, getattr(leakage, name))
+        extra: Any = Leakage.model_fields[name].json_schema_extra
+        bound, limit = "at least" if law.resists else "at most", _leak_limit(parameters, law)
         return (
-            f"leakage.{name} = {getattr(leakage, name):.3g} {unit}: more oil leaks than the valve feeds from "
+            f"leakage.{name} = {value:.3g} {extra['unit']}: more oil leaks than the valve feeds from "
             f"{supply.pressure / 1e5:g} bar, and no position can be held; it must be {bound} {limit:.2g}"
         )
     return "no position can be held: leaks, forces and supply pressure contradict each other"
 
 
-def _leak_limit(parameters: PlantParameters, name: str, value: float) -> float:
+def _leak_limit(parameters: PlantParameters, law: Law) -> float:
     """Limit of a leak's parameter for holding a position, with an accuracy of 1 %."""
-    away = 0.1 if name == "orifice_gain" else 10.0
+    name, away = law.parameter, 10.0 if law.resists else 0.1
+    value: float = getattr(parameters.leakage, name)
     good = value * away
     while not _can_rest(parameters.replace(leakage={name: good})):
         value, good = good, good * away

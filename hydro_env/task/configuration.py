@@ -17,6 +17,7 @@ from hydro_env.files import Group, read_yaml, write_yaml
 from hydro_env.folders import config_file
 from hydro_env.mistakes import known_name
 from hydro_env.plant.parameters import PlantParameters
+from hydro_env.plant.parts.leakage import LeakLaw
 from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
@@ -44,7 +45,7 @@ class LeakageDraw(TaskGroup):
     class_bounds: tuple[Number, Number, Number] = Field(
         (0.03, 0.3, 1.0), description="l/min at 100 bar; highest of healthy, incipient, moderate; above is severe"
     )
-    law: Literal["laminar", "orifice"] = Field("laminar", description="flow ∝ Δp (10), or ∝ √Δp as through a throttle")
+    law: LeakLaw = Field("laminar", description="flow ∝ Δp (10), or ∝ √Δp as through a throttle")
     schedule: Literal["constant", "onset", "growth", "mixed"] = Field(
         "constant",
         description="constant; a sudden onset; growth (log-linear) from healthy to the end of the episode; "

@@ -8,11 +8,12 @@ import numpy as np
 
 from hydro_env.compiling import inline
 from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, Fault
 from hydro_env.task.random_numbers import between, uniform
 from hydro_env.task.sensors import CHANNELS
 from hydro_env.task.settings import choice
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.units import LITRE_PER_MINUTE
 
 NULL_SHIFT, UNDERLAP, FLOW, HYSTERESIS, TANK, EXTERNAL_LEAK, OFFSET, GAIN, FREEZE, DROPOUT = (
     FAULTS.index(name)
@@ -41,11 +42,12 @@ _LOST_SAMPLES = 2_000_000_000
 
 FAULT_COLUMNS = tuple(
     Coefficients._fields.index(name)
-    for name in ("null_shift", "underlap_squared", "edge_gain", "tank_pressure", "external_conductance")
+    for name in ("null_shift", "underlap_squared", "edge_gain", "tank_pressure", ROD_SEAL.coefficient)
 )
 """Coefficients of the plant that faults change."""
 
 _NULL_SHIFT, _UNDERLAP, _EDGE_GAIN, _TANK, _EXTERNAL = FAULT_COLUMNS
+_ROD_SEAL_AT_TEST = ROD_SEAL.at_test
 
 
 @inline
@@ -109,7 +111,7 @@ def set_faults(row, coefficient, time, settings):
     coefficient[_UNDERLAP] = underlap * underlap
     coefficient[_EDGE_GAIN] = sound[2] * (1.0 + row.fault[FLOW])
     coefficient[_TANK] = sound[3] + row.fault[TANK]
-    coefficient[_EXTERNAL] = sound[4] + row.fault[EXTERNAL_LEAK] * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+    coefficient[_EXTERNAL] = sound[4] + row.fault[EXTERNAL_LEAK] * LITRE_PER_MINUTE / _ROD_SEAL_AT_TEST
 
 
 @inline

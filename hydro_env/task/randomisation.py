@@ -11,9 +11,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from hydro_env.files import Group
 from hydro_env.mistakes import did_you_mean
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, PARAMETER_UNITS, PlantParameters
+from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.units import Number, in_si
 
-LEAKAGE_OF_THE_TASK = ("leakage.internal_resistance", "leakage.orifice_gain")
+LEAKAGE_OF_THE_TASK = tuple(f"leakage.{law.parameter}" for law in LEAK_LAWS.values())
 """Parameters that the group ``leakage`` of the task draws."""
 
 FORMS = ("uniform", "log_uniform", "factor", "log_factor")

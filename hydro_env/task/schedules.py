@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 from hydro_env.compiling import inline
 from hydro_env.plant.arrays import read_coefficients
 from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.parts.leakage import LEAK_LAWS, LeakLaw
 from hydro_env.task.configuration import Disturbance, LeakageDraw
 from hydro_env.task.fault_effects import set_faults
 from hydro_env.task.random_numbers import between, log_between, uniform
 from hydro_env.task.reference_signals import supply_forces
 from hydro_env.task.settings import choice
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
+from hydro_env.units import LITRE_PER_MINUTE
 
-_LAMINAR = choice(LeakageDraw, "law", "laminar")
 _CONSTANT = choice(LeakageDraw, "schedule", "constant")
 _ONSET = choice(LeakageDraw, "schedule", "onset")
 _MIXED_SCHEDULE = choice(LeakageDraw, "schedule", "mixed")
@@ -25,10 +26,12 @@ _SINE = choice(Disturbance, "kind", "sine")
 _MIXED = choice(Disturbance, "kind", "mixed")
 _CHANGING = 3.0  # kinds of a changing force: step, pulse, sine, in this order after "none"
 
-_CONDUCTANCE = Coefficients._fields.index("leakage_conductance")
-_ORIFICE_GAIN = Coefficients._fields.index("leakage_orifice_gain")
+_LAWS = tuple(LEAK_LAWS[name] for name in get_args(LeakLaw))
+_AT_TEST = tuple(law.at_test for law in _LAWS)
+LEAK_COLUMNS = tuple(Coefficients._fields.index(law.coefficient) for law in _LAWS)
+"""Coefficients of the plant that the leak changes, one per law."""
+
 _EXTERNAL_FORCE = Coefficients._fields.index("external_force")
-_orifice_gain = inline(orifice_gain_from_flow)
 
 
 @inline
@@ -73,9 +76,9 @@ def set_leak(row, coefficient, time, settings):
     row.leak_class = 0.0
     for index in range(settings.class_limits.shape[0]):
         row.leak_class += 1.0 if flow > settings.class_limits[index] else 0.0
-    laminar = settings.leakage.law == _LAMINAR
-    coefficient[_CONDUCTANCE] = flow * LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE if laminar else 0.0
-    coefficient[_ORIFICE_GAIN] = 0.0 if laminar else _orifice_gain(flow)
+    for law in range(len(LEAK_COLUMNS)):
+        own = law == settings.leakage.law
+        coefficient[LEAK_COLUMNS[law]] = flow * LITRE_PER_MINUTE / _AT_TEST[law] if own else 0.0
 
 
 @inline

@@ -1,13 +1,16 @@
 """The FMU: without complaint from FMPy's checker, and the same motion as the kernel's."""
 
 import shutil
+from typing import get_args
 
 import numpy as np
 import pytest
 from command_line import hydro as run
 
 from hydro_agents.export.plant import fmu_variables, make_fmu
-from hydro_env import PlantParameters, TaskConfig, equilibrium, resistance_from_flow, simulate
+from hydro_env import PlantParameters, TaskConfig, equilibrium, simulate
+from hydro_env.plant.parts.leakage import LeakLaw, leak_past_piston
+from hydro_env.task.configuration import task_config
 
 fmpy = pytest.importorskip("fmpy")
 pytestmark = pytest.mark.skipif(
@@ -56,10 +59,12 @@ def test_the_checker_has_no_complaint(file):
 
 
 @pytest.mark.filterwarnings("ignore:missing input")
-def test_it_moves_as_the_kernel_does(file):
-    plant = PlantParameters().replace(
-        leakage={"internal_resistance": resistance_from_flow(2.0)}, valve={"null_shift": 0.01}
-    )
+@pytest.mark.parametrize("law", get_args(LeakLaw))
+def test_it_moves_as_the_kernel_does(law, file, tmp_path):
+    if law != TaskConfig().leakage.law:
+        file = tmp_path / "axis.fmu"
+        file.write_bytes(make_fmu(task_config(plant={"leakage": leak_past_piston(0.03, law)}, leakage={"law": law})))
+    plant = PlantParameters().replace(leakage=leak_past_piston(2.0, law), valve={"null_shift": 0.01})
     rest, voltage = equilibrium(plant, 0.02)
     expected = simulate(plant, VOLTAGE, PERIOD, rest)
     result = run_fmu(file, {"initial_position": 0.02}, **{"leakage": 2.0, "fault.valve_null_shift": 0.01})

@@ -32,10 +32,11 @@ from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients
 from hydro_env.plant.parts.chambers import chamber_volumes
+from hydro_env.plant.parts.leakage import LEAK_LAWS
 from hydro_env.plant.parts.supply import supply_rates
 from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.units import LITRE_PER_MINUTE
 
 ITERATIONS = 12
 """Largest number of evaluations of the balance."""
@@ -60,7 +61,7 @@ PARTS = 8
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
 
-LEAK_UNIT = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
+LEAK_UNIT = LITRE_PER_MINUTE / LEAK_LAWS["laminar"].at_test
 
 _read_unknowns = tuple_reader(Unknowns)
 _read_coefficients = tuple_reader(Coefficients)

@@ -24,10 +24,10 @@ from hydro_agents.running.tasks import steady
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
+from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULTS
 from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
-from hydro_env.units import flow_from_resistance
 
 Array = NDArray[np.float64]
 
@@ -63,8 +63,8 @@ class KnownWindows:
         if name == LEAKAGE:
             return self.leakage_flow_lpm
         if name == EXTERNAL_LEAKAGE:
-            resistance = self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)]
-            return np.array([flow_from_resistance(one) for one in resistance])
+            flow: Array = ROD_SEAL.flow(self.physical[:, PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)])
+            return flow
         if name == LATENCY:
             return self.latency
         if name in BIASES:

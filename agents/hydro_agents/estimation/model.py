@@ -21,9 +21,9 @@ from hydro_agents.estimation.unknowns import (
 )
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
+from hydro_env.plant.parts.leakage import ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.sensors import SENSORS
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, orifice_gain_from_flow
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,9 +43,7 @@ LONGEST_INTERVAL = 10.0
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")
-_RESISTANCE, _ORIFICE, _EXTERNAL = (
-    PARAMETER_PATHS.index(path) for path in ("leakage.internal_resistance", "leakage.orifice_gain", EXTERNAL_RESISTANCE)
-)
+_EXTERNAL = PARAMETER_PATHS.index(EXTERNAL_RESISTANCE)
 
 
 class Linearised(NamedTuple):
@@ -169,11 +167,10 @@ class Model:
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name == LEAKAGE:
-                laminar = self.config.leakage.law == "laminar"
-                physical[:, _RESISTANCE] = _resistance(value) if laminar else np.inf
-                physical[:, _ORIFICE] = 0.0 if laminar else orifice_gain_from_flow(1.0) * value
+                for field, size in leak_past_piston(value, self.config.leakage.law).items():
+                    physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size
             elif name == EXTERNAL_LEAKAGE:
-                physical[:, _EXTERNAL] = _resistance(value)
+                physical[:, _EXTERNAL] = ROD_SEAL.value(value)
             elif name == LATENCY:
                 latency = np.maximum(value, 0.0)
             elif name in BIASES:
@@ -238,9 +235,3 @@ class Model:
         values, vectors = np.linalg.eigh(own)
         steps: Array = vectors * (length / np.sqrt(np.maximum(values, 1e-12)))[:, None]
         return steps
-
-
-def _resistance(flow_lpm: Array) -> Array:
-    """Leakage resistance in Pa s/m³ of leaks in l/min at 100 bar, including negative ones for finite differences."""
-    with np.errstate(divide="ignore"):
-        return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
+from hydro_env.plant.parts.leakage import ROD_SEAL
 from hydro_env.plant.states import STATE_NAMES, STATES
 from hydro_env.task.faults import SIGNED_KINDS
 from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
@@ -27,7 +28,7 @@ LEAKAGE, EXTERNAL_LEAKAGE, LATENCY = "leakage_flow_lpm", "external_leakage_flow_
 BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
 GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
 STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
-EXTERNAL_RESISTANCE = "leakage.external_resistance"
+EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
 """Parameters of the plant; the leaks have their own names."""

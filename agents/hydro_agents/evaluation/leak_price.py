@@ -17,8 +17,9 @@ from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import full_pressure_forces
 from hydro_env.plant.arrays import coefficient_array, derived_array, plant_coefficients
 from hydro_env.plant.equations import Derived
+from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.states import STATE_NAMES
-from hydro_env.units import FULL_VOLTAGE, orifice_gain_from_flow, resistance_from_flow
+from hydro_env.units import FULL_VOLTAGE
 
 PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)
 """l/min at 100 bar."""
@@ -55,13 +56,7 @@ def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: 
 
 def _leaking(config: TaskConfig, leak: float) -> PlantParameters:
     """The nominal plant with a leak (l/min at 100 bar) of the task's law."""
-    laminar = config.leakage.law == "laminar"
-    return config.plant.replace(
-        leakage={
-            "internal_resistance": resistance_from_flow(leak if laminar else 0.0),
-            "orifice_gain": 0.0 if laminar else orifice_gain_from_flow(leak),
-        }
-    )
+    return config.plant.replace(leakage=leak_past_piston(leak, config.leakage.law))
 
 
 def _flows(plant: PlantParameters, **state: float) -> Derived:

@@ -27,14 +27,15 @@ from hydro_env.plant.kernel import (
 )
 from hydro_env.plant.states import N_STATES, State
 from hydro_env.task.fault_effects import FAULT_COLUMNS
-from hydro_env.task.schedules import follow_schedules
+from hydro_env.task.schedules import LEAK_COLUMNS, follow_schedules
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
 SCHEDULED = (
-    *(Coefficients._fields.index(name) for name in ("leakage_conductance", "leakage_orifice_gain", "external_force")),
+    *LEAK_COLUMNS,
+    Coefficients._fields.index("external_force"),
     *FAULT_COLUMNS,
 )
 """Coefficients that change during an episode."""

@@ -36,14 +36,14 @@ from hydro_env.plant.equations import (
 )
 from hydro_env.plant.equilibrium import equilibrium_state
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS, Physical, PlantParameters, to_vector
+from hydro_env.plant.parts.leakage import LEAK_LAWS, ROD_SEAL, leak_past_piston
 from hydro_env.plant.states import STATE_NAMES, STATE_UNITS, State
 from hydro_env.task.settings import settings_of
-from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE
+from hydro_env.units import LITRE_PER_MINUTE
 
 MODEL = "hydro_axis"
 SYSTEMS = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
 SUFFIXES = {"linux": ".so", "win32": ".dll", "darwin": ".dylib"}
-REPLACED_BY_INPUTS = ("leakage.internal_resistance",)
 _ASCII = str.maketrans({"³": "3", "²": "2", "Ω": "Ohm", "√": "sqrt ", "·": " ", "°": "deg"})
 
 
@@ -118,7 +118,7 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     inputs = [
         ("voltage", "command to the valve's drive", "V", voltage),
         ("external_force", "added to the plant's own; positive against extension", "N", 0.0),
-        ("leakage", "past the piston seal, at 100 bar", "l/min", leak_at_test_pressure(tight_throttle(plant))),
+        ("leakage", "past the piston seal, at 100 bar", "l/min", leak_at_test_pressure(with_one_leak(config))),
         ("fault.valve_null_shift", "spool position at which the edges are centred", "1", 0.0),
         ("fault.valve_underlap", "added to the underlap, of full stroke", "1", 0.0),
         ("fault.valve_flow", "relative change of the rated flow", "1", 0.0),
@@ -131,8 +131,8 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
         Variable("pressure_lag", "time constant of the pressure transducers", "s", "parameter", lag),
     ]
     for path, value in zip(PARAMETER_PATHS, to_vector(plant).tolist(), strict=True):
-        if path in REPLACED_BY_INPUTS:
-            continue
+        if path == f"leakage.{LEAK_LAWS[config.leakage.law].parameter}":
+            continue  # an input replaces it
         group, field = path.split(".")
         info = type(getattr(plant, group)).model_fields[field]
         extra = info.json_schema_extra
@@ -161,9 +161,11 @@ def fmu_variables(config: TaskConfig) -> list[Variable]:
     ]
 
 
-def tight_throttle(plant: PlantParameters) -> PlantParameters:
-    """The rig without the throttle parallel to the cylinder; only the seal leaks."""
-    return plant.replace(leakage={"orifice_gain": 0.0})
+def with_one_leak(config: TaskConfig) -> PlantParameters:
+    """The rig of a task whose piston leaks by the task's law alone."""
+    own = LEAK_LAWS[config.leakage.law].parameter
+    tight = {field: none for field, none in leak_past_piston(0.0, config.leakage.law).items() if field != own}
+    return config.plant.replace(leakage=tight)
 
 
 def _units_of_derived() -> dict[str, str]:
@@ -194,7 +196,9 @@ def make_fmu(config: TaskConfig) -> bytes:
         "units": sorted({variable.unit for variable in variables} - {""}),
         "states": STATE_NAMES,
         "derived": list(_units_of_derived()),
-        "flow_to_conductance": LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE,
+        "leak": LEAK_LAWS[config.leakage.law],
+        "flow_to_leak": LITRE_PER_MINUTE / LEAK_LAWS[config.leakage.law].at_test,
+        "flow_to_external_leak": LITRE_PER_MINUTE / ROD_SEAL.at_test,
         "guid": "",
     }
     digest = hashlib.sha256((code.source + render("fmu.c.j2", values)).encode()).hexdigest()

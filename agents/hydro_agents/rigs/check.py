@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, places_in_reach, sampled_loop
-from hydro_env import HydroError, PlantParameters, resistance_from_flow
+from hydro_env import HydroError, PlantParameters
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -23,6 +23,7 @@ from hydro_env.plant.analysis import (
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
+from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
@@ -255,7 +256,7 @@ def beyond_dead_band(parameters: PlantParameters) -> PlantParameters:
 
 
 def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
-    return parameters.replace(leakage={"internal_resistance": resistance_from_flow(leak), "orifice_gain": 0.0})
+    return parameters.replace(leakage=leak_past_piston(leak, "laminar"))
 
 
 def _figure(

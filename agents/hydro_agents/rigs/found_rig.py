@@ -13,8 +13,9 @@ from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_
 from hydro_agents.rigs.fit import Fit
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
 from hydro_env.task.randomisation import Distribution, own_value
-from hydro_env.units import UNITS, flow_from_resistance, orifice_gain_from_flow, resistance_from_flow
+from hydro_env.units import UNITS, flow_from_resistance, resistance_from_flow
 
 DIGITS = 6  # significant, of the numbers in the file
 
@@ -36,10 +37,11 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
     """Values of the rig's parameters by path, within the bounds of each field; a negative leak becomes none."""
     values: dict[str, float] = {}
     for name, value in fit.own().items():
-        if name == LEAKAGE and config.leakage.law == "laminar":
-            values["leakage.internal_resistance"] = resistance_from_flow(value)
-        elif name == LEAKAGE:
-            values["leakage.orifice_gain"] = orifice_gain_from_flow(max(value, 0.0))
+        if name == LEAKAGE:
+            own = LEAK_LAWS[config.leakage.law].parameter
+            for field, size in leak_past_piston(max(value, 0.0), config.leakage.law).items():
+                if field == own or size != getattr(config.plant.leakage, field):
+                    values[f"leakage.{field}"] = size
         elif name == EXTERNAL_LEAKAGE:
             values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
         elif name in PATHS:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from hydro_agents.report.canvas import WIDE, looks_of, render
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
-from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, resistance_from_flow, simulate
+from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, simulate
 from hydro_env.files import read_text, write_text, write_whole
 from hydro_env.plant.analysis import leak_at_test_pressure
+from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.simulate import TRAJECTORY_NAMES, TRAJECTORY_UNITS
 from hydro_env.plant.workable import refuse_unworkable
 from hydro_env.task.configuration import LEAKAGE_LIMIT
@@ -165,7 +166,7 @@ def simulate_to_folder(
     if leakage is not None:
         if not 0.0 <= leakage <= LEAKAGE_LIMIT:
             raise ConfigurationError(f"--leakage = {leakage:g} l/min: must be within 0 to {LEAKAGE_LIMIT:g} l/min")
-        parameters = parameters.replace(leakage={"internal_resistance": resistance_from_flow(leakage)})
+        parameters = parameters.replace(leakage=leak_past_piston(leakage, "laminar"))
     if not abs(voltage) <= LARGEST_VOLTAGE:
         raise ConfigurationError(f"--voltage = {voltage:g} V: must be within -10 to 10 V")
     if not sample_time > 0.0:

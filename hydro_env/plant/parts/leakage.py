@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from hydro_env.compiling import inline
 from hydro_env.files import Group
 from hydro_env.plant.parts.valve import smooth_root
-from hydro_env.units import Number, quantity
+from hydro_env.units import LEAKAGE_TEST_PRESSURE, LITRE_PER_MINUTE, Number, quantity
 
 
 class Leakage(Group):
@@ -28,6 +29,47 @@ class LeakageCoefficients(NamedTuple):
     external_conductance: float  # 1 / R_e, m³/(s Pa)
 
 
+class Law(NamedTuple):
+    """Flow of a leak over its pressure difference; one parameter sets the size."""
+
+    parameter: str  # field of Leakage
+    coefficient: str  # field of LeakageCoefficients
+    at_test: float  # flow in m³/s at LEAKAGE_TEST_PRESSURE, with a coefficient of 1
+    resists: bool = False  # the parameter is the inverse of the coefficient
+
+    def value(self, flow_lpm: Any) -> Any:
+        """The parameter of a leak in l/min at 100 bar, a number or an array; may be negative."""
+        flow = np.asarray(flow_lpm, dtype=np.float64) * LITRE_PER_MINUTE
+        with np.errstate(divide="ignore"):
+            value = self.at_test / flow if self.resists else flow / self.at_test
+        return value if np.ndim(value) else float(value)
+
+    def flow(self, value: Any) -> Any:
+        """The leak in l/min at 100 bar of a parameter, a number or an array; the inverse of :meth:`value`."""
+        return (self.at_test / value if self.resists else value * self.at_test) / LITRE_PER_MINUTE
+
+    def value_of_coefficient(self, coefficient: float) -> float:
+        """The parameter that gives a coefficient."""
+        if not self.resists:
+            return coefficient
+        return 1.0 / coefficient if coefficient > 0.0 else math.inf
+
+
+LeakLaw = Literal["laminar", "orifice"]
+"""Laws of the leak past the piston."""
+
+LEAK_LAWS: dict[LeakLaw, Law] = {
+    "laminar": Law("internal_resistance", "leakage_conductance", LEAKAGE_TEST_PRESSURE, resists=True),
+    "orifice": Law("orifice_gain", "leakage_orifice_gain", math.sqrt(LEAKAGE_TEST_PRESSURE)),
+}
+ROD_SEAL = Law("external_resistance", "external_conductance", LEAKAGE_TEST_PRESSURE, resists=True)
+
+
+def leak_past_piston(flow_lpm: Any, law: LeakLaw) -> dict[str, Any]:
+    """Fields of :class:`Leakage` of a leak past the piston, in l/min at 100 bar (number or array), by one law alone."""
+    return {each.parameter: each.value(flow_lpm if name == law else 0.0) for name, each in LEAK_LAWS.items()}
+
+
 @inline
 def leakage_coefficients(p):
     """:class:`LeakageCoefficients` of the physical parameters ``p``."""
@@ -43,6 +85,12 @@ def internal_leakage(pressure_a, pressure_b, c):
     """Q_i in m³/s from chamber a to b: laminar (10) plus orifice, the rig's throttle in parallel."""
     difference = pressure_a - pressure_b
     return c.leakage_conductance * difference + c.leakage_orifice_gain * smooth_root(difference, c.transition_squared)
+
+
+@inline
+def internal_leakage_slope(slope, c):
+    """Upper estimate of dQ_i/dΔp in m³/(s Pa); ``slope``: of :func:`smooth_root` at zero."""
+    return c.leakage_conductance + c.leakage_orifice_gain * slope
 
 
 @inline
