@@ -92,3 +92,12 @@ def test_the_wheel_holds_two_packages_with_names_of_their_own():
     wheel = settings["tool"]["hatch"]["build"]["targets"]["wheel"]
     assert [Path(package).name for package in wheel["packages"]] == ["hydro_env", "hydro_agents"]
     assert settings["project"]["scripts"]["hydro"].startswith("hydro_agents.")
+
+
+def test_an_evaluation_with_shipped_policies_loads_no_library_of_the_training():
+    code = (
+        "import sys, hydro_agents.study.results, hydro_agents.study.other_rig as other;"
+        "study = other.default_study(); study.with_weights({});"
+        "found = sorted({'torch', 'stable_baselines3'} & set(sys.modules)); assert not found, found"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -64,7 +64,7 @@ def test_a_trainer_that_cannot_be_used_is_refused_with_one_line(kind, message):
 
 
 def test_sac_is_a_trainer_and_its_weights_act_as_its_model_does(tmp_path):
-    from hydro_agents.learning.off_policy import SACSettings
+    from hydro_agents.learning.settings import SACSettings
 
     sac = trainer("sac")
     small = {"axes": 8, "hidden_sizes": [8], "batch_size": 16, "learning_starts": 64, "gradient_steps": 1}

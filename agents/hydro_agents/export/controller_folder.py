@@ -19,7 +19,7 @@ from hydro_agents.export.c_writer import C_TYPES
 from hydro_agents.export.controller import ControllerGraph, controller_code, controller_graph, controller_model
 from hydro_agents.export.exported import FILE, MODEL_FILE, TASK_FILE, Contract, ContractSignal, StatePart, onnx_session
 from hydro_agents.export.measured import MeasuredController, MeasuredMemory
-from hydro_agents.learning.progress import validation_cases, validation_errors
+from hydro_agents.learning.validation import validation_cases, validation_errors
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group

@@ -8,122 +8,109 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import Field
 from stable_baselines3 import SAC
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, SessionCallback, load_made_with, read_counters, session
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import Progress, training_logger, validation_errors
-from hydro_agents.learning.settings import TrainingSettings
-from hydro_agents.learning.training import PolicyTrainer, make_env, make_features, training_record
+from hydro_agents.learning.progress import Progress, training_logger
+from hydro_agents.learning.settings import SACSettings
+from hydro_agents.learning.training import make_env, make_features, training_record
+from hydro_agents.learning.validation import validation_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.weights import Tensors, require, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import Group
 
 KIND = "off-policy checkpoint"
 
 
-class SACSettings(TrainingSettings):
-    """Settings of SAC and TQC."""
-
-    paired: bool = Field(False, description="reward relative to a twin under the corrected controller")
-    total_steps: int = Field(500_000, ge=1, le=10**12, description="control periods, all axes together")
-    axes: int = Field(64, ge=1, le=65_536)
-    learning_rate: float = Field(5e-4, gt=0.0, le=1.0)
-    gradient_steps: int = Field(8, ge=1, le=10_000, description="after each control period of all axes")
-    batch_size: int = Field(512, ge=2, le=1_000_000)
-    buffer_size: int = Field(500_000, ge=100, le=10_000_000, description="samples in the buffer")
-    learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
-    initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
-    log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
+PACKAGES = {"SAC": ("stable_baselines3", "stable-baselines3"), "TQC": ("sb3_contrib", "sb3-contrib")}  # module, package
 
 
-class OffPolicyTrainer(PolicyTrainer):
-    """A trainer that learns from a buffer of past samples.
+def train_off_policy(
+    name: str,
+    config: TaskConfig,
+    settings: SACSettings,
+    base: Controller | None,
+    seed: int,
+    folder: Path,
+    resume: bool,
+    progress: Callable[[Progress], None] | None,
+) -> PolicyController:
+    """Train a policy with an algorithm that learns from a buffer of past samples.
 
     A checkpoint holds the networks, the weight of the entropy and the number of steps. A resumed training fills a new
     buffer with the present policy and restarts its optimiser; its result therefore differs from that of an
     uninterrupted training.
 
     Args:
-        name: of the algorithm.
-        module: that holds its class.
-        package: to install if the module is missing.
+        name: of the algorithm, a key of :data:`PACKAGES`.
+        config: the task.
+        settings: settings of the training.
+        base: the controller that the residual form corrects.
+        seed: seed of all random numbers.
+        folder: for checkpoints and logs.
+        resume: continue from the checkpoint in the folder.
+        progress: called regularly.
+
+    Raises:
+        ConfigurationError: as :meth:`~hydro_agents.learning.trainers.Trainer.train`, or the package is not installed.
     """
+    algorithm = _algorithm(name)
+    torch.set_num_threads(settings.torch_threads)
+    features = make_features(config, settings, base)
+    path = folder / CHECKPOINT_FILE
+    made_with = {
+        "algorithm": name,
+        "seed": seed,
+        "settings": {**settings.model_dump(mode="json"), "total_steps": 0},
+        "features": features.describe(),
+    }
+    stored = load_made_with(path, KIND, made_with) if resume else None
+    env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
+    model = algorithm(
+        "MlpPolicy",
+        env,
+        learning_rate=settings.learning_rate,
+        buffer_size=settings.buffer_size,
+        learning_starts=settings.learning_starts,
+        batch_size=settings.batch_size,
+        gamma=settings.discount,
+        train_freq=1,
+        gradient_steps=settings.gradient_steps,
+        ent_coef=f"auto_{settings.initial_entropy_weight}",
+        policy_kwargs={
+            "net_arch": list(settings.hidden_sizes),
+            "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
+        },
+        seed=seed,
+        device="cpu",
+    )
+    with torch.no_grad():
+        model.actor.mu.weight.mul_(0.1)
+    before = 0.0
+    if stored is not None:
+        before = _restore(model, *stored, path)
+    model.set_logger(training_logger(folder, int(model.num_timesteps)))
+    callback = _Callback(settings, features, path, made_with, before, progress)
+    with session(model, env, callback):
+        if model.num_timesteps < settings.total_steps:
+            left = settings.total_steps - int(model.num_timesteps)
+            model.learning_starts = int(model.num_timesteps) + settings.learning_starts
+            model.learn(left, callback, log_interval=10**9, reset_num_timesteps=False)
+            callback.write_checkpoint()
+    record = training_record(name, env, seed, int(model.num_timesteps), callback.seconds, settings)
+    return PolicyController.from_sb3(model, features, record)
 
-    settings: type[Group] = SACSettings
 
-    def __init__(self, name: str, module: str, package: str) -> None:
-        self._name, self._module, self._package = name, module, package
-
-    def train(
-        self,
-        config: TaskConfig,
-        settings: Group,
-        *,
-        seed: int,
-        folder: Path,
-        resume: bool,
-        base: Controller | None,
-        progress: Callable[[Progress], None] | None,
-    ) -> PolicyController:
-        """Train a policy; see :class:`~hydro_agents.learning.trainers.Trainer`."""
-        assert isinstance(settings, SACSettings)
-        algorithm = self._algorithm()
-        torch.set_num_threads(settings.torch_threads)
-        features = make_features(config, settings, base)
-        path = folder / CHECKPOINT_FILE
-        made_with = {
-            "algorithm": self._name,
-            "seed": seed,
-            "settings": {**settings.model_dump(mode="json"), "total_steps": 0},
-            "features": features.describe(),
-        }
-        stored = load_made_with(path, KIND, made_with) if resume else None
-        env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
-        model = algorithm(
-            "MlpPolicy",
-            env,
-            learning_rate=settings.learning_rate,
-            buffer_size=settings.buffer_size,
-            learning_starts=settings.learning_starts,
-            batch_size=settings.batch_size,
-            gamma=settings.discount,
-            train_freq=1,
-            gradient_steps=settings.gradient_steps,
-            ent_coef=f"auto_{settings.initial_entropy_weight}",
-            policy_kwargs={
-                "net_arch": list(settings.hidden_sizes),
-                "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[settings.activation],
-            },
-            seed=seed,
-            device="cpu",
-        )
-        with torch.no_grad():
-            model.actor.mu.weight.mul_(0.1)
-        before = 0.0
-        if stored is not None:
-            before = _restore(model, *stored, path)
-        model.set_logger(training_logger(folder, int(model.num_timesteps)))
-        callback = _Callback(settings, features, path, made_with, before, progress)
-        with session(model, env, callback):
-            if model.num_timesteps < settings.total_steps:
-                left = settings.total_steps - int(model.num_timesteps)
-                model.learning_starts = int(model.num_timesteps) + settings.learning_starts
-                model.learn(left, callback, log_interval=10**9, reset_num_timesteps=False)
-                callback.write_checkpoint()
-        record = training_record(self._name, env, seed, int(model.num_timesteps), callback.seconds, settings)
-        return PolicyController.from_sb3(model, features, record)
-
-    def _algorithm(self) -> Any:
-        try:
-            return getattr(importlib.import_module(self._module), self._name)
-        except ImportError:
-            raise ConfigurationError(
-                f"trainer '{self._name.lower()}': needs the package {self._package}, which is not installed"
-            ) from None
+def _algorithm(name: str) -> Any:
+    module, package = PACKAGES[name]
+    try:
+        return getattr(importlib.import_module(module), name)
+    except ImportError:
+        raise ConfigurationError(
+            f"trainer '{name.lower()}': needs the package {package}, which is not installed"
+        ) from None
 
 
 class _Callback(SessionCallback):

@@ -120,3 +120,18 @@ class PPOSettings(TrainingSettings):
         """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
         first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
         return first + (last - first) * share
+
+
+class SACSettings(TrainingSettings):
+    """Settings of SAC and TQC."""
+
+    paired: bool = Field(False, description="reward relative to a twin under the corrected controller")
+    total_steps: int = Field(500_000, ge=1, le=10**12, description="control periods, all axes together")
+    axes: int = Field(64, ge=1, le=65_536)
+    learning_rate: float = Field(5e-4, gt=0.0, le=1.0)
+    gradient_steps: int = Field(8, ge=1, le=10_000, description="after each control period of all axes")
+    batch_size: int = Field(512, ge=2, le=1_000_000)
+    buffer_size: int = Field(500_000, ge=100, le=10_000_000, description="samples in the buffer")
+    learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
+    initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
+    log_every: int = Field(20_000, ge=1, description="steps between rows of the log")

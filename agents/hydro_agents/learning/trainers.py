@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import imported
-from hydro_agents.learning.off_policy import OffPolicyTrainer
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import Progress
-from hydro_agents.learning.settings import PPOSettings
-from hydro_agents.learning.training import PolicyTrainer, train_ppo
+from hydro_agents.learning.settings import PPOSettings, SACSettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
 from hydro_env.mistakes import unknown
+
+if TYPE_CHECKING:
+    from hydro_agents.learning.progress import Progress
 
 
 class TrainedController(Controller, Protocol):
@@ -69,10 +69,16 @@ class Trainer(Protocol):
         ...
 
 
-class PPOTrainer(PolicyTrainer):
-    """PPO of stable-baselines3 on many axes at once; see :func:`~hydro_agents.learning.training.train_ppo`."""
+class PolicyTrainer:
+    """A trainer of stable-baselines3, which is imported when a training begins.
 
-    settings: type[Group] = PPOSettings
+    Args:
+        algorithm: PPO, or an algorithm of :data:`hydro_agents.learning.off_policy.PACKAGES`.
+        settings: class of its settings.
+    """
+
+    def __init__(self, algorithm: str, settings: type[Group]) -> None:
+        self.algorithm, self.settings = algorithm, settings
 
     def train(
         self,
@@ -86,14 +92,24 @@ class PPOTrainer(PolicyTrainer):
         progress: Callable[[Progress], None] | None,
     ) -> PolicyController:
         """Train a policy; the residual form corrects ``base``, a classical controller."""
-        assert isinstance(settings, PPOSettings)
-        return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
+        if isinstance(settings, PPOSettings):
+            from hydro_agents.learning.training import train_ppo
+
+            return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
+        from hydro_agents.learning.off_policy import train_off_policy
+
+        assert isinstance(settings, SACSettings)
+        return train_off_policy(self.algorithm, config, settings, base, seed, folder, resume, progress)
+
+    def load(self, path: Path) -> PolicyController:
+        """Read weights that ``PolicyController.save`` wrote."""
+        return PolicyController.load(path)
 
 
 TRAINERS: dict[str, Trainer] = {
-    "ppo": PPOTrainer(),
-    "sac": OffPolicyTrainer("SAC", "stable_baselines3", "stable-baselines3"),
-    "tqc": OffPolicyTrainer("TQC", "sb3_contrib", "sb3-contrib"),
+    "ppo": PolicyTrainer("PPO", PPOSettings),
+    "sac": PolicyTrainer("SAC", SACSettings),
+    "tqc": PolicyTrainer("TQC", SACSettings),
 }
 
 

@@ -16,20 +16,13 @@ from hydro_agents.learning.checkpoint import CHECKPOINT_FILE, TrainingCallback, 
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import AsymmetricPolicy
-from hydro_agents.learning.progress import Progress, family_errors, training_logger, validation_errors
+from hydro_agents.learning.progress import Progress, training_logger
 from hydro_agents.learning.settings import PPOSettings, TrainingSettings
+from hydro_agents.learning.validation import family_errors, validation_errors
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.seeds import LEARNING
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.task.configuration import task_config
-
-
-class PolicyTrainer:
-    """Base of the trainers whose result is a :class:`PolicyController`."""
-
-    def load(self, path: Path) -> PolicyController:
-        """Read weights that ``PolicyController.save`` wrote."""
-        return PolicyController.load(path)
 
 
 def make_features(config: TaskConfig, settings: TrainingSettings, base: Controller | None) -> PolicyFeatures:

@@ -16,8 +16,8 @@ from hydro_agents.evaluation.paired_cases import PairedCondition
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.protocol import ProtocolSettings, StudyProtocol
 from hydro_agents.evaluation.runner import Results, run
-from hydro_agents.learning.progress import validation_errors
 from hydro_agents.learning.trainers import Trainer, trainer
+from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import ERROR, learning_plots
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder

@@ -15,7 +15,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.protocol import Evaluation, evaluate
 from hydro_agents.learning.opponents import shipped_weights
-from hydro_agents.learning.progress import validation_errors
+from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.pages import StudyRecord, write_report, write_tables
 from hydro_agents.report.traces import Example
