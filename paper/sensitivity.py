@@ -12,7 +12,7 @@ import pandas as pd
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_env import ConfigurationError, HydroError, PlantParameters, resistance_from_flow, simulate
 from hydro_env.plant.analysis import force_limits
-from hydro_env.units import orifice_gain_from_flow
+from hydro_env.plant.parts.leakage import LEAK_LAWS
 from paper.force_rate import force_rate_table, shares
 from paper.leaks import MODERATE, TIGHT
 from paper.loop import bandwidth, sensible_gain
@@ -122,7 +122,7 @@ def other_values(base: PlantParameters, name: str, value: Any) -> tuple[Any, Any
     low, high = map(resistance_from_flow, ROD_SEAL_LEAKS)
     others: dict[str, tuple[Any, Any]] = {
         "leakage.external_resistance": (low, high),
-        "leakage.orifice_gain": (0.0, orifice_gain_from_flow(CHANGE * LEAK)),
+        "leakage.orifice_gain": (0.0, LEAK_LAWS["orifice"].value(CHANGE * LEAK)),
         "friction.model": ("none", "stribeck" if value == "lugre" else "lugre"),
         "fluid.air_fraction": (0.0, 0.001),
     }

@@ -263,12 +263,11 @@ def try_agents() -> None:
 
 
 def try_detector() -> None:
-    from hydro_agents.evaluation.leak_jobs import windows
-
     from hydro_agents.detection.detector import Windows
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.looks import looks_at
     from hydro_agents.evaluation.leak_protocol import LeakProtocol
+    from hydro_agents.evaluation.leak_windows import simulated_windows
 
     # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
     protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")
@@ -276,11 +275,11 @@ def try_detector() -> None:
     task, signals = protocol.known_task("standing"), {}
     for level in (0.0, 1.0):
         cases = protocol.cases_in("standing", level, 3)
-        signals[level] = windows(protocol.task_in("standing"), "PID", cases, 400)[0]
+        signals[level] = simulated_windows(protocol.task_in("standing"), "PID", cases, 400)[0]
     healthy, leaking = (detector.read(Windows.of(each), task) for each in signals.values())
     assert healthy.answers.all()
     assert (leaking.score > 2.0 * healthy.score).all()
-    moving = windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
+    moving = simulated_windows(protocol.task_in("ordinary"), "PID", protocol.cases_in("ordinary", 1.0, 3), 400)[0]
     assert not detector.read(Windows.of(moving), task).answers.all()
     np.testing.assert_array_equal(looks_at(signals[1.0], task, detector, 0.5).score[:, 0], leaking.score)
     assert "needs the position" in detector.refuses(task_config(sensors={"spool_position": {"fitted": False}}), 400)

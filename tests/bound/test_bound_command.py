@@ -12,7 +12,7 @@ from hydro_agents.evaluation.bound_comparison import (
     summary,
     travel,
 )
-from hydro_agents.report.bound_plots import convergence_picture
+from hydro_agents.report.bounds import convergence_picture
 from hydro_agents.running.text import frame_markdown
 from hydro_env import TaskConfig
 from tests.command_line import assert_one_clear_line, hydro

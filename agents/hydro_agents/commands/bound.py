@@ -43,7 +43,7 @@ def bound(
         summary,
         travel,
     )
-    from hydro_agents.report.bound_plots import convergence_picture
+    from hydro_agents.report.bounds import convergence_picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.running.text import frame_markdown

@@ -57,8 +57,7 @@ def leak_bound(
     """
     from hydro_agents.evaluation.leak_bound import SurveySettings, checked, survey
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.report.bound_plots import bound_picture
-    from hydro_agents.report.leak_bound import bound_markdown
+    from hydro_agents.report.bounds import bound_markdown, bound_picture
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.running.jobs import JOBS_FOLDER

@@ -42,8 +42,7 @@ def design_test_move(
     from hydro_agents.estimation.move_design import MoveSettings, design, limits_of, moved
     from hydro_agents.evaluation.leak_bound import trial
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.report.bound_plots import move_picture
-    from hydro_agents.report.leak_bound import gain, move_table, trial_markdown
+    from hydro_agents.report.bounds import gain, move_picture, move_table, trial_markdown
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.running.seeds import EVALUATION

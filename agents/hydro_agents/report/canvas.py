@@ -189,9 +189,59 @@ def one_panel(key: str, title: str, note: str, alt: str, paint: Callable[[Axes],
     return make_plot(key, title, note, alt, painted, height)
 
 
+def curve_plot(
+    key: str,
+    title: str,
+    note: str,
+    curves: Mapping[str, pd.Series | pd.DataFrame],
+    looks: Mapping[Any, Look],
+    unit: str,
+    finish: Callable[[Axes], None],
+    per: str = " l/min",
+    levels: bool = False,
+    apart: float = 0.0,
+) -> Plot:
+    """A figure of one panel with a curve per participant.
+
+    Args:
+        key: name of its file.
+        title: of the figure.
+        note: how to read it.
+        curves: values over their index; a frame has the columns ``value``, ``low`` and ``high``, which become bars.
+        looks: of the participants.
+        unit: of the values, after a space.
+        finish: sets scales and labels of the axes when the curves are drawn.
+        per: unit of the index, after a space.
+        levels: whether the index holds leaks, to be shown with a tight seal at the left end.
+        apart: distance of the participants' bars, in units of the axis.
+    """
+    frames = {
+        name: curve.to_frame("value") if isinstance(curve, pd.Series) else curve for name, curve in curves.items()
+    }
+
+    def paint(axes: Axes) -> None:
+        known = sorted({float(x) for frame in frames.values() for x in frame.index})
+        places = level_axis(axes, known) if levels else {x: x for x in known}
+        for index, (name, frame) in enumerate(frames.items()):
+            at = np.array([places[float(x)] for x in frame.index]) + dodge(len(frames), index, apart)
+            if "low" in frame:
+                bars(axes, at, frame, "value", looks[name], name)
+            else:
+                axes.plot(at, frame["value"], marker=looks[name].marker, label=name, **looks[name].stroke)
+        if levels:
+            axes.margins(x=0.06)  # no marker is cut at the edge
+        finish(axes)
+
+    rows = {name: [(f"{setting(x)}{per}", y) for x, y in frame["value"].items()] for name, frame in frames.items()}
+    return one_panel(key, title, note, description(title, rows, unit), paint)
+
+
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
-    """All numbers of a figure as text, by controller."""
-    parts = [f"{name}: " + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name]) for name in rows]
+    """All numbers of a figure as text, by controller; one line alone needs no name."""
+    parts = [
+        (f"{name}: " if name else "") + ", ".join(f"{label} {number(value)}{unit}" for label, value in rows[name])
+        for name in rows
+    ]
     return f"{title}. {'; '.join(parts)}."
 
 

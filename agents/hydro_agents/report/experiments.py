@@ -16,12 +16,9 @@ from hydro_agents.report.canvas import (
     Look,
     Plot,
     add_legend,
-    bars,
+    curve_plot,
     description,
-    dodge,
-    level_axis,
     make_plot,
-    one_panel,
     ticks,
 )
 from hydro_agents.report.content import Content
@@ -166,40 +163,27 @@ def stiffness_plots(content: Content) -> list[Plot]:
 
 
 def _by_leak(table: pd.DataFrame, column: str, title: str, note: str, looks: Mapping[Any, Look]) -> Plot:
-    leaks = sorted(float(leak) for leak in table["leakage_flow_lpm"].unique())
-    names = [name for name in looks if (table["controller"] == name).any()]
-    parts = {
-        name: table[table["controller"] == name]
-        .groupby("leakage_flow_lpm")[column]
-        .agg(value="median", low="min", high="max")
-        for name in names
+    curves = {
+        name: own.groupby("leakage_flow_lpm")[column].agg(value="median", low="min", high="max")
+        for name in looks
+        if len(own := table[table["controller"] == name])
     }
 
-    def paint(axes: Axes) -> None:
-        places = level_axis(axes, leaks)
-        for index, (name, part) in enumerate(parts.items()):
-            at = np.array([places[float(leak)] for leak in part.index]) + dodge(len(parts), index, 0.04)
-            bars(axes, at, part, "value", looks[name], name)
+    def finish(axes: Axes) -> None:
         axes.set(ylabel="deviation, mm per kN", ylim=(0.0, None))
-        axes.margins(x=0.06)
 
-    rows = {
-        name: [(f"{setting(leak)} l/min", value) for leak, value in part["value"].items()]
-        for name, part in parts.items()
-    }
-    return one_panel(f"by-leak-{column}", title, note, description(title, rows, " mm/kN"), paint)
+    key = f"by-leak-{column}"
+    return curve_plot(key, title, note, curves, looks, " mm/kN", finish, levels=True, apart=0.04)
 
 
 def _compliance(table: pd.DataFrame, leak: float, looks: Mapping[Any, Look]) -> Plot:
-    names = [name for name in looks if (table["controller"] == name).any()]
     curves = {
-        name: table[table["controller"] == name].groupby("frequency_hz")["compliance_mm_per_kn"].median()
-        for name in names
+        name: own.groupby("frequency_hz")["compliance_mm_per_kn"].median()
+        for name in looks
+        if len(own := table[table["controller"] == name])
     }
 
-    def paint(axes: Axes) -> None:
-        for name, curve in curves.items():
-            axes.plot(curve.index, curve, label=name, marker=looks[name].marker, **looks[name].stroke)
+    def finish(axes: Axes) -> None:
         axes.set(xscale="log", yscale="log", xlabel="frequency of the force, Hz", ylabel="deviation, mm per kN")
         ticks(axes.xaxis, [1.0, 2.0, 5.0, 10.0, 20.0])
         ticks(axes.yaxis, [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0])
@@ -207,9 +191,8 @@ def _compliance(table: pd.DataFrame, leak: float, looks: Mapping[Any, Look]) -> 
 
     title = f"Sinusoidal force, leak of {setting(leak)} l/min"
     note = "Amplitude of the position per amplitude of the force, median of the plants; lower is stiffer."
-    rows = {name: [(f"{setting(f)} Hz", value) for f, value in curve.items()] for name, curve in curves.items()}
-    alt = description(title, rows, " mm/kN")
-    return one_panel(f"compliance-{setting(leak)}", title, note, alt, paint)
+    key = f"compliance-{setting(leak)}"
+    return curve_plot(key, title, note, curves, looks, " mm/kN", finish, " Hz")
 
 
 def stiffness_table(content: Content) -> Table:

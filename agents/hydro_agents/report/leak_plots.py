@@ -14,6 +14,7 @@ from hydro_agents.report.canvas import (
     HEIGHT,
     INK,
     Plot,
+    curve_plot,
     description,
     dodge,
     log_leak_axis,
@@ -23,7 +24,6 @@ from hydro_agents.report.canvas import (
 )
 from hydro_agents.report.content import Content, interval
 from hydro_agents.running.statistics import Interval
-from hydro_agents.running.text import setting
 
 Find = Callable[[str, str], Interval]
 """A share in percent with its interval, by detector and condition."""
@@ -36,33 +36,25 @@ def detection_plot(content: Content) -> list[Plot]:
     """Share found at 1 % false alarms over the size of the leak."""
     table = content.table("detection")
     table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
-    parts = {name: table[table["detector"] == name] for name in content.detectors}
-    parts = {name: part for name, part in parts.items() if len(part)}
-    if not parts:
+    curves = {}
+    for name in content.detectors:
+        own = table[table["detector"] == name].set_index("level")
+        columns = {"at_1_percent": "value", "at_1_percent_low": "low", "at_1_percent_high": "high"}
+        if len(own):
+            curves[name] = 100.0 * own[list(columns)].rename(columns=columns)
+    if not curves:
         return []
-    levels = sorted(float(level) for level in table["level"].unique())
 
-    def paint(axes: Axes) -> None:
-        for name, part in parts.items():
-            look = content.looks[name]
-            value, low, high = (100.0 * part[f"at_1_percent{end}"].to_numpy() for end in ("", "_low", "_high"))
-            lengths = np.maximum(np.array([value - low, high - value]), 0.0)
-            axes.errorbar(part["level"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke)
-        log_leak_axis(axes, levels)
+    def finish(axes: Axes) -> None:
+        log_leak_axis(axes, sorted(float(level) for level in table["level"].unique()))
         axes.set(ylabel="windows in which it is found, %", ylim=(0.0, 103.0))
 
-    title = "Smallest leak that is found"
     note = (
         f"{content.label(content.base).capitalize()}, one window each; threshold at 1 % false alarms on validation "
         "axes. Bars: 95 % interval."
     )
-    rows = {
-        name: [
-            (setting(level), 100.0 * share) for level, share in zip(part["level"], part["at_1_percent"], strict=True)
-        ]
-        for name, part in parts.items()
-    }
-    return [one_panel("detection", title, note, description(title, rows, " %"), paint)]
+    title = "Smallest leak that is found"
+    return [curve_plot("detection", title, note, curves, content.looks, " %", finish, per="")]
 
 
 def _rows_plot(
@@ -198,34 +190,21 @@ def size_plot(content: Content) -> list[Plot]:
     """Size error over the leak, with the Cramér–Rao bound."""
     table = content.table("sizes")
     table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
-    parts = {name: table[(table["detector"] == name) & table["rms_log10"].notna()] for name in content.detectors}
-    parts = {name: part for name, part in parts.items() if len(part)}
-    if not parts:
+    known = table[table["rms_log10"].notna()].set_index("level")
+    curves = {name: own for name in content.detectors if len(own := known[known["detector"] == name]["rms_log10"])}
+    if not curves:
         return []
     bound = table.dropna(subset=["bound_rms_log10"]).drop_duplicates("level")
-    levels = sorted(float(level) for level in table["level"].unique())
 
-    def paint(axes: Axes) -> None:
-        for name, part in parts.items():
-            axes.plot(
-                part["level"],
-                part["rms_log10"],
-                marker=content.looks[name].marker,
-                label=name,
-                **content.looks[name].stroke,
-            )
+    def finish(axes: Axes) -> None:
         if len(bound):
             axes.plot(bound["level"], bound["bound_rms_log10"], color=INK, linestyle=":", label="Cramér–Rao bound")
-        log_leak_axis(axes, levels)
+        log_leak_axis(axes, sorted(float(level) for level in table["level"].unique()))
         axes.set(yscale="log", ylabel="error of the size, RMS of log10")
 
     title = "Accuracy of the estimated size"
     note = "0.05 is about 12 %. The bound is the smallest error that any method can have on such windows."
-    rows = {
-        name: [(setting(level), size) for level, size in zip(part["level"], part["rms_log10"], strict=True)]
-        for name, part in parts.items()
-    }
-    return [one_panel("size", title, note, description(title, rows, ""), paint)]
+    return [curve_plot("size", title, note, curves, content.looks, "", finish, per="")]
 
 
 def reliability_plot(content: Content) -> list[Plot]:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import COLOURS, Plot, description, log_leak_axis, looks_of, one_panel
+from hydro_agents.report.canvas import Plot, curve_plot, log_leak_axis, looks_of
 from hydro_agents.report.content import Content
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
 from hydro_agents.running.text import Table, duration, listed, number, setting
@@ -102,33 +102,26 @@ def price_plots(table: pd.DataFrame) -> list[Plot]:
     Args:
         table: of :func:`~hydro_agents.evaluation.leak_price.leak_price`.
     """
-    leaks = [float(leak) for leak in table["leakage_flow_lpm"]]
-    looks = looks_of(RESERVES)
+    table = table.set_index("leakage_flow_lpm")
+    marks = [float(leak) for leak in table.index if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
     shares = {name: 100.0 * table[column] / float(table[column].iloc[0]) for name, column in RESERVES.items()}
-    marks = [leak for leak in leaks if leak in (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 8.0)]
+    power = table["holding_power_w"]
 
-    def paint_power(axes: Axes) -> None:
-        axes.plot(leaks, table["holding_power_w"], color=COLOURS[0], marker="o")
-        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * float(table["holding_power_w"].max())))
+    def finish_power(axes: Axes) -> None:
+        axes.set(ylabel="power from the supply, W", ylim=(0.0, 1.07 * float(power.max())))
         log_leak_axis(axes, marks)
 
-    def paint_left(axes: Axes) -> None:
-        for name, look in looks.items():
-            axes.plot(leaks, shares[name], label=name, marker=look.marker, **look.stroke)
+    def finish_left(axes: Axes) -> None:
         axes.set(ylabel="reserve, % of the tight seal", ylim=(0.0, 105.0))
         log_leak_axis(axes, marks)
 
-    def rows(values: pd.Series) -> list[tuple[str, float]]:
-        return [(f"{setting(leak)} l/min", value) for leak, value in zip(leaks, values, strict=True)]
-
-    power = f"Power to hold {number(float(table['place_mm'].iloc[0]), 0)} mm"
-    reserve = "Reserve of speed and force"
+    held = f"Power to hold {number(float(table['place_mm'].iloc[0]), 0)} mm"
+    flow = "Flow through the valve times supply pressure."
     at_full = "At full command: steady speed at this place, and the largest load that the axis can hold."
-    alt = description(power, {"power": rows(table["holding_power_w"])}, " W")
-    kept = description(reserve, {name: rows(share) for name, share in shares.items()}, " %")
+    reserve, looks = "Reserve of speed and force", looks_of(RESERVES)
     return [
-        one_panel("price-power", power, "Flow through the valve times supply pressure.", alt, paint_power),
-        one_panel("price-left", reserve, at_full, kept, paint_left),
+        curve_plot("price-power", held, flow, {"": power}, looks_of([""]), " W", finish_power),
+        curve_plot("price-left", reserve, at_full, shares, looks, " %", finish_left),
     ]
 
 

@@ -15,12 +15,9 @@ from hydro_agents.report.canvas import (
     PALE,
     Array,
     Plot,
-    bars,
     bars_by,
+    curve_plot,
     description,
-    dodge,
-    level_axis,
-    looks_of,
     one_panel,
     row_axis,
     ticks,
@@ -72,64 +69,39 @@ def level_plot(content: Content, metric: str, label: str, column: str, title: st
         note: how to read it.
     """
     frame = content.table("levels")[content.table("levels")["metric"] == metric]
-    looks = content.looks
-    levels = sorted({float(level) for level in frame["leakage_flow_lpm"]})
-    parts = {name: frame[frame["controller"] == name].sort_values("leakage_flow_lpm") for name in looks}
     alone = column == "mean" and not content.has("ratios")
+    curves = {}
+    for name in content.controllers:
+        own = frame[frame["controller"] == name].set_index("leakage_flow_lpm").sort_index()
+        curves[name] = own.rename(columns={column: "value"}) if alone else own[column]
 
-    def paint(axes: Axes) -> None:
-        places = level_axis(axes, levels)
-        for name, part in parts.items():
-            look = looks[name]
-            x = np.array([places[float(level)] for level in part["leakage_flow_lpm"]])
-            if alone:
-                bars(axes, x, part, column, look, name)
-            else:
-                axes.plot(x, part[column], marker=look.marker, label=name, **look.stroke)
+    def finish(axes: Axes) -> None:
         axes.set_ylabel(label)
-        axes.margins(x=0.06)  # no marker is cut at the edge
         _error_scale(axes, _ends(frame, column, alone))
 
-    rows = {
-        name: [
-            (f"{setting(level)} l/min", value)
-            for level, value in zip(part["leakage_flow_lpm"], part[column], strict=True)
-        ]
-        for name, part in parts.items()
-    }
     unit = f" {label.split(', ')[1]}"
     note += _hint(content) if column == "mean" and metric == "mean_error_mm" else ""
-    return one_panel(f"level-{metric}-{column}", title, note, description(title, rows, unit), paint)
+    return curve_plot(f"level-{metric}-{column}", title, note, curves, content.looks, unit, finish, levels=True)
 
 
 def _difference_plot(content: Content) -> Plot:
     """Error minus the baseline's error on the same plants, with intervals of the difference."""
     base, *names = content.controllers
-    looks = looks_of([base, *names])
     levels = sorted({float(level) for level in content.table("cases")["leakage_flow_lpm"]})
     table = content.table("cases").pivot_table("mean_error_mm", ["leakage_flow_lpm", "plant"], "controller")
-    parts = {
-        name: pd.DataFrame(
-            [mean_interval((table[name] - table[base]).loc[level].to_numpy()).columns("value") for level in levels]
-        )
-        for name in names
-    }
+    curves: dict[str, pd.Series | pd.DataFrame] = {}
+    for name in names:
+        change = table[name] - table[base]
+        rows = [mean_interval(change.loc[level].to_numpy()).columns("value") for level in levels]
+        curves[name] = pd.DataFrame(rows, index=levels)
 
-    def paint(axes: Axes) -> None:
-        places = np.array(list(level_axis(axes, levels).values()))
-        for index, (name, part) in enumerate(parts.items()):
-            bars(axes, places + dodge(len(parts), index, 0.03), part, "value", looks[name], name)
-        axes.axhline(0.0, **looks[base].stroke, label=base)
+    def finish(axes: Axes) -> None:
+        axes.axhline(0.0, **content.looks[base].stroke, label=base)
         axes.set_ylabel(f"error − error of {base}, mm")
-        axes.margins(x=0.06)
 
     title = f"Difference to {base} by leak size"
     note = "On the same plants, references and noise; bars: 95 % interval of the difference. Below 0 is better."
-    rows = {
-        name: [(f"{setting(level)} l/min", value) for level, value in zip(levels, part["value"], strict=True)]
-        for name, part in parts.items()
-    }
-    return one_panel("difference", title, note, description(title, rows, " mm"), paint)
+    return curve_plot("difference", title, note, curves, content.looks, " mm", finish, levels=True, apart=0.03)
 
 
 def _by_family(content: Content) -> Plot:

@@ -1,0 +1,222 @@
+"""Tables and figures of the bounds: the best found, the bound of a leak, and the test move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+
+from hydro_agents.estimation.information import TASK, ratios_to_bound
+from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows
+from hydro_agents.estimation.move_design import Design, Move
+from hydro_agents.evaluation.leak_bound import ALL_SENSORS
+from hydro_agents.evaluation.paired_cases import DRAWN_FAMILIES
+from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis, ticks
+from hydro_agents.running.text import frame_markdown, number, setting
+
+ORDINARY = next(iter(MOTIONS))
+
+
+def middle(values: Iterable[float], wanted: float) -> float:
+    """The value with the ratio to ``wanted`` closest to 1."""
+    return min(values, key=lambda value: abs(np.log(max(value, 1e-9) / wanted)))
+
+
+def shown(table: pd.DataFrame) -> tuple[float, float]:
+    """Fixed window (s) and leak (l/min) of the tables: the values nearest to 2 s and 0.3 l/min."""
+    return middle(table["window_s"].unique(), 2.0), middle(table["leakage_flow_lpm"].unique(), 0.3)
+
+
+def tables(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Tables of medians over the plants by title; cells are text, the bound in l/min at 100 bar."""
+    length, leak = shown(table)
+    ordinary, whole = table["motion"] == ORDINARY, table["sensors"] == ALL_SENSORS
+    window, level, drawn = table["window_s"] == length, table["leakage_flow_lpm"] == leak, table["unknowns"] == TASK
+    seconds, litres = f"window of {length:g} s", f"leak of {leak:g} l/min"
+    by_leak = _medians(table[ordinary & whole & window], "leakage_flow_lpm", "unknowns", "leak, l/min")
+    by_length = _medians(table[ordinary & whole & level], "window_s", "unknowns", "window, s")
+    by_sensor = _medians(table[ordinary & drawn & window], "sensors", "leakage_flow_lpm", "sensors")
+    by_motion = table[whole & drawn & window].pivot_table(
+        "sigma_lpm", "leakage_flow_lpm", "motion", aggfunc=_spread, sort=False
+    )
+    by_motion.index = pd.Index([setting(leak) for leak in by_motion.index], name="leak, l/min")
+    return {
+        f"By leak and unknowns ({ORDINARY}, {seconds})": by_leak,
+        f"By length of the window and unknowns ({ORDINARY}, {litres})": by_length,
+        f"By sensors and leak ({ORDINARY}, {seconds}; unknown: {TASK})": by_sensor,
+        f"By motion and leak: median, and 10 to 90 % of the plants ({seconds}; unknown: {TASK})": by_motion,
+    }
+
+
+def _medians(rows: pd.DataFrame, index: str, columns: str, name: str) -> pd.DataFrame:
+    table = rows.pivot_table("sigma_lpm", index, columns, aggfunc="median", sort=False).map(_digits)
+    table.index = pd.Index([setting(v) if isinstance(v, float) else str(v) for v in table.index], name=name)
+    table.columns = pd.Index([setting(v) if isinstance(v, float) else str(v) for v in table.columns])
+    return table
+
+
+def _digits(value: float) -> str:
+    return number(value, digits=2)
+
+
+def _spread(values: pd.Series[float]) -> str:
+    low, median, high = np.quantile(values, [0.1, 0.5, 0.9])
+    return f"{_digits(median)} ({_digits(low)} to {_digits(high)})"
+
+
+def bound_markdown(table: pd.DataFrame) -> str:
+    """All tables of :func:`tables` as Markdown."""
+    return "\n\n".join(f"{title}:\n\n{frame_markdown(part)}" for title, part in tables(table).items())
+
+
+def trial_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Bound and errors of the estimate by motion and leak; cells are text, l/min at 100 bar."""
+    rows = []
+    for (motion, leak), part in table.groupby(["motion", "leakage_flow_lpm"], sort=False):
+        kept = part[part["holds"]]
+        within = (kept["estimate_lpm"] - leak).abs() <= 1.645 * kept["deviation_lpm"]
+        median = float((kept["estimate_lpm"] - leak).abs().median()) if len(kept) else np.nan
+        ratio = ratios_to_bound(*(kept[name].to_numpy() for name in ("leakage_flow_lpm", "estimate_lpm", "sigma_lpm")))
+        rows.append(
+            {
+                "motion": motion,
+                "leak, l/min": setting(float(leak)),
+                "bound, median": number(float(part["sigma_lpm"].median()), digits=2),
+                "largest": number(float(part["sigma_lpm"].max()), digits=2),
+                "error, median": number(median, digits=2),
+                "error over bound": number(ratio[0].ratio if ratio else np.nan, digits=2),
+                "within 90 %": f"{within.sum()} of {len(kept)}",
+                "model holds": f"{len(kept)} of {len(part)}",
+            }
+        )
+    return pd.DataFrame(rows).set_index("motion")
+
+
+def move_table(move: Move) -> str:
+    """The move as Markdown, one row per stroke."""
+    rows = [
+        (f"{1e3 * one.start:.1f}", f"{one.hold:.2f}", f"{1e3 * one.end:.1f}", f"{one.duration:.2f}")
+        for one in move.strokes
+    ]
+    last = (f"{1e3 * move.strokes[-1].end:.1f}", f"{move.last_hold:.2f}", "–", "–")
+    frame = pd.DataFrame([*rows, last], columns=["hold at, mm", "for, s", "then move to, mm", "in, s"])
+    frame.index = pd.Index(range(1, len(frame) + 1), name="")
+    return frame_markdown(frame)
+
+
+def gain(best: Design) -> str:
+    """Gain of the search on the plants of the design, as a sentence."""
+    first = f"{number(best.first_bound, digits=2)} l/min" if np.isfinite(best.first_bound) else "not possible"
+    return (
+        f"Bound on the plants of the design: {number(best.bound, digits=2)} l/min; of one stroke there and back at "
+        f"mid-range: {first}."
+    )
+
+
+def trial_markdown(table: pd.DataFrame) -> str:
+    """The table of :func:`trial_table` as Markdown."""
+    return frame_markdown(trial_table(table))
+
+
+# Figures ------------------------------------------------------------------------------------------------------------
+
+
+def convergence_picture(table: pd.DataFrame) -> bytes:
+    """A PNG of :func:`convergence`: the error of steps, and of all other families, over each setting."""
+
+    def paint(figure: Figure) -> None:
+        settings = list(table["setting"].unique())
+        smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
+        looks = looks_of(["steps", "other families"])
+        panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
+        for place, varied in zip(panels, settings, strict=True):
+            rows = table[table["setting"] == varied]
+            lines = {"steps": rows.get("step"), "other families": rows[smooth].mean(axis=1) if smooth else None}
+            for name, values in lines.items():
+                if values is not None:
+                    at = np.arange(len(rows))
+                    place.plot(at, 1e3 * values, marker=looks[name].marker, label=name, **looks[name].stroke)
+                    place.set_xticks(at, rows["value"].astype(str))
+            place.set(title=varied.replace("_", " "), yscale="log")
+        panels[0].set_ylabel("mean error, µm")
+        panels[0].legend(loc="center right")
+
+    return render(paint, (WIDE, 3.0), "png")[0]
+
+
+def bound_picture(table: pd.DataFrame) -> bytes:
+    """A PNG: the bound over the length of the window for each set of unknowns, by sensors, and over the leak."""
+    length, leak = shown(table)
+    ordinary, whole = table["motion"] == ORDINARY, table["sensors"] == ALL_SENSORS
+    window, level, drawn = table["window_s"] == length, table["leakage_flow_lpm"] == leak, table["unknowns"] == TASK
+
+    def paint(figure: Figure) -> None:
+        left, centre, right = figure.subplots(1, 3, width_ratios=(1.0, 0.9, 1.0))
+        _lines(left, table[ordinary & whole & level], "window_s", "unknowns")
+        left.set(xscale="log", xlabel="window, s", title=f"Sets of unknowns (leak of {leak:g} l/min)")
+        ticks(left.xaxis, sorted(table["window_s"].unique()))
+        _rows_of_sensors(centre, table[ordinary & drawn & window & level])
+        centre.set_title(f"Sensors, {length:g} s")
+        positive = table["leakage_flow_lpm"] > 0.0  # the axis is logarithmic
+        _lines(right, table[whole & drawn & window & positive], "leakage_flow_lpm", "motion")
+        right.set(xscale="log", xlabel="leak, l/min at 100 bar", title=f"Motion, {length:g} s")
+        ticks(right.xaxis, sorted(table.loc[positive, "leakage_flow_lpm"].unique()))
+
+    return render(paint, (1.5 * WIDE, 4.2), "png")[0]
+
+
+def _lines(axes: Axes, rows: pd.DataFrame, across: str, by: str) -> None:
+    medians = rows.pivot_table("sigma_lpm", across, by, aggfunc="median", sort=False).sort_index()
+    for name, look in looks_of(medians.columns).items():
+        axes.plot(medians.index, medians[name], marker=look.marker, label=name, **look.stroke)
+    axes.set(yscale="log", ylabel="smallest standard deviation, l/min")
+    decades(axes.yaxis, medians.min(axis=None), medians.max(axis=None))
+    axes.legend(fontsize=7.5)
+
+
+def _rows_of_sensors(axes: Axes, rows: pd.DataFrame) -> None:
+    names = [str(name) for name in rows["sensors"].unique()]
+    groups = [rows.loc[rows["sensors"] == name, "sigma_lpm"] for name in names]
+    low, median, high = np.array([np.quantile(group, [0.1, 0.5, 0.9]) for group in groups]).T
+    axes.errorbar(median, range(len(names)), xerr=[median - low, high - median], fmt="o", color=COLOURS[0])
+    row_axis(axes, names)
+    axes.set(xscale="log", xlabel="smallest standard deviation, l/min; 10 to 90 % of the plants")
+    decades(axes.xaxis, low.min(), high.max())
+
+
+def decades(axis: Axis, low: float, high: float) -> None:
+    """Ticks of a logarithmic axis as plain numbers: 1, 2 and 5 of each decade, or 1 alone where there are many."""
+    exponents = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    steps = (1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)
+    values = np.outer(10.0**exponents, steps).ravel()
+    ticks(axis, [float(value) for value in values if 0.8 * low <= value <= 1.25 * high])
+
+
+def move_picture(move: Move, windows: KnownWindows, table: pd.DataFrame, period: float) -> bytes:
+    """A PNG: the move and the measured positions of all test axes, and the bound by motion on each of them."""
+    leak = table["leakage_flow_lpm"].max()
+
+    def paint(figure: Figure) -> None:
+        left, right = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
+        time = period * np.arange(windows.signals.shape[2])
+        left.plot(time, 1e3 * windows.signals[:, 0].T, color=GREY, linewidth=0.6, alpha=0.6)
+        left.plot(time, 1e3 * move.reference(period), color=COLOURS[1], label="reference")
+        left.plot([], [], color=GREY, linewidth=0.6, label=f"{windows.count} axes, measured")
+        left.set(xlabel="time, s", ylabel="position, mm", title="The test move")
+        left.legend()
+        rows = table[table["leakage_flow_lpm"] == leak]
+        names = list(rows["motion"].unique())
+        for place, (name, look) in enumerate(looks_of(names).items()):
+            values = rows.loc[rows["motion"] == name, "sigma_lpm"]
+            right.plot(values, np.full(len(values), place), look.marker, color=look.colour, alpha=0.5)
+            right.plot([values.median()] * 2, [place - 0.3, place + 0.3], color=look.colour, linewidth=2.5)
+        row_axis(right, names)
+        right.set(xscale="log", xlabel="smallest standard deviation, l/min; bar: median")
+        decades(right.xaxis, rows["sigma_lpm"].min(), rows["sigma_lpm"].max())
+        right.set_title(f"Bound of a leak of {leak:g} l/min")
+
+    return render(paint, (1.2 * WIDE, 3.4), "png")[0]
