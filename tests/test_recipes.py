@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import hydro_env
-from hydro_env import PlantParameters, ServoHydraulicEnv, TaskConfig, equilibrium, simulate
+from hydro_env import PlantParameters, ServoHydraulicEnv, equilibrium, simulate
 from hydro_env.plant.linearisation import linearise
 from hydro_env.plant.simulate import TRAJECTORY_UNITS, valid_ranges
 from hydro_env.plant.states import STATE_NAMES
@@ -134,18 +134,17 @@ FITTED = {"supply_pressure": {"fitted": True}}
 
 
 def watched_axis(folder: Path, sensors: dict) -> None:
-    """Recordings of the shipped policy, and of a PID on an axis with further sensors, which a diagnosis then reads."""
-    from hydro_agents.detection.head import LeakageHead
+    """Recordings of the shipped policy and of a PID on an axis with further sensors, and a diagnosis of the latter."""
+    from hydro_agents.detection.monitor import load_head
     from hydro_agents.learning.opponents import opponent
     from hydro_agents.recordings.simulated import record_axis
     from hydro_agents.rigs.diagnose import diagnose, leak_table
 
     folder.mkdir()
     fitted = task_config(episode_duration=5.0, sensors=sensors)
-    for kind, config in ("ppo", TaskConfig(episode_duration=1.0)), ("pid", fitted):
-        record_axis(folder / f"{kind}.csv", config, opponent(kind, config, kind), 3, 1.0, "sine")
-    head = LeakageHead.load(ROOT / "agents/hydro_agents/pretrained/leakage_head")
-    found = diagnose(folder / "pid.csv", fitted, head)
+    for kind in ("ppo", "pid"):
+        record_axis(folder / f"{kind}.csv", fitted, opponent(kind, fitted, kind), 3, 1.0, "sine")
+    found = diagnose(folder / "pid.csv", fitted, load_head(None, fitted))
     assert found.estimator is not None
     assert found.head is not None
     leak_table(found).to_csv(folder / "leak.csv")

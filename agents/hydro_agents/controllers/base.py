@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
@@ -135,12 +135,13 @@ class ObservationLayout:
 
 
 def check_layout(layout: ObservationLayout, config: TaskConfig) -> None:
-    """Check that weights fit a task: the observations must be the same as in training.
+    """Check that weights fit a task: its observations begin with those of the training; further ones are not read.
 
     Raises:
         ConfigurationError: names, scales or control period differ.
     """
-    if layout != ObservationLayout.of(config):
+    here, known = ObservationLayout.of(config), len(layout.names)
+    if layout != replace(here, names=here.names[:known], scale=here.scale[:known]):
         raise ConfigurationError(
             "was trained on other observations (names, scales or control period) than those of this task"
         )

@@ -163,7 +163,7 @@ class PolicyFeatures:
         The history consists of the changes since each past sample. Before the start of an episode, it repeats the first
         observation.
         """
-        inputs = observation.astype(np.float32, copy=False)
+        inputs = observation[:, : len(self.layout.names)].astype(np.float32, copy=False)
         signals = inputs[:, self._columns]
         zero = np.zeros((len(signals), 1), dtype=np.float32)
         if state is None:
