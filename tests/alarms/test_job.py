@@ -16,6 +16,7 @@ from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.sensors import SENSOR_COLUMNS
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(hours=5.0, shift=300.0, past=300.0, after=60.0, axes=20, interval=1.0, learning=20)
@@ -114,7 +115,7 @@ def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
     env.reset(seed=[1_930_000, 1_930_001], options={"leakage_flow_lpm": 0.3, "reference": "sine"})
     columns = []
     for step in range(162):
-        columns.append(np.column_stack([env.axes.column("measured"), env.axes.column("command")]))
+        columns.append(np.column_stack([env.axes.column("measured")[:, SENSOR_COLUMNS], env.axes.column("command")]))
         env.step(np.full((2, 1), 0.2 * np.sin(0.15 * step), dtype=np.float32))
     signals = np.stack(columns, axis=-1)
     signals[1, 0] = signals[1, 0, ::-1]  # no axis moves against its command

@@ -27,7 +27,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 CONFIG = TaskConfig()
 LEAK, LENGTHS = 0.3, (0.25, 0.5, 1.0)
@@ -103,8 +103,8 @@ def test_a_bias_is_known_as_a_mean_is(known):
 def test_every_signal_and_every_sample_adds_and_every_unknown_takes(known):
     leak = sigma(known)
     assert (np.diff(leak, axis=1) < 0.0).all()
-    for sensor in CHANNELS:
-        without = sigma(known, sensors=[name for name in CHANNELS if name != sensor])
+    for sensor in SENSORS:
+        without = sigma(known, sensors=[name for name in SENSORS if name != sensor])
         alone = sigma(known, sensors=[sensor])
         assert (without > leak).all()
         assert (alone > leak).all()

@@ -14,7 +14,7 @@ from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.plant.states import N_STATES, State
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 from hydro_env.units import resistance_from_flow
 
 SAMPLES = 161
@@ -43,7 +43,7 @@ def driven(config, leak, seeds, samples=SAMPLES, faults=None, start_moving=False
     axes, columns = env.axes, []
 
     def column():
-        return np.column_stack([axes.column("measured"), axes.column("command")])
+        return np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")])
 
     before = 15 if start_moving else 0
     for step in range(samples + before):
@@ -79,7 +79,7 @@ def exact(config=CONFIG):
 
 def quiet():
     """The task with sensors that lag, but have neither noise nor bias nor steps."""
-    silent = {name: {"noise": 0, "bias": 0, "resolution": 0} for name in CHANNELS}
+    silent = {name: {"noise": 0, "bias": 0, "resolution": 0} for name in SENSORS}
     return CONFIG.model_copy(update={"sensors": type(CONFIG.sensors).model_validate(silent)})
 
 
@@ -88,11 +88,11 @@ def test_the_replay_is_what_the_environment_does():
     env = ServoHydraulicVectorEnv(3, config, info=False)
     env.reset(seed=[1, 2, 3], options={"leakage_flow_lpm": 2.0})
     axes, start = env.axes, env.axes.state.copy()
-    commands, seen = [axes.column("command").copy()], [axes.column("measured").copy()]
+    commands, seen = [axes.column("command").copy()], [axes.column("measured")[:, SENSOR_COLUMNS].copy()]
     for command in np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3)).astype(np.float32):
         env.step(command[:, None])
         commands.append(axes.column("command").copy())
-        seen.append(axes.column("measured").copy())
+        seen.append(axes.column("measured")[:, SENSOR_COLUMNS].copy())
     physical = axes.physical.copy()
     physical[:, PLANT("leakage.internal_resistance")] = resistance_from_flow(2.0)
     durations = np.full((3, 40), config.control_period)
@@ -159,10 +159,10 @@ def test_interval_and_probability_follow_from_value_and_deviation(found):
 
 def test_the_deviation_is_the_spread_over_noise():
     signals, physical, _ = driven(quiet(), [0.3], [21], start_moving=True)
-    noise = np.random.default_rng(3).standard_normal((48, len(CHANNELS), SAMPLES))
-    sigma = np.array([getattr(CONFIG.sensors, name).noise for name in CHANNELS])
+    noise = np.random.default_rng(3).standard_normal((48, len(SENSORS), SAMPLES))
+    sigma = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])
     noisy = np.repeat(signals, 48, axis=0)
-    noisy[:, : len(CHANNELS)] += noise * sigma[:, None]
+    noisy[:, : len(SENSORS)] += noise * sigma[:, None]
     unknowns = (*FEW[:3], *FEW[4:], "start.velocity")  # no bias: what is the same in every window cannot spread
     spread = estimate(noisy, CONFIG, unknowns, physical=physical[0], settings=QUICK)
     error = (spread.values - spread.values.mean(axis=0)) / spread.deviations
@@ -187,7 +187,7 @@ def test_what_a_window_at_rest_cannot_tell_is_named():
     axes, columns = env.axes, []
     hold = axes.column("command").copy()
     for _ in range(60):
-        columns.append(np.column_stack([axes.column("measured"), axes.column("command")]))
+        columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
         env.step(hold.astype(np.float32)[:, None])
     still = estimate(np.stack(columns, axis=-1), CONFIG, settings=QUICK)
     assert {"load.mass", "load.viscous_damping", "position_bias"} <= set(still.undetermined(0))
@@ -235,7 +235,7 @@ def test_own_time_stamps_are_followed():
         start,
         np.array([CONFIG.command_latency]),
     )
-    noise = np.array([getattr(CONFIG.sensors, name).noise for name in CHANNELS])[:, None]
+    noise = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])[:, None]
     window = np.concatenate([readings + noise * rng.standard_normal(readings.shape), command[:, None]], axis=1)
     unknowns = [name for name in FEW if "bias" not in name]
     right = estimate(window, CONFIG, unknowns, durations=durations, physical=physical, settings=QUICK)

@@ -6,17 +6,17 @@ import pytest
 from hydro_agents.detection.damaged_signals import stuck_sensors
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import CHANNELS
+from hydro_env.task.sensors import SENSORS
 
 CONFIG = TaskConfig()
-SENSORS = [getattr(CONFIG.sensors, name) for name in CHANNELS]
+FITTED = [getattr(CONFIG.sensors, name) for name in SENSORS]
 
 
 def resting(windows=200, samples=400):
     """Readings (N, 5, T) of an axis at rest: noise in steps of the acquisition."""
     generator = np.random.default_rng(0)
     signals = np.zeros((windows, 5, samples))
-    for row, sensor in enumerate(SENSORS):
+    for row, sensor in enumerate(FITTED):
         middle = 0.5 * (sensor.low + sensor.high) + 0.1 * (sensor.high - sensor.low)
         noise = sensor.noise * generator.standard_normal((windows, samples))
         signals[:, row] = np.round((middle + noise) / sensor.resolution) * sensor.resolution
@@ -39,8 +39,8 @@ def test_a_sensor_that_stops_is_found_and_no_other(row):
 
 def test_the_ends_of_the_range_and_lost_samples_do_not_count():
     signals = resting(3)
-    signals[0, 1] = SENSORS[1].low  # a chamber that cavitates
-    signals[1, 3] = SENSORS[3].high  # the valve at full stroke
+    signals[0, 1] = FITTED[1].low  # a chamber that cavitates
+    signals[1, 3] = FITTED[3].high  # the valve at full stroke
     signals[2, 2] = np.nan  # no such sensor
     assert not stuck_sensors(signals, CONFIG).any()
 

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, equilibrium
-from hydro_env.task.sensors import CHANNELS, Sensors
+from hydro_env.task.sensors import CHANNELS, SENSORS, Sensors
 from hydro_env.task.settings import ERROR_INTEGRAL_LIMIT, ERROR_INTEGRAL_TIME
 
 PERIOD = 5e-3
@@ -27,7 +27,7 @@ def sensors(**channels):
             **IDEAL,
             **channels.get(field, {}),
         }
-        for field in CHANNELS
+        for field in SENSORS
     }
 
 
@@ -37,23 +37,23 @@ def errors(count, **config):
     envs.reset(seed=0)
     axes = envs.axes
     state = axes.state
-    true = dict(zip(CHANNELS, state[:, [0, 2, 3, 4]].T, strict=True))
-    return {name: of_channel(axes, "measured", name) - true[name] for name in CHANNELS}, axes
+    true = dict(zip(SENSORS, state[:, [0, 2, 3, 4]].T, strict=True))
+    return {name: of_channel(axes, "measured", name) - true[name] for name in SENSORS}, axes
 
 
-@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize("name", SENSORS)
 def test_noise_is_normal_with_the_configured_deviation(name):
     sigma = getattr(Sensors(), name).noise
     assert sigma > 0.0
     error, _ = errors(4000, sensors=sensors(**{name: {"noise": sigma}}))
     assert stats.kstest(error[name] / sigma, "norm").pvalue > 1e-3
     assert error[name].std() == pytest.approx(sigma, rel=4 / np.sqrt(2 * 4000))
-    for other, row in zip(CHANNELS, (0.4, 100e5, 400e5, 2.0), strict=True):
+    for other, row in zip(SENSORS, (0.4, 100e5, 400e5, 2.0), strict=True):
         if other != name:
             assert np.abs(error[other]).max() < 1e-14 * row
 
 
-@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize("name", SENSORS)
 def test_bias_is_uniform(name):
     largest = getattr(Sensors(), name).bias
     assert largest > 0.0
@@ -78,7 +78,7 @@ def test_bias_stays_for_the_episode_and_is_drawn_anew_for_the_next():
 
 def test_noise_is_drawn_anew_in_every_sample_and_channel():
     env = ServoHydraulicEnv(
-        sensors=sensors(**{name: {"noise": 1e-3 * (1e8 if "pressure" in name else 1)} for name in CHANNELS})
+        sensors=sensors(**{name: {"noise": 1e-3 * (1e8 if "pressure" in name else 1)} for name in SENSORS})
     )
     env.reset(seed=0)
     rows = []
@@ -86,7 +86,7 @@ def test_noise_is_drawn_anew_in_every_sample_and_channel():
         env.step(np.zeros(1))
         axes = env.axes
         truth = (axes.state[0, 0], axes.column("sensed_a")[0], axes.column("sensed_b")[0], axes.state[0, 4])
-        rows.append([of_channel(axes, "measured", name)[0] - true for name, true in zip(CHANNELS, truth, strict=True)])
+        rows.append([of_channel(axes, "measured", name)[0] - true for name, true in zip(SENSORS, truth, strict=True)])
     noise = np.array(rows)
     correlation = np.corrcoef(noise.T) - np.eye(4)
     assert np.abs(correlation).max() < 4.5 / np.sqrt(400)
@@ -95,7 +95,7 @@ def test_noise_is_drawn_anew_in_every_sample_and_channel():
         assert len(np.unique(column)) == 400
 
 
-@pytest.mark.parametrize("name", CHANNELS)
+@pytest.mark.parametrize("name", SENSORS)
 def test_readings_lie_on_the_steps_of_the_acquisition(name):
     sensor = getattr(Sensors(), name)
     error, axes = errors(500)
