@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -51,11 +50,6 @@ def strides_of(kind: str) -> list[int]:
 def declared(kind: str, name: str) -> str:
     """Declaration of a variable; an array is a pointer to its first element, in row-major order."""
     return f"{kind.split('[')[0]} *{name}" if shape_of(kind) else f"{kind} {name}"
-
-
-def literals(values: Sequence[float]) -> str:
-    """Exact numbers for the definition of an array."""
-    return ", ".join("INFINITY" if value == math.inf else repr(float(value)) for value in values)
 
 
 Typed = tuple[str, str]
