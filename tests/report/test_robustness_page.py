@@ -11,9 +11,8 @@ from published import assert_published_page
 
 from hydro_agents.report.content import Content
 from hydro_agents.report.experiments import cycles_by_condition, standstill_tables, stiffness_table
-from hydro_agents.report.heat import heat_map
 from hydro_agents.report.palette import MEANINGS, NEUTRALS
-from hydro_agents.report.robustness import ROBUSTNESS
+from hydro_agents.report.robustness import ROBUSTNESS, heat_map
 from hydro_agents.report.robustness_findings import findings_of
 from hydro_agents.report.sections import Finding, Fold, render_page
 from hydro_agents.report.shared import energy_table
