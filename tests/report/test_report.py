@@ -17,8 +17,8 @@ from published import assert_published_page
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.head_training import untrained_head
+from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
-from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import render_page

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -94,7 +95,9 @@ def algorithm(tmp_path, monkeypatch):
 @pytest.fixture
 def plain_report(monkeypatch):
     """A report of one line: drawing takes longer than everything else here."""
-    monkeypatch.setattr(results, "write_report", lambda path, _, record: path.write_text(record.title))
+    monkeypatch.setattr(
+        results, "render_page", lambda title, *_: SimpleNamespace(write=lambda path: path.write_text(title))
+    )
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hydro_agents.evaluation.frequency import bandwidths
+from hydro_agents.evaluation.experiments import bandwidths
 from hydro_agents.report.canvas import INK, Plot, add_legend, curve_plot, description, make_plot, ticks
 from hydro_agents.report.content import Content
 from hydro_agents.report.sections import Block, Fold, Text, section

@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.protocol import Evaluation
 from hydro_agents.report.content import Content, interval, interval_text, verdict
 from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, cards, section
 from hydro_agents.report.shared import price_sentence, problems
