@@ -5,6 +5,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
+from untrained import untrained_head
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import scale_of
@@ -12,7 +13,6 @@ from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job
 from hydro_agents.detection.detector import Cause, Windows
 from hydro_agents.detection.estimator import FollowingDetector
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.alarm_job import Bench, Work
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate, working_references
+from hydro_agents.detection.alarm_simulation import Bench, Onset, Operation, Work, simulate, working_references
 from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, activity_of, looks_at

@@ -1,4 +1,4 @@
-"""Simulated axes in long, continuous operation, and the looks of a detector at them.
+"""Simulated axes in long, continuous operation, and the looks of a detector at them, as jobs that can be resumed.
 
 An episode holds one family and begins at rest. The reference of an axis at work consists of stretches of 10 to 60 s,
 each with its own family, at full speed, at a sixteenth of it, or standing.
@@ -6,18 +6,21 @@ each with its own family, at full speed, at a sixteenth of it, or standing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.detector import Detector
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import Detector, MeasuredColumns
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.looks import Activity, Looks, look, window_of
+from hydro_agents.detection.looks import Activity, Looks, joined, look, window_of
+from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import LeakageDraw, task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
@@ -59,10 +62,15 @@ class Onset:
     fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude, sudden
 
     @property
+    def activity(self) -> str:
+        """The activity of the axes from then on, as a word; ``all``: all in turn."""
+        return self.then.name.lower() if self.then is not None else "all"
+
+    @property
     def name(self) -> str:
         """Name for files and tables."""
         parts = ["none" if self.leak_lpm is None else f"{self.leak_lpm:g}"]
-        parts += [self.then.name.lower()] if self.then is not None else []
+        parts += [self.activity] if self.then is not None else []
         parts += ["growing"] if self.grows else []
         return "_".join([*parts, *(f"{value}" for value in self.fault or ())])
 
@@ -110,10 +118,7 @@ class _Work:
         leakage = {**config.leakage.model_dump(), "schedule": "constant"}
         # One period more than is simulated: no axis restarts.
         self.config = task_config(config, episode_duration=(self.end + 1) * self.period, leakage=leakage)
-        layout = ObservationLayout.of(self.config)
-        self.rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # the rig may lack a sensor
-        self.columns = [layout.index(SIGNALS[row]) for row in self.rows]
-        self.scale = np.array([layout.scale[column] for column in self.columns])
+        self.measured = MeasuredColumns.of(self.config)
         self.seeds = np.arange(operation.first_seed, operation.first_seed + operation.axes)
         self.env = ServoHydraulicVectorEnv(operation.axes, self.config, info=False)
         options: dict[str, Any] = {
@@ -166,9 +171,10 @@ class _Work:
 
     def looks(self, end: int) -> Looks:
         """Simulate until a step, and return the looks."""
-        length, rows = self.length, []
+        length, measured, rows = self.length, self.measured, []
         while self.step < end:
-            self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale
+            seen = self.observation[:, measured.columns] * measured.scale
+            self.window[:, measured.rows, self.step % length] = seen
             if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
                 signals = np.roll(self.window, -(self.step + 1), axis=2)
                 score, *rest = look(self.detector, signals, self.known)
@@ -183,6 +189,82 @@ class _Work:
             self.step += 1
         time, *columns = zip(*rows, strict=True)
         return Looks(np.array(time), *(np.stack(values, axis=1) for values in columns))
+
+
+class OnsetLooks(NamedTuple):
+    """Looks at axes before and after an onset."""
+
+    onset: Onset
+    time: float  # s, of the onset
+    before: Looks
+    after: Looks
+
+
+class Work(NamedTuple):
+    """Axes at work, and the onsets that each continue the same axes."""
+
+    operation: Operation
+    onsets: tuple[Onset, ...] = ()
+
+    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
+        """Its looks, onset by onset."""
+        before, *each = looks
+        time = self.operation.duration
+        return [OnsetLooks(onset, time, before, after) for onset, after in zip(self.onsets, each, strict=True)]
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Settings that all looks of a calibration share."""
+
+    config: TaskConfig
+    controllers: Mapping[str, Controller]  # in turn, one for each job
+    detector: Detector
+    detector_name: str
+    folder: Path | None = None  # for the results of the jobs; None keeps none
+    together: int = 128  # largest number of axes of a job
+    progress: Report | None = None  # called when a job finishes
+
+    def looks(self, work: Mapping[str, Work]) -> dict[str, list[Looks]]:
+        """Looks up to the onset, and after each onset; see :func:`simulate`.
+
+        Raises:
+            ConfigurationError: an operation is shorter than a window, or an axis cannot begin.
+        """
+        jobs: dict[tuple[str, int], Job] = {}
+        acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers.values()]
+        for name, (operation, onsets) in work.items():
+            fair = math.ceil(operation.axes / len(acting))
+            size = self.together if operation.axes > self.together else fair  # each controller gets a part
+            for number, first in enumerate(range(0, operation.axes, size)):
+                participant, digest = acting[number % len(acting)]
+                count = min(size, operation.axes - first)
+                part = replace(operation, first_seed=operation.first_seed + first, axes=count)
+                jobs[name, number] = Job(simulated, participant, (self.config, part, onsets), digest)
+        named = {f"{name}|{number}": job for (name, number), job in jobs.items()}
+        results = run_jobs(named, self.folder, None, self.progress)[0]
+        found: dict[str, list[list[Looks]]] = {name: [] for name in work}
+        for name, number in jobs:
+            result = results[f"{name}|{number}"]
+            if result.error:
+                raise ConfigurationError(result.error)
+            count = 1 + len(work[name].onsets)
+            fields = [{key: result.metrics[f"{index}.{key}"] for key in Looks._fields} for index in range(count)]
+            found[name].append([Looks(**each) for each in fields])
+        return {name: [joined(column) for column in zip(*parts, strict=True)] for name, parts in found.items()}
+
+
+def simulated(
+    acting: tuple[Controller, Detector], config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...]
+) -> Columns:
+    """The looks of :func:`simulate`, named ``0.time``, ``0.score``, ….
+
+    Raises:
+        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+    """
+    controller, detector = acting
+    each = simulate(config, controller, detector, operation, onsets)
+    return {f"{index}.{key}": values for index, looks in enumerate(each) for key, values in looks._asdict().items()}
 
 
 def working_references(

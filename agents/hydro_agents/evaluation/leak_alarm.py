@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.alarm_calibration import PATIENCE, OnsetLooks, delays, peaks, poisson_interval
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.alarm_calibration import delay_columns, delays, peaks, poisson_interval
+from hydro_agents.detection.alarm_simulation import Onset, OnsetLooks, Operation, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.evaluation.leak_protocol import HEALTHY, LeakProtocol
@@ -18,7 +18,6 @@ from hydro_agents.evaluation.parts import Cell
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS
-from hydro_agents.running.statistics import share_interval
 from hydro_env import ConfigurationError, TaskConfig
 
 SHIFT, PAST, AFTER = 600.0, 300.0, 62.0
@@ -72,12 +71,8 @@ def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, o
     watching, rows = LeakAlarm(settings), []
     for onset, looks in zip(LEAKS, each, strict=True):
         delay, early = delays(watching, OnsetLooks(onset, operation.duration, before, looks))
-        then = onset.then.name.lower() if onset.then is not None else "all"
-        rows.append(
-            pd.DataFrame(
-                {"leak_lpm": onset.leak_lpm, "then": then, "delay_s": delay, "early": early.astype(np.float64)}
-            )
-        )
+        found = {"leak_lpm": onset.leak_lpm, "then": onset.activity, "delay_s": delay, "early": early.astype(float)}
+        rows.append(pd.DataFrame(found))
     table = pd.concat(rows)
     return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
 
@@ -104,9 +99,5 @@ def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
             row |= {"alarms": count, "hours": hours, "per_100_h": rate.value}
             found.append(row | {"per_100_h_low": rate.low, "per_100_h_high": rate.high, "axes": len(axes)})
             continue
-        delay = axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy()
-        missed = share_interval(int((delay > PATIENCE).sum()), len(delay))
-        median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
-        row |= {"axes": len(delay), "median_s": float(median), "p90_s": float(late)}
-        found.append(row | {"missed": missed.value, "missed_low": missed.low, "missed_high": missed.high})
+        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
     return pd.DataFrame(found)

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.recordings.columns import MEASURED, factor
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import write_text
 from hydro_env.mistakes import unknown
@@ -77,23 +77,16 @@ def record_axis(
     """
     if config.episode_duration > LONGEST_RECORDING:
         raise ConfigurationError(f"--duration = {config.episode_duration:g} s: must be at most {LONGEST_RECORDING:g} s")
-    layout = ObservationLayout.of(config)
-    measured = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # a rig may lack sensors
-    columns = [layout.index(SIGNALS[row]) for row in measured]
     cases = Cases(
         np.array([seed]),
         None if leakage_flow_lpm is None else np.array([leakage_flow_lpm]),
         None if family is None else np.array([family]),
         faults={name: np.array([size]) for name, size in (faults or {}).items()} or None,
     )
-    run = run_cases(config, controller, cases, columns, states=False)
-    assert run.signals is not None
+    signals, run = measured_run(config, controller, cases)
     rows = config.steps if run.failed_at[0] < 0 else int(run.failed_at[0]) + 1
-    scale = np.array([layout.scale[column] for column in columns], dtype=np.float64)
     time = np.arange(rows, dtype=np.float64) * config.control_period
-    signals: Floats = np.full((len(SIGNALS), rows), np.nan)
-    signals[measured] = run.signals[0, :, :rows].astype(np.float64) * scale[:, None]
-    write_text(path, recording_csv(time, signals, note))
+    write_text(path, recording_csv(time, signals[0, :, :rows], note))
     failed = None if run.failed_at[0] < 0 else rows * config.control_period
     return Recorded(rows, rows * config.control_period, float(run.leakage_flow_lpm[0]), failed)
 
