@@ -28,7 +28,7 @@ from hydro_agents.detection.alarm_calibration import (
     poisson_interval,
     rate_with_interval,
 )
-from hydro_agents.detection.alarm_simulation import Bench, Onset, OnsetLooks, Operation, Work
+from hydro_agents.detection.alarm_simulation import Bench, Onset, OnsetLooks, Work
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.running.seeds import (
     ALARM_CALIBRATION,
@@ -109,10 +109,10 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
 
     def healthy(seeds: SeedRange) -> Work:
         axes = job.axes_of_healthy
-        return Work(Operation(seeds.take(axes).start, axes, job.shift, job.interval))
+        return Work(seeds.take(axes).start, axes, job.shift, job.interval)
 
     def leaking(seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> Work:
-        return Work(Operation(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after), onsets)
+        return Work(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after, onsets=onsets)
 
     leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
     work = {
@@ -136,7 +136,7 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
     }
     for number, (name, level) in enumerate(starts.items()):
         first = ALARM_STARTS.take(job.axes, 10_000 * number).start
-        work[name] = Work(Operation(first, job.axes, job.past, job.interval, leak_lpm=level))
+        work[name] = Work(first, job.axes, job.past, job.interval, leak_lpm=level)
     looks = bench.looks(work)
     after = work["onsets"].found(looks["onsets"])
     growing = work["growth"].found(looks["growth"])

@@ -40,21 +40,8 @@ _FAULT_ONSET = choice(Fault, "schedule", "onset")
 
 
 @dataclass(frozen=True)
-class Operation:
-    """Axes at work, with consecutive seeds."""
-
-    first_seed: int
-    axes: int
-    duration: float  # s, up to the onset
-    interval: float  # s, between looks
-    leak_lpm: float | None = None  # at 100 bar, from the start; None: healthy, drawn by the seed
-    after: float = 0.0  # s, that follow each onset
-    parameters: Mapping[str, Mapping[str, float]] | None = None  # of every plant, as the option of reset
-
-
-@dataclass(frozen=True)
 class Onset:
-    """Change of the axes after ``Operation.duration``; each onset continues the same axes."""
+    """Change of the axes after ``Work.duration``; each onset continues the same axes."""
 
     leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
     then: Activity | None = None  # from then on; None: all activities in turn
@@ -75,66 +62,84 @@ class Onset:
         return "_".join([*parts, *(f"{value}" for value in self.fault or ())])
 
 
-def simulate(
-    config: TaskConfig,
-    controller: Controller,
-    detector: Detector,
-    operation: Operation,
-    onsets: tuple[Onset, ...] = (),
-) -> list[Looks]:
+class OnsetLooks(NamedTuple):
+    """Looks at axes before and after an onset."""
+
+    onset: Onset
+    time: float  # s, of the onset
+    before: Looks
+    after: Looks
+
+
+@dataclass(frozen=True)
+class Work:
+    """Axes at work, with consecutive seeds."""
+
+    first_seed: int
+    axes: int
+    duration: float  # s, up to the onset
+    interval: float  # s, between looks
+    leak_lpm: float | None = None  # at 100 bar, from the start; None: healthy, drawn by the seed
+    after: float = 0.0  # s, that follow each onset
+    onsets: tuple[Onset, ...] = ()  # each continues the same axes
+
+    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
+        """Its looks (:func:`simulate`), onset by onset."""
+        before, *each = looks
+        pairs = zip(self.onsets, each, strict=True)
+        return [OnsetLooks(onset, self.duration, before, after) for onset, after in pairs]
+
+
+def simulate(config: TaskConfig, controller: Controller, detector: Detector, work: Work) -> list[Looks]:
     """Simulate axes at work and look at them at regular times; axes, references and noise depend on the seeds alone.
 
     Returns:
         Looks at the axes up to the onset, then the looks after each onset, all with the same past.
 
     Raises:
-        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+        ConfigurationError: the work is shorter than a window, or an axis cannot begin.
     """
-    work = _Work(config, controller, detector, operation)
-    before = work.looks(work.change)
-    results, start = [before], work.memory()
-    for onset in onsets:
-        work.recall(start)
-        work.begin(onset)
-        results.append(work.looks(work.end))
-    work.env.close()
+    running = _Running(config, controller, detector, work)
+    results, start = [running.looks(running.change)], running.memory()
+    for onset in work.onsets:
+        running.recall(start)
+        running.begin(onset)
+        results.append(running.looks(running.end))
+    running.env.close()
     return results
 
 
-class _Work:
+class _Running:
     """Axes at work; :meth:`recall` returns to an earlier state for the next onset."""
 
-    def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
-        self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
+    def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, work: Work) -> None:
+        self.controller, self.detector, self.work = controller, deepcopy(detector), work
         self.known, self.period = config, config.control_period
-        self.every = max(round(operation.interval / self.period), 1)
-        self.change = round(operation.duration / self.period)
-        self.end = self.change + round(operation.after / self.period)
+        self.every = max(round(work.interval / self.period), 1)
+        self.change = round(work.duration / self.period)
+        self.end = self.change + round(work.after / self.period)
         self.length = window_of(detector, config)
         if self.change < self.length:
             raise ConfigurationError(
-                f"alarms: work of {operation.duration:g} s is shorter than a window of {self.length * self.period:g} s"
+                f"alarms: work of {work.duration:g} s is shorter than a window of {self.length * self.period:g} s"
             )
         leakage = {**config.leakage.model_dump(), "schedule": "constant"}
         # One period more than is simulated: no axis restarts.
         self.config = task_config(config, episode_duration=(self.end + 1) * self.period, leakage=leakage)
         self.measured = MeasuredColumns.of(self.config)
-        self.seeds = np.arange(operation.first_seed, operation.first_seed + operation.axes)
-        self.env = ServoHydraulicVectorEnv(operation.axes, self.config, info=False)
-        options: dict[str, Any] = {
-            "reference": working_references(self.config, self.seeds),
-            "leakage_flow_lpm": self._flows(),
-            **({"parameters": operation.parameters} if operation.parameters else {}),
-        }
+        self.seeds = np.arange(work.first_seed, work.first_seed + work.axes)
+        self.env = ServoHydraulicVectorEnv(work.axes, self.config, info=False)
+        references = working_references(self.config, self.seeds)
+        options: dict[str, Any] = {"reference": references, "leakage_flow_lpm": self._flows()}
         self.observation, _ = self.env.reset(seed=[int(seed) for seed in self.seeds], options=options)
-        self.window = np.full((operation.axes, len(SIGNALS), self.length), np.nan)
-        self.alive = np.ones(operation.axes, dtype=np.bool_)
+        self.window = np.full((work.axes, len(SIGNALS), self.length), np.nan)
+        self.alive = np.ones(work.axes, dtype=np.bool_)
         self.controller_memory: Any = None
         self.step = 0
 
     def _flows(self) -> NDArray[np.float64]:
-        if self.operation.leak_lpm is not None:
-            return np.full(len(self.seeds), self.operation.leak_lpm)
+        if self.work.leak_lpm is not None:
+            return np.full(len(self.seeds), self.work.leak_lpm)
         low, high = np.log(self.config.leakage.healthy_range)
         return np.array([np.exp(np.random.default_rng([int(seed), 2]).uniform(low, high)) for seed in self.seeds])
 
@@ -191,28 +196,6 @@ class _Work:
         return Looks(np.array(time), *(np.stack(values, axis=1) for values in columns))
 
 
-class OnsetLooks(NamedTuple):
-    """Looks at axes before and after an onset."""
-
-    onset: Onset
-    time: float  # s, of the onset
-    before: Looks
-    after: Looks
-
-
-class Work(NamedTuple):
-    """Axes at work, and the onsets that each continue the same axes."""
-
-    operation: Operation
-    onsets: tuple[Onset, ...] = ()
-
-    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
-        """Its looks, onset by onset."""
-        before, *each = looks
-        time = self.operation.duration
-        return [OnsetLooks(onset, time, before, after) for onset, after in zip(self.onsets, each, strict=True)]
-
-
 @dataclass(frozen=True)
 class Bench:
     """Settings that all looks of a calibration share."""
@@ -225,45 +208,44 @@ class Bench:
     together: int = 128  # largest number of axes of a job
     progress: Report | None = None  # called when a job finishes
 
-    def looks(self, work: Mapping[str, Work]) -> dict[str, list[Looks]]:
+    def looks(self, listed: Mapping[str, Work]) -> dict[str, list[Looks]]:
         """Looks up to the onset, and after each onset; see :func:`simulate`.
 
         Raises:
-            ConfigurationError: an operation is shorter than a window, or an axis cannot begin.
+            ConfigurationError: work is shorter than a window, or an axis cannot begin.
         """
-        jobs: dict[tuple[str, int], Job] = {}
+        jobs: dict[str, Job] = {}
+        keys: dict[str, list[str]] = {name: [] for name in listed}
         acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers.values()]
-        for name, (operation, onsets) in work.items():
-            fair = math.ceil(operation.axes / len(acting))
-            size = self.together if operation.axes > self.together else fair  # each controller gets a part
-            for number, first in enumerate(range(0, operation.axes, size)):
+        for name, work in listed.items():
+            fair = math.ceil(work.axes / len(acting))
+            size = self.together if work.axes > self.together else fair  # each controller gets a part
+            for number, first in enumerate(range(0, work.axes, size)):
                 participant, digest = acting[number % len(acting)]
-                count = min(size, operation.axes - first)
-                part = replace(operation, first_seed=operation.first_seed + first, axes=count)
-                jobs[name, number] = Job(simulated, participant, (self.config, part, onsets), digest)
-        named = {f"{name}|{number}": job for (name, number), job in jobs.items()}
-        results = run_jobs(named, self.folder, None, self.progress)[0]
-        found: dict[str, list[list[Looks]]] = {name: [] for name in work}
-        for name, number in jobs:
-            result = results[f"{name}|{number}"]
-            if result.error:
-                raise ConfigurationError(result.error)
-            count = 1 + len(work[name].onsets)
-            fields = [{key: result.metrics[f"{index}.{key}"] for key in Looks._fields} for index in range(count)]
-            found[name].append([Looks(**each) for each in fields])
-        return {name: [joined(column) for column in zip(*parts, strict=True)] for name, parts in found.items()}
+                part = replace(work, first_seed=work.first_seed + first, axes=min(size, work.axes - first))
+                keys[name].append(f"{name}|{number}")
+                jobs[keys[name][-1]] = Job(simulated, participant, (self.config, part), digest)
+        results = run_jobs(jobs, self.folder, None, self.progress)[0]
+        found = {}
+        for name, work in listed.items():
+            parts: list[list[Looks]] = []
+            for result in (results[key] for key in keys[name]):
+                if result.error:
+                    raise ConfigurationError(result.error)
+                each = range(1 + len(work.onsets))
+                parts.append([Looks(*(result.metrics[f"{index}.{key}"] for key in Looks._fields)) for index in each])
+            found[name] = [joined(column) for column in zip(*parts, strict=True)]
+        return found
 
 
-def simulated(
-    acting: tuple[Controller, Detector], config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...]
-) -> Columns:
+def simulated(acting: tuple[Controller, Detector], config: TaskConfig, work: Work) -> Columns:
     """The looks of :func:`simulate`, named ``0.time``, ``0.score``, ….
 
     Raises:
-        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+        ConfigurationError: the work is shorter than a window, or an axis cannot begin.
     """
     controller, detector = acting
-    each = simulate(config, controller, detector, operation, onsets)
+    each = simulate(config, controller, detector, work)
     return {f"{index}.{key}": values for index, looks in enumerate(each) for key, values in looks._asdict().items()}
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import delay_columns, delays, peaks, poisson_interval
-from hydro_agents.detection.alarm_simulation import Onset, OnsetLooks, Operation, simulate
+from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.evaluation.leak_protocol import HEALTHY, LeakProtocol
@@ -33,53 +33,52 @@ def alarm(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
     axes = max(int(np.ceil(protocol.alarm_hours * 3600.0 / SHIFT)), 1)
     for reader, (detector, settings) in chosen.alarms.items():
         digest = fingerprint(detector)
-        for work, seeds, duration, after in (
-            (at_healthy_axes, LEAKAGE_ALARMS.take(axes), SHIFT, 0.0),
-            (at_onsets, LEAKAGE_ONSETS.take(axes), PAST, AFTER),
+        for measure, seeds, duration, after, onsets in (
+            (at_healthy_axes, LEAKAGE_ALARMS.take(axes), SHIFT, 0.0, ()),
+            (at_onsets, LEAKAGE_ONSETS.take(axes), PAST, AFTER, LEAKS),
         ):
             jobs = []
             for first in range(0, axes, AXES_TOGETHER):
                 count = min(AXES_TOGETHER, axes - first)
-                operation = Operation(seeds.start + first, count, duration, settings.interval, after=after)
-                jobs.append(Job(work, detector, (protocol.task, settings, operation), digest))
+                work = Work(seeds.start + first, count, duration, settings.interval, after=after, onsets=onsets)
+                jobs.append(Job(measure, detector, (protocol.task, settings, work), digest))
             yield Cell(reader, known={"detector": reader}, jobs=tuple(jobs))
 
 
-def at_healthy_axes(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+def at_healthy_axes(detector: Detector, config: TaskConfig, settings: AlarmSettings, work: Work) -> Columns:
     """Alarms and hours of each healthy axis.
 
     Raises:
         ConfigurationError: the detector cannot read the axes, or they cannot begin.
     """
-    (looks,) = _looks(detector, config, operation)
+    (looks,) = _looks(detector, config, work)
     found = peaks(LeakAlarm(settings).follow(looks)[0].total)
     return {
-        "leak_lpm": np.full(operation.axes, HEALTHY),
-        "then": np.full(operation.axes, "all"),
+        "leak_lpm": np.full(work.axes, HEALTHY),
+        "then": np.full(work.axes, "all"),
         "alarms": np.array([float((axis > 1.0).sum()) for axis in found]),
-        "hours": np.full(operation.axes, looks.hours / operation.axes),
+        "hours": np.full(work.axes, looks.hours / work.axes),
     }
 
 
-def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, work: Work) -> Columns:
     """Delay in s from each onset to the alarm (infinite: none) of each axis, and whether it had an earlier alarm.
 
     Raises:
         ConfigurationError: the detector cannot read the axes, or they cannot begin.
     """
-    before, *each = _looks(detector, config, operation, LEAKS)
     watching, rows = LeakAlarm(settings), []
-    for onset, looks in zip(LEAKS, each, strict=True):
-        delay, early = delays(watching, OnsetLooks(onset, operation.duration, before, looks))
-        found = {"leak_lpm": onset.leak_lpm, "then": onset.activity, "delay_s": delay, "early": early.astype(float)}
-        rows.append(pd.DataFrame(found))
+    for found in work.found(_looks(detector, config, work)):
+        delay, early = delays(watching, found)
+        columns = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "delay_s": delay}
+        rows.append(pd.DataFrame(columns | {"early": early.astype(float)}))
     table = pd.concat(rows)
     return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
 
 
-def _looks(detector: Detector, config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...] = ()) -> list[Looks]:
+def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:
     try:
-        return simulate(config, shipped("pid", config), detector, operation, onsets)
+        return simulate(config, shipped("pid", config), detector, work)
     except ConfigurationError as error:
         raise ConfigurationError(f"the alarm cannot watch: {error}") from None
 
