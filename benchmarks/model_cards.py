@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hydro_agents.detection.monitor import HEAD_FILE, load_head
-from hydro_agents.evaluation.protocol import evaluate
+from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import config_folder, pretrained_folder
 from hydro_agents.study.model_cards import controller_card, head_card

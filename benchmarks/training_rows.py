@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 from benchmarks.environment_rows import single_axis
 from benchmarks.table import Case, Extent, Row, time_in
 from hydro_agents.controllers.base import ClassicalController, Controller
+from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.protocol import ProtocolSettings
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings

@@ -7,7 +7,7 @@ from hydro_agents.controllers import ObservationLayout
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.detection import area_under_roc, detection_rate
-from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS

@@ -265,8 +265,7 @@ def try_detector() -> None:
     from hydro_agents.detection.detector import Windows
     from hydro_agents.detection.detectors import make_detector
     from hydro_agents.detection.looks import looks_at
-    from hydro_agents.evaluation.leak_protocol import LeakProtocol
-    from hydro_agents.evaluation.leak_windows import simulated_windows
+    from hydro_agents.evaluation.leak_protocol import LeakProtocol, simulated_windows
 
     # In the protocol, a leak scores higher on the same plants, and a window with motion has no answer; in an alarm too.
     protocol = LeakProtocol.from_yaml("configs/protocols/leakage.yaml")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 from hydro_agents.moved import find_moved_modules
 
 if TYPE_CHECKING:
-    from hydro_agents.evaluation.protocol import Evaluation, evaluate
+    from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 
 __all__ = ["Evaluation", "evaluate"]
 
@@ -16,6 +16,6 @@ def __getattr__(name: str) -> Any:
     """Load the public names when they are used: they need the learning libraries."""
     if name not in __all__:
         raise AttributeError(f"module 'hydro_agents' has no attribute '{name}'")
-    from hydro_agents.evaluation import protocol
+    from hydro_agents.evaluation import evaluate as protocol
 
     return getattr(protocol, name)

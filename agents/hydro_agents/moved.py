@@ -19,6 +19,7 @@ MOVED = {
     "diagnosis.diagnose": "hydro_agents.rigs.diagnose",
     "diagnosis.picture": "hydro_agents.rigs.diagnosis_page",
     "evaluation.opponents": "hydro_agents.learning.opponents",
+    "evaluation.protocol": "hydro_agents.evaluation.evaluate",
     "leakage.head": "hydro_agents.detection.head",
     "leakage.monitor": "hydro_agents.detection.monitor",
     "rigs.brief": "hydro_agents.rigs.check_table",

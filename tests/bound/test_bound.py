@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from hydro_agents.evaluation.best_found import BestFound, BoundSettings, best_found
-from hydro_agents.evaluation.prediction import Prediction, true_schedule
-from hydro_agents.evaluation.search import bounded_least_squares, continued
+from hydro_agents.evaluation.prediction import Prediction, bounded_least_squares, continued, true_schedule
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_agents.evaluation.bound_comparison import (
+from hydro_agents.evaluation.best_found import (
     NOMINAL,
     TRUTH,
     ComparisonSettings,

@@ -9,7 +9,7 @@ from untrained import untrained_head
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.evaluation.detection import detection_cases
-from hydro_agents.evaluation.protocol import ProtocolSettings, evaluate
+from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.seeds import EVALUATION, TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig

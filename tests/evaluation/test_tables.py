@@ -15,8 +15,8 @@ from hydro_agents.evaluation.detection import (
     detection_rates,
     detection_summary,
 )
+from hydro_agents.evaluation.evaluate import ratio_table, summary_table
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.tables import ratio_table, summary_table
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig

@@ -5,7 +5,7 @@ import pandas as pd
 from small_leaks import small
 
 from hydro_agents.detection.detector import Cause
-from hydro_agents.evaluation.leak_windows import Detectors
+from hydro_agents.evaluation.leak_protocol import Detectors
 from hydro_agents.evaluation.runner import Results
 
 LEVELS = [0.0, 0.05, 0.1, 0.2, 0.3, 1.0, -1.0]

@@ -3,8 +3,7 @@
 import numpy as np
 
 from hydro_agents.detection.detector import Cause, Reading
-from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.leak_windows import Detectors
+from hydro_agents.evaluation.leak_protocol import Detectors, LeakProtocol
 from hydro_agents.evaluation.runner import run
 
 SMALL = {

@@ -10,8 +10,7 @@ from hydro_agents.detection.alarm_simulation import Work
 from hydro_agents.detection.detector import Reading
 from hydro_agents.evaluation import leak_alarm
 from hydro_agents.evaluation.leak_alarm import LEAKS, alarm, at_healthy_axes, at_onsets
-from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.leak_windows import Detectors, Watch
+from hydro_agents.evaluation.leak_protocol import Detectors, LeakProtocol, Watch
 from hydro_agents.running.jobs import JOBS_FOLDER
 from hydro_env import ConfigurationError
 from hydro_env.files import validate

@@ -13,7 +13,7 @@ from hydro_agents.detection.features import LABELS, SIGNALS
 from hydro_agents.detection.looks import looks_at
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.leak_windows import simulated_windows as simulated
+from hydro_agents.evaluation.leak_protocol import simulated_windows as simulated
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 

@@ -16,8 +16,8 @@ from published import assert_published_page
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
-from hydro_agents.evaluation.protocol import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.report.canvas import LEAK_LOOKS, looks_of
 from hydro_agents.report.content import interval_text
 from hydro_agents.report.pages import StudyRecord, content_of, render_report, write_report, write_tables

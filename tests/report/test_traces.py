@@ -5,7 +5,7 @@ import pytest
 from made_up_tables import cases, protocol_tables
 from proportional import Proportional
 
-from hydro_agents.evaluation.stiffness import force_step
+from hydro_agents.evaluation.experiments import EXPERIMENTS
 from hydro_agents.report.canvas import COLOURS
 from hydro_agents.report.content import Content
 from hydro_agents.report.pages import with_traces
@@ -70,7 +70,7 @@ def test_worst_cases_are_run_again_with_the_rival_beside_them(replay):
 
 
 def test_a_whole_report_holds_the_tables_of_the_experiments_and_the_traces(config, controllers, replay):
-    stiffness = force_step(config, controllers, [1.0], 1)
+    stiffness = EXPERIMENTS["force_step"](config, controllers, [1.0], 1)
     content = with_traces(Content({**protocol_tables(), "force_step": stiffness}, config), replay)
     page = render_page("Robustness", ROBUSTNESS, content).html
     for text in ("Worst case 1 of Good", "Worst case 1 of PID", COLOURS[1], "<h2>Stiffness</h2>"):

@@ -7,7 +7,7 @@ from command_line import ROOT
 from small_protocol import SMALL, small
 
 from hydro_agents.evaluation.conditions import file_sha256
-from hydro_agents.evaluation.protocol import ProtocolSettings
+from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
 from hydro_agents.running.seeds import EVALUATION, ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv

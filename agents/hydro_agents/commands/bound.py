@@ -36,7 +36,7 @@ def bound(
     """
     import pandas as pd
 
-    from hydro_agents.evaluation.bound_comparison import (
+    from hydro_agents.evaluation.best_found import (
         ComparisonSettings,
         compare,
         convergence,

@@ -95,7 +95,7 @@ def evaluate(
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
-    from hydro_agents.evaluation.protocol import ProtocolSettings
+    from hydro_agents.evaluation.evaluate import ProtocolSettings
     from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder

@@ -8,8 +8,7 @@ from hydro_agents.commands.robustness import Options, PageOf, run_protocol
 from hydro_agents.detection.alarm import AlarmSettings
 from hydro_agents.detection.detectors import make_detector
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.leak_protocol import DRAWN, LeakProtocol
-from hydro_agents.evaluation.leak_windows import Detectors, Watch
+from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol, Watch
 from hydro_agents.evaluation.runner import Results
 from hydro_agents.report.content import Content
 from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text

@@ -9,19 +9,74 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Generic, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from pydantic import Field, StringConstraints, model_validator
 
-from hydro_agents.evaluation.parts import PARTS
+from hydro_agents.running.jobs import Job
 from hydro_agents.running.tasks import Surroundings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One participant under one condition.
+
+    A participant that cannot act under a condition has a cell with the reason in ``refused``, and no jobs.
+    """
+
+    participant: str
+    condition: str = ""  # empty: the part is about the task of the protocol
+    known: Mapping[str, Any] = field(default_factory=dict)  # first columns of its rows: one value, or one per row
+    jobs: tuple[Job, ...] = ()  # their columns follow each other
+    refused: str = ""
+
+
+class Part(NamedTuple):
+    """A part of a protocol: a function of the protocol and its participants that yields cells.
+
+    The runner (:mod:`hydro_agents.evaluation.runner`) runs the jobs of all parts together, and joins the rows of a part
+    into one table. A new part is such a function and an entry of :data:`PARTS`. It measures the participants that it
+    asks for; a part without participants, such as a bound, yields cells under a name of its own.
+    """
+
+    table: str  # name of the table of its rows
+    cells: str  # module:function of this package that yields its cells
+    kinds: tuple[str, ...] = ("robustness",)  # of protocols that may have it
+
+
+PARTS = {
+    "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
+    "episodes": Part("detection", "detection:episodes", ("study",)),
+    "standstill": Part("limit_cycles", "tracking:standstill"),
+    "best_found": Part("bound", "tracking:best"),
+    "frequency": Part("frequency", "experiments:frequency"),
+    "force_step": Part("force_step", "experiments:force_step"),
+    "force_sine": Part("force_sine", "experiments:force_sine"),
+    "hold": Part("standstill", "experiments:hold"),
+    "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
+    "alarm": Part("alarms", "leak_alarm:alarm", ("leakage",)),
+    "leak_bound": Part("bound", "leak_bound:leak_bound", ("leakage",)),
+    "leak_price": Part("leak_price", "leak_price:price"),
+}
+"""Every part by its name. Its module is imported when a protocol has the part."""
+
+
+def cells_of(part: str) -> Callable[[Any, Any], Iterator[Cell]]:
+    """The function that yields the cells of a part from a protocol and its participants."""
+    module, _, name = PARTS[part].cells.partition(":")
+    found: Callable[[Any, Any], Iterator[Cell]] = getattr(import_module(f"hydro_agents.evaluation.{module}"), name)
+    return found
+
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.+-]{0,39}$")]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.monitor import HeadDetector
-from hydro_agents.evaluation.parts import Cell
+from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
@@ -22,8 +22,8 @@ from hydro_env import LEAKAGE_CLASSES, TaskConfig
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
     from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.evaluation.evaluate import StudyProtocol
     from hydro_agents.evaluation.participants import Participants
-    from hydro_agents.evaluation.protocol import StudyProtocol
 
 Floats = NDArray[np.float64]
 

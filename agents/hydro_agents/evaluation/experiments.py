@@ -1,31 +1,300 @@
-"""Parts about the task alone: frequency response, stiffness, standstill under noise, and the cost of a leak."""
+"""Experiments about the task alone: frequency response, stiffness, and standstill under noise.
+
+Each is a list of runs (:mod:`hydro_agents.evaluation.sweeps`) and a part of a robustness protocol.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.frequency import frequency_response
-from hydro_agents.evaluation.leak_price import leak_price
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.limit_cycles import limit_cycles
 from hydro_agents.evaluation.participants import Participants, split_name
-from hydro_agents.evaluation.parts import Cell
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.standstill import standstill
-from hydro_agents.evaluation.stiffness import force_sine, force_step
+from hydro_agents.evaluation.sweeps import Array, Experiment, Run, full_force, full_speed, sine_fit, working_place
+from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
+from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
+from hydro_env.plant.analysis import reachable_range
+from hydro_env.task.configuration import task_config
 
-EXPERIMENTS: dict[str, Callable[..., pd.DataFrame]] = {
-    "frequency": frequency_response,
-    "force_step": force_step,
-    "force_sine": force_sine,
-    "hold": standstill,
+# Frequency response ---------------------------------------------------------------------------------------------------
+
+FREQUENCIES = (0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 40.0, 55.0)
+"""Hz; frequencies from a third of the sampling frequency upwards are left out."""
+
+AMPLITUDE_SHARE = 0.01
+"""Amplitude of the sines as a share of the range of positions that the supply can hold."""
+
+SPEED_SHARE = 0.15
+"""Largest speed of the sines, as a share of the speed at full command; it keeps the valve far from its limits."""
+
+SETTLING, WATCHED = 0.5, 0.5
+"""s: time until the response is steady (and two cycles), and length of the fit (at least three cycles)."""
+
+
+def sine_references(
+    config: TaskConfig,
+    frequencies: Sequence[float] = FREQUENCIES,
+    amplitude: float | None = None,
+    place: float | None = None,
+) -> Iterator[Run]:
+    """Sines of the reference, with the preview and with the preview hidden.
+
+    Columns: preview (whether the controller sees it), frequency_hz, amplitude_mm, gain (1), phase_deg, rest (root mean
+    square of the residual, as a share of the amplitude).
+
+    Args:
+        config: the task.
+        frequencies: Hz.
+        amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
+        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+    """
+    centre = working_place(config.plant) if place is None else place
+    low, high = reachable_range(config.plant)
+    for frequency in [f for f in frequencies if 3.0 * f * config.control_period <= 1.0]:
+        largest = SPEED_SHARE * full_speed(config.plant, centre) / (2.0 * np.pi * frequency)
+        size = min(AMPLITUDE_SHARE * (high - low), largest) if amplitude is None else amplitude
+        time, first = _samples(frequency, config.control_period)
+        task = own_reference(config, centre + size * np.sin(2.0 * np.pi * frequency * time))
+        for preview in (True, False) if config.references.preview_times else (False,):
+            yield Run((task,), partial(_response, preview, frequency, size, first), hidden_preview=not preview)
+
+
+def _samples(frequency: float, period: float) -> tuple[Array, int]:
+    """Times of all samples in s, and the first sample of the fit; the fit covers whole cycles."""
+    settling = max(SETTLING, 2.0 / frequency)
+    cycles = max(int(np.ceil(WATCHED * frequency)), 3)
+    first = round(settling / period)
+    last = first + round(cycles / (frequency * period))
+    return period * np.arange(last + 1, dtype=np.float64), first
+
+
+def _response(preview: bool, frequency: float, size: float, first: int, rollout: Rollout) -> dict[str, Any]:
+    time = rollout.time[first:]
+    answer, rest = sine_fit(rollout.position[:, first:], time, frequency)
+    asked, _ = sine_fit(rollout.reference[:, first:], time, frequency)
+    return {
+        "preview": preview,
+        "frequency_hz": frequency,
+        "amplitude_mm": 1e3 * size,
+        "gain": np.abs(answer / asked),
+        "phase_deg": np.angle(answer / asked, deg=True),
+        "rest": rest / size,
+    }
+
+
+def _continuous_phase(table: pd.DataFrame) -> pd.DataFrame:
+    parts = table.groupby(["controller", "preview", "leakage_flow_lpm", "seed"], sort=False)
+    table["phase_deg"] = parts["phase_deg"].transform(lambda phase: np.unwrap(phase, period=360.0))
+    return table
+
+
+def bandwidths(table: pd.DataFrame) -> pd.DataFrame:
+    """Frequencies at which the gain falls below −3 dB and the phase below −90°, and the highest gain.
+
+    Args:
+        table: of the experiment ``frequency``.
+
+    Returns:
+        Per controller, preview and leak: minus_3_db_hz, minus_90_deg_hz (medians of the plants; infinity: beyond the
+        sweep), the lowest value of all plants (``_lowest``), and peak_gain (highest of all plants and frequencies).
+    """
+    rows, by = [], ["controller", "preview", "leakage_flow_lpm"]
+    for key, frame in table.assign(gain_db=20.0 * np.log10(table["gain"])).groupby(by, sort=False):
+        row: dict[str, Any] = dict(zip(by, key, strict=True))
+        for name, column, level in (("minus_3_db_hz", "gain_db", -3.0), ("minus_90_deg_hz", "phase_deg", -90.0)):
+            found = [
+                crossing(plant["frequency_hz"].to_numpy(dtype=np.float64), plant[column].to_numpy(), level)
+                for _, plant in frame.groupby("seed", sort=False)
+            ]
+            row |= {name: float(np.median(found)), f"{name}_lowest": min(found)}
+        rows.append(row | {"peak_gain": float(frame["gain"].max())})
+    return pd.DataFrame(rows)
+
+
+def crossing(frequency: Array, values: NDArray[np.floating], level: float) -> float:
+    """First frequency at which values fall below a level, interpolated over log f; infinity if they never do."""
+    below = np.flatnonzero(np.asarray(values) < level)
+    if len(below) == 0:
+        return float("inf")
+    i = int(below[0])
+    if i == 0:
+        return float(frequency[0])
+    share = (values[i - 1] - level) / (values[i - 1] - values[i])
+    return float(frequency[i - 1] * (frequency[i] / frequency[i - 1]) ** share)
+
+
+# Stiffness ------------------------------------------------------------------------------------------------------------
+
+FORCE_SHARE = 0.2
+"""Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
+
+BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
+"""s: time before the force step, time after it, and last part of each, over which the position is averaged."""
+
+RECOVERED = 0.1
+"""Recovery band as a share of the peak deviation; at least one step of the position sensor."""
+
+SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)
+"""Hz; force sines."""
+
+SINE_SETTLING, SINE_WATCHED = 0.5, 1.0
+"""s (and two cycles each)."""
+
+
+def sudden_force(config: TaskConfig, force: float | None = None, place: float | None = None) -> Iterator[Run]:
+    """A sudden external force on an axis at rest, without sensor noise, which would hide the recovery.
+
+    Columns: force_n, peak_mm (largest deviation), recovery_s (until the deviation stays within a tenth of the peak
+    about its final value; NaN if not by the end, as in a limit cycle), remaining_mm (deviation at the end, absolute),
+    static_mm_per_kn and dynamic_mm_per_kn (remaining and largest deviation per force).
+
+    Args:
+        config: the task.
+        force: N; default: a fifth of the force of the supply. Its sign is drawn.
+        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+    """
+    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
+    task = _with_force(noiseless(config), place, BEFORE + AFTER, "step", newtons, BEFORE / (BEFORE + AFTER))
+    yield Run((task,), partial(_recovery, config, newtons))
+
+
+def _recovery(config: TaskConfig, newtons: float, rollout: Rollout) -> dict[str, Any]:
+    period = config.control_period
+    first, judged = round(BEFORE / period), round(JUDGED / period)
+    position = rollout.position.astype(np.float64)
+    deviation = position - position[:, first - judged : first].mean(axis=1, keepdims=True)
+    peak, remaining = np.abs(deviation[:, first:]).max(axis=1), deviation[:, -judged:].mean(axis=1)
+    band = np.maximum(RECOVERED * peak, config.sensors.position.resolution)
+    outside = np.abs(deviation[:, first:] - remaining[:, None]) > band[:, None]
+    recovered = outside.shape[1] - np.argmax(outside[:, ::-1], axis=1)  # samples until the last one outside
+    lasting = outside[:, -judged:].any(axis=1)
+    return {
+        "force_n": newtons,
+        "peak_mm": 1e3 * peak,
+        "recovery_s": np.where(lasting, np.nan, period * np.where(outside.any(axis=1), recovered, 0)),
+        "remaining_mm": 1e3 * np.abs(remaining),
+        "static_mm_per_kn": 1e6 * np.abs(remaining) / newtons,
+        "dynamic_mm_per_kn": 1e6 * peak / newtons,
+    }
+
+
+def sine_forces(
+    config: TaskConfig,
+    frequencies: Sequence[float] = SINE_FREQUENCIES,
+    force: float | None = None,
+    place: float | None = None,
+) -> Iterator[Run]:
+    """Sines of the external force: amplitude of the position per amplitude of the force.
+
+    Columns: frequency_hz, force_n, compliance_mm_per_kn. Arguments as for :func:`sudden_force`; frequencies in Hz.
+    """
+    newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
+    for frequency in frequencies:
+        settling = max(SINE_SETTLING, 2.0 / frequency)
+        cycles = max(round(SINE_WATCHED * frequency), 2)
+        task = _with_force(config, place, settling + cycles / frequency, "sine", newtons, 0.0, frequency)
+        yield Run((task,), partial(_compliance, frequency, newtons, round(settling / config.control_period)))
+
+
+def _compliance(frequency: float, newtons: float, first: int, rollout: Rollout) -> dict[str, Any]:
+    answer, _ = sine_fit(rollout.position[:, first:], rollout.time[first:], frequency)
+    return {"frequency_hz": frequency, "force_n": newtons, "compliance_mm_per_kn": 1e6 * np.abs(answer) / newtons}
+
+
+def _with_force(
+    config: TaskConfig,
+    place: float | None,
+    duration: float,
+    kind: str,
+    newtons: float,
+    start: float,
+    frequency: float = 1.0,
+) -> TaskConfig:
+    """The task of holding one position (m) against an external force (N) that begins after a share of the episode."""
+    position = working_place(config.plant) if place is None else place
+    disturbance = {
+        "kind": kind,
+        "force_range": (newtons, newtons),
+        "force_share": (0.0, 0.0),
+        "start_range": (start, start),
+        "frequency_range": (frequency, frequency),
+    }
+    held = own_reference(config, np.full(round(duration / config.control_period) + 1, position))
+    return task_config(held, disturbance=disturbance)
+
+
+# Standstill under noise -----------------------------------------------------------------------------------------------
+
+STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
+"""l/min at 100 bar."""
+
+PLACES = (0.0, 0.3, -0.3)
+"""Held positions: shares of the range that the supply can hold."""
+
+KICK, KICK_SHARE = 0.5, 0.01
+"""s until the reference returns from a first step, and the step's share of the range of references."""
+
+REST, HELD = 1.5, 6.0
+"""s from then until the evaluation, and length of the evaluation."""
+
+
+def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterator[Run]:
+    """A held position, once without and once with the noise of the sensors.
+
+    With sensor noise every stiff loop moves a little, and its response to noise looks like a limit cycle. Without
+    noise, an axis comes to rest after a small step of the reference unless it oscillates by itself: the remaining
+    motion is the limit cycle. The run with noise gives residual motion, valve travel and offset.
+
+    Columns: place_mm, limit_cycle (an oscillation that lasts without noise and exceeds one step of the position
+    sensor), amplitude_um and frequency_hz (without noise), unrest_um (root mean square of the position's motion under
+    noise), offset_um (mean of |reference − reading|, frame of the sensor), valve_travel_per_s (full strokes), failed.
+
+    Args:
+        config: the task.
+        places: shares of the range that the supply of the nominal rig can hold.
+    """
+    period = config.control_period
+    for place in places:
+        position = working_place(config.plant, place)
+        reference = np.full(round((KICK + REST + HELD) / period) + 1, position)
+        kicked = reference.copy()
+        kicked[round(0.1 / period) : round((0.1 + KICK) / period)] += KICK_SHARE * abs(working_place(config.plant, 1.0))
+        tasks = own_reference(noiseless(config), kicked), own_reference(config, reference)
+        yield Run(tasks, partial(_unrest, config, position))
+
+
+def _unrest(config: TaskConfig, position: float, resting: Rollout, noisy: Rollout) -> dict[str, Any]:
+    judged = round(HELD / config.control_period)
+    held, spool = (values[:, -judged:].astype(np.float64) for values in (noisy.position, noisy.spool))
+    return {
+        "place_mm": 1e3 * position,
+        **limit_cycles(resting.position[:, -judged:], config),
+        "unrest_um": 1e6 * held.std(axis=1),
+        "offset_um": 1e6 * np.abs(held.mean(axis=1) + noisy.position_bias - position),
+        "valve_travel_per_s": np.abs(np.diff(spool, axis=1)).sum(axis=1) / HELD,
+        "failed": np.maximum(resting.failed_at, noisy.failed_at) >= 0,
+    }
+
+
+# Parts of a protocol --------------------------------------------------------------------------------------------------
+
+EXPERIMENTS = {
+    "frequency": Experiment(sine_references, finish=_continuous_phase),
+    "force_step": Experiment(sudden_force, plants=8),
+    "force_sine": Experiment(sine_forces),
+    "hold": Experiment(standstills, STANDSTILL_LEAKS, plants=8),
 }
-"""Experiments with a controller in the loop: (config, controllers) to a table."""
+"""Experiments by the names of their parts."""
 
 
 def _cells(experiment: str, protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
@@ -38,7 +307,7 @@ def _cells(experiment: str, protocol: RobustnessProtocol, chosen: Participants) 
         yield Cell(name, known={"controller": name}, jobs=(job,))
 
 
-frequency, force_steps, force_sines, hold = (partial(_cells, name) for name in EXPERIMENTS)
+frequency, force_step, force_sine, hold = (partial(_cells, name) for name in EXPERIMENTS)
 
 
 def measured(controller: Controller, experiment: str, config: TaskConfig) -> Columns:
@@ -47,19 +316,5 @@ def measured(controller: Controller, experiment: str, config: TaskConfig) -> Col
     Raises:
         ControllerError: the controller raises an exception or returns no finite commands.
     """
-    return _columns(EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller"))
-
-
-def price(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
-    """What a leak costs even if the axis holds its position; no controller takes part."""
-    del chosen
-    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
-
-
-def leak_costs(_: Any, config: TaskConfig) -> Columns:
-    """The table of the cost of a leak."""
-    return _columns(leak_price(config))
-
-
-def _columns(table: pd.DataFrame) -> Columns:
+    table = EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller")
     return {str(name): table[name].to_numpy() for name in table}

@@ -12,9 +12,8 @@ from hydro_agents.detection.alarm_calibration import delay_columns, delays, peak
 from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.evaluation.leak_protocol import HEALTHY, LeakProtocol
-from hydro_agents.evaluation.leak_windows import Detectors
-from hydro_agents.evaluation.parts import Cell
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.leak_protocol import HEALTHY, Detectors, LeakProtocol
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS

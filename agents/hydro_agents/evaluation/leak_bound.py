@@ -16,8 +16,8 @@ from hydro_agents.estimation.information import TASK, WORN_VALVE, UnknownSets, i
 from hydro_agents.estimation.known_windows import MOTIONS, known_windows, leak_cases
 from hydro_agents.estimation.move_design import Move, moved
 from hydro_agents.estimation.unknowns import LEAKAGE, priors_of
+from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
-from hydro_agents.evaluation.parts import Cell
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_agents.running.seeds import EVALUATION

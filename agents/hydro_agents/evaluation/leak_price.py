@@ -5,13 +5,17 @@ The figures describe the plant at steady state; no controller changes them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
+from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.sweeps import working_place
+from hydro_agents.running.jobs import Columns, Job
 from hydro_env import PlantParameters, TaskConfig, equilibrium
 from hydro_env.errors import HydroError
 from hydro_env.plant.analysis import full_pressure_forces
@@ -113,3 +117,15 @@ def stall_force(plant: PlantParameters, direction: float) -> float:
     limit = full_pressure_forces(plant)
     tight = limit.extending if direction > 0.0 else -limit.retracting
     return float(direction * brentq(lambda force: full_command_speed(plant, direction, force), 0.0, 1.05 * tight))
+
+
+def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
+    """The part ``leak_price``; no controller takes part."""
+    del chosen
+    yield Cell("leak", jobs=(Job(leak_costs, None, (protocol.task,), digest="plant"),))
+
+
+def leak_costs(_: Any, config: TaskConfig) -> Columns:
+    """The table of the cost of a leak."""
+    table = leak_price(config)
+    return {str(name): table[name].to_numpy() for name in table}

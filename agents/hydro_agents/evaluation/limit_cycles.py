@@ -74,17 +74,19 @@ def standstill_task(config: TaskConfig) -> TaskConfig:
     return own_reference(noiseless(config), np.repeat([0.0, config.references.step_range[0], 0.0], count))
 
 
-def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
-    """LIMIT_CYCLE of every case, arrays (N,). The floor is one step of the position sensor."""
-    judged = round(JUDGED / config.control_period)
-    cycles = [
-        find_limit_cycle(row[-judged:], config.control_period, config.sensors.position.resolution)
-        for row in rollout.position
-    ]
+def limit_cycles(position: Array, config: TaskConfig) -> dict[str, NDArray[Any]]:
+    """Limit cycles of true positions (N, T) in m at a constant reference; the floor is one step of the sensor."""
+    cycles = [find_limit_cycle(row, config.control_period, config.sensors.position.resolution) for row in position]
     sustained = np.array([cycle.sustained for cycle in cycles])
     return {
-        "limit_cycle": sustained.astype(np.float64),
+        "limit_cycle": sustained,
         "amplitude_um": np.array([1e6 * cycle.amplitude for cycle in cycles]),
         "frequency_hz": np.where(sustained, [cycle.frequency for cycle in cycles], np.nan),
-        "failed": (rollout.failed_at >= 0).astype(np.float64),
     }
+
+
+def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
+    """LIMIT_CYCLE of every case, arrays (N,)."""
+    judged = round(JUDGED / config.control_period)
+    found = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
+    return {name: values.astype(np.float64) for name, values in found.items()}

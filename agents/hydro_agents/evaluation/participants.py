@@ -11,7 +11,7 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.paired_cases import ControllerChoice, PairedProtocol
+from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
 from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS

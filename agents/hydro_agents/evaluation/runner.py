@@ -5,7 +5,7 @@ A table is a function of the results, registered by its name and the kinds of pr
     @table("ranking", "robustness")
     def ranking(results: Results) -> pd.DataFrame: ...
 
-The rows of each part are a table too (:data:`~hydro_agents.evaluation.parts.PARTS`).
+The rows of each part are a table too (:data:`~hydro_agents.evaluation.conditions.PARTS`).
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.evaluation.comparison import Grid
-from hydro_agents.evaluation.conditions import Protocol
-from hydro_agents.evaluation.parts import PARTS, Cell, cells_of
+from hydro_agents.evaluation.conditions import PARTS, Cell, Protocol, cells_of
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.jobs import Job, Report, run_jobs
 from hydro_env.files import write_whole
@@ -87,11 +86,7 @@ class Results:
 
 TableFunction = Callable[[Results], pd.DataFrame]
 _TABLES: dict[str, dict[str, TableFunction]] = {}
-_MODULES = {
-    "robustness": "hydro_agents.evaluation.robustness_tables",
-    "leakage": "hydro_agents.evaluation.leak_tables",
-    "study": "hydro_agents.evaluation.tables",
-}
+_MODULES = {"robustness": "robustness_tables", "leakage": "leak_tables", "study": "evaluate"}
 """Modules that register the tables of a kind of protocol."""
 
 
@@ -108,7 +103,7 @@ def table(name: str, *kinds: str) -> Callable[[TableFunction], TableFunction]:
 
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
-    import_module(_MODULES[kind])
+    import_module(f"hydro_agents.evaluation.{_MODULES[kind]}")
     rows = {part.table: _rows_of(name) for name, part in PARTS.items() if kind in part.kinds}
     return {**rows, **_TABLES[kind]}
 

@@ -1,17 +1,17 @@
-"""Tools that all experiments share: runs at several leaks and plants, their tables, fits of sines."""
+"""The skeleton of all experiments: controllers on the same plants at several leaks; with fits of sines."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, Floats
-from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_env import TaskConfig
 from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
 from hydro_env.plant.parameters import PlantParameters
@@ -29,36 +29,59 @@ There a spring pushes against the piston; its pressure difference drives the lea
 """
 
 
-@dataclass(frozen=True)
-class Sweep:
-    """Runs of one controller on the same plants at several leaks; N = leaks x plants."""
+class Run(NamedTuple):
+    """What every controller does in a step of an experiment, on the same plants at every leak."""
 
-    leakage_flow_lpm: Array  # (N,)
-    seeds: NDArray[np.int64]  # (N,)
-    rollout: Rollout
-
-    def table(self, controller: str, **columns: Any) -> pd.DataFrame:
-        """One row per run: controller, leakage_flow_lpm, seed, and further columns, each (N,) or one value."""
-        runs = {"leakage_flow_lpm": self.leakage_flow_lpm, "seed": self.seeds}
-        return pd.DataFrame({"controller": controller, **runs, **columns})
+    tasks: tuple[TaskConfig, ...]  # the controller runs each of them
+    measure: Callable[..., Mapping[str, Any]]  # of the rollouts: further columns of the table, each (N,) or one value
+    hidden_preview: bool = False
 
 
-def run_sweep(
-    config: TaskConfig,
-    controller: Controller,
-    leaks: Sequence[float],
-    plants: int,
-    first_seed: int,
-    signal_columns: Sequence[int] | None = None,
-) -> Sweep:
-    """Run a controller on the same plants at every leak.
+class Experiment(NamedTuple):
+    """An experiment with a controller in the loop: a list of runs, as rows of one table."""
 
-    Raises:
-        ControllerError: the controller raises an exception or returns no finite commands.
-    """
-    flow = np.repeat(np.asarray(leaks, dtype=np.float64), plants)
-    seeds = np.tile(np.arange(first_seed, first_seed + plants), len(leaks))
-    return Sweep(flow, seeds, run_cases(config, controller, Cases(seeds, flow), signal_columns))
+    runs: Callable[..., Iterable[Run]]  # from the task and further arguments
+    leaks: Sequence[float] = LEAKS  # l/min at 100 bar
+    plants: int = 4
+    finish: Callable[[pd.DataFrame], pd.DataFrame] | None = None  # completes the table
+
+    def __call__(
+        self,
+        config: TaskConfig,
+        controllers: Mapping[str, Controller],
+        leaks: Sequence[float] | None = None,
+        plants: int | None = None,
+        first_seed: int = EXPERIMENT_AXES.first,
+        **options: Any,
+    ) -> pd.DataFrame:
+        """Run every controller on the same plants at every leak.
+
+        Args:
+            config: the task, for its plants, sensors and timing.
+            controllers: by name.
+            leaks: l/min at 100 bar; default: those of the experiment.
+            plants: number of plants, drawn; default: that of the experiment.
+            first_seed: seed of the first plant.
+            options: further arguments of ``runs``.
+
+        Returns:
+            One row per run, controller, leak and plant: controller, leakage_flow_lpm, seed, and the columns of the
+            experiment.
+
+        Raises:
+            ControllerError: a controller raises an exception or returns no finite commands.
+        """
+        levels, count = leaks or self.leaks, plants or self.plants
+        cases = Cases(np.tile(np.arange(first_seed, first_seed + count), len(levels)), np.repeat(levels, count))
+        tables = []
+        for run in self.runs(config, **options):
+            for name, controller in controllers.items():
+                acting = HiddenPreview(controller, config) if run.hidden_preview else controller
+                found = run.measure(*(run_cases(task, acting, cases) for task in run.tasks))
+                known = {"leakage_flow_lpm": cases.leakage_flow_lpm, "seed": cases.seeds}
+                tables.append(pd.DataFrame({"controller": name, **known, **found}))
+        table = pd.concat(tables, ignore_index=True)
+        return table if self.finish is None else self.finish(table)
 
 
 def working_place(plant: PlantParameters, share: float = PLACE) -> float:

@@ -11,12 +11,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
-from hydro_agents.evaluation.paired_cases import PairedProtocol
 from hydro_agents.evaluation.participants import Participants, split_name
-from hydro_agents.evaluation.parts import Cell
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedProtocol, RobustnessProtocol
 from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import ConfigurationError, TaskConfig

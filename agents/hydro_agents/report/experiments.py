@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hydro_agents.evaluation.frequency import bandwidths
+from hydro_agents.evaluation.experiments import bandwidths
 from hydro_agents.report.canvas import (
     INK,
     Look,

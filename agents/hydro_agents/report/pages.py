@@ -16,7 +16,7 @@ from hydro_agents.report.traces import Example, Replay, worst_traces
 from hydro_env.files import write_whole
 
 if TYPE_CHECKING:
-    from hydro_agents.evaluation.protocol import Evaluation
+    from hydro_agents.evaluation.evaluate import Evaluation
 
 
 def with_traces(content: Content, replay: Replay) -> Content:

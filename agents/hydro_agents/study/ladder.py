@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.evaluation.paired_cases import PairedCondition
+from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol
 from hydro_agents.evaluation.participants import Participants, split_name
-from hydro_agents.evaluation.protocol import ProtocolSettings, StudyProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedCondition
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.trainers import Trainer, trainer
 from hydro_agents.learning.validation import validation_errors

@@ -14,9 +14,8 @@ from jinja2 import Environment, StrictUndefined
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.evaluate import Evaluation, ratio_table
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.protocol import Evaluation
-from hydro_agents.evaluation.tables import ratio_table
 from hydro_agents.running.statistics import Interval, share_interval
 from hydro_env import TaskConfig, __version__
 

@@ -12,8 +12,8 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
+from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
-from hydro_agents.evaluation.protocol import Evaluation, evaluate
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.page import FIGURE_FILES

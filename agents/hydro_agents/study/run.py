@@ -16,7 +16,7 @@ import pandas as pd
 from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import GAINS_FILE, make_controller
 from hydro_agents.detection.head import LeakageHead
-from hydro_agents.evaluation.protocol import Evaluation
+from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
