@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_agents.recordings.columns import COMMAND, MEASURED, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_agents.recordings.sampling import Sampled
@@ -20,9 +21,6 @@ MOST_MISSING = 0.2  # share of a channel
 
 MOST_SATURATED = 0.6
 """Largest share of a channel at an end of its range: a cavitating pressure stays at zero."""
-
-SHORTEST_STUCK, STUCK_SAMPLES = 0.1, 20  # s, and samples
-"""A reading is stuck if it stays equal for at least both: the noise of a working sensor leaves one step earlier."""
 
 ACTIVE_COMMAND = 0.01
 """Range of the command, as a fraction of full command, over which a sensor without noise must change."""
@@ -180,7 +178,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     """Runs of equal readings that the sensor's noise or the axis's motion rules out."""
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
-    shortest = max(STUCK_SAMPLES, round(SHORTEST_STUCK / samples.period))
+    shortest = max(FEWEST, round(SHORTEST / samples.period))
     noisy = config.sensors.enabled and sensor.noise > 0.5 * sensor.resolution
     command, stuck, runs = samples.signals[COMMAND], np.zeros(len(values), dtype=np.bool_), 0
     for begin, end in zip(*runs_of(same), strict=True):
