@@ -18,30 +18,17 @@ Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel
-
-MOST_SATURATED = 0.6
-"""Largest share of a channel at an end of its range: a cavitating pressure stays at zero."""
+MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 
 ACTIVE_COMMAND = 0.01
 """Range of the command, as a fraction of full command, over which a sensor without noise must change."""
 
-MOST_SPIKES = 0.05
-"""Largest share of out-of-range values that count as single spikes, which are left out."""
-
-DROP = 0.1
-"""Smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks."""
-
-FEWEST_DROPS = 3
-"""Smallest number of falls of a broken loop; a chamber may cavitate once or twice."""
-
-LOWEST_PRESSURE = -1.2e5
-"""Pa; lowest gauge pressure: vacuum minus the error of a transducer."""
-
-LEAST_SHARE = 0.05
-"""Smallest used fraction of a signal's range."""
-
-LEAST_PRESSURE = 0.2
-"""Fraction of the supply pressure that at least one of the two chambers reaches."""
+MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
+DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
+FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
+LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
+LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
+LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
 
 PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
 
