@@ -17,7 +17,6 @@ from hydro_env.axes import COLUMN, Axes, AxesState
 from hydro_env.errors import ConfigurationError, NotBegunError
 from hydro_env.pacing import Pace
 from hydro_env.plant.parameters import PlantParameters
-from hydro_env.plant.states import State
 from hydro_env.specification import PlainSpec
 from hydro_env.task.configuration import TaskConfig, task_config
 from hydro_env.task.record import FAILURES
@@ -324,36 +323,7 @@ class ServoHydraulicEnv(PlainSpec, gym.Env[Observation, NDArray[np.float32]]):
             from hydro_env.rendering import AxisRenderer
 
             self._renderer = AxisRenderer(self.render_mode)
-        return self._renderer.draw(self._view())
-
-    def _view(self) -> View:
-        record = self._axes.record[0]
-        state = State(*self._axes.state[0])
-        step = int(record["step"])
-        cylinder = self.config.plant.cylinder
-        history = np.array(self._history).reshape(-1, 2)
-        return View(
-            time=step * self.config.control_period,
-            position=state.position,
-            velocity=state.velocity,
-            reference=record["reference"],
-            reference_preview=self._axes.reference[0, step + 1 : self.config.steps + 1].copy(),
-            pressure_a=state.pressure_a,
-            pressure_b=state.pressure_b,
-            supply_pressure=state.supply_pressure,
-            spool_position=state.spool_position,
-            command=record["command"],
-            leakage_flow_lpm=record["leak_flow"],
-            external_force=self._axes.external_force(0),
-            stroke=cylinder.stroke,
-            bore_diameter=cylinder.bore_diameter,
-            rod_diameter=cylinder.rod_diameter,
-            has_spring=self.parameters.load.spring_stiffness > 0.0,
-            history_time=self.config.control_period * np.arange(step + 1 - len(history), step + 1),
-            history_position=history[:, 0],
-            history_reference=history[:, 1],
-            sample_interval=self.config.control_period,
-        )
+        return self._renderer.draw(View.of(self._axes, self._history))
 
     def close(self) -> None:
         """Close the window, if there is one; may be called more than once."""

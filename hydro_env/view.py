@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hydro_env.plant.states import State
+
+if TYPE_CHECKING:
+    from hydro_env.axes import Axes
 
 
 @dataclass(frozen=True)
@@ -32,3 +39,32 @@ class View:
     history_position: NDArray[np.floating]
     history_reference: NDArray[np.floating]
     sample_interval: float = 0.0  # s; 0: that of the history
+
+    @classmethod
+    def of(cls, axes: Axes, history: Sequence[tuple[float, float]]) -> View:
+        """The first axis now; ``history`` holds position and reference (m) of each sample that is drawn."""
+        record, config = axes.record[0], axes.config
+        state, step, cylinder = State(*axes.state[0]), int(record["step"]), config.plant.cylinder
+        past = np.array(history).reshape(-1, 2)
+        return cls(
+            time=step * config.control_period,
+            position=state.position,
+            velocity=state.velocity,
+            reference=record["reference"],
+            reference_preview=axes.reference[0, step + 1 : config.steps + 1].copy(),
+            pressure_a=state.pressure_a,
+            pressure_b=state.pressure_b,
+            supply_pressure=state.supply_pressure,
+            spool_position=state.spool_position,
+            command=record["command"],
+            leakage_flow_lpm=record["leak_flow"],
+            external_force=axes.external_force(0),
+            stroke=cylinder.stroke,
+            bore_diameter=cylinder.bore_diameter,
+            rod_diameter=cylinder.rod_diameter,
+            has_spring=axes.parameters(0).load.spring_stiffness > 0.0,
+            history_time=config.control_period * np.arange(step + 1 - len(past), step + 1),
+            history_position=past[:, 0],
+            history_reference=past[:, 1],
+            sample_interval=config.control_period,
+        )
