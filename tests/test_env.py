@@ -276,15 +276,15 @@ def test_a_copy_goes_on_like_the_original(duplicate):
 
 def test_environments_in_one_process_do_not_meet():
     """Interleaved, and of different tasks."""
-    alone = [rollout(ServoHydraulicEnv(), seed=seed) for seed in (1, 2)]
-    environments = [ServoHydraulicEnv(), ServoHydraulicEnv(), ServoHydraulicEnv(control_period=0.01)]
+    tasks = ({}, {}, {"control_period": 0.01})
+    alone = [rollout(ServoHydraulicEnv(**task), seed=seed)[0] for seed, task in enumerate(tasks, 1)]
+    environments = [ServoHydraulicEnv(**task) for task in tasks]
     rngs = [np.random.default_rng(0) for _ in environments]
     rows = [[env.reset(seed=seed)[0]] for env, seed in zip(environments, (1, 2, 3), strict=True)]
     for _ in range(60):
         for env, rng, row in zip(environments, rngs, rows, strict=True):
             row.append(env.step(rng.uniform(-1, 1, 1).astype(np.float32))[0])
-    np.testing.assert_array_equal(rows[0], alone[0][0])
-    np.testing.assert_array_equal(rows[1], alone[1][0])
+    np.testing.assert_array_equal(rows, alone)
 
 
 def test_environments_may_run_in_threads():

@@ -55,8 +55,7 @@ def given(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("page", "number"),
-    [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON],
+    ("page", "number"), [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON]
 )
 def test_python_runs(page, number, given):
     if page in ELSEWHERE:

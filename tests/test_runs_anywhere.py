@@ -3,35 +3,40 @@
 import functools
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import gymnasium as gym
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 import hydro_env
-from hydro_env import ServoHydraulicEnv, ServoHydraulicVectorEnv
+from hydro_env import ServoHydraulicVectorEnv
 
 ROOT = Path(__file__).parents[1]
 STEPS = 40
 EPISODE = f"""
 import json, sys, warnings
 warnings.simplefilter("ignore", RuntimeWarning)  # uncompiled unsigned numbers wrap around, as they must
+from numba.core.event import install_recorder
 import gymnasium as gym
 import hydro_env
-env = gym.make("hydro_env:ServoHydraulic-v0", **json.loads(sys.argv[1]))
-rows = [env.reset(seed=5)[0].tolist()]
-for number in range({STEPS}):
-    rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
+with install_recorder("numba:compile") as recorder:
+    env = gym.make("hydro_env:ServoHydraulic-v0", **json.loads(sys.argv[1]))
+    rows = [env.reset(seed=5)[0].tolist()]
+    for number in range({STEPS}):
+        rows.append(env.step([0.8 if number % 10 < 5 else -0.4])[0].tolist())
 from hydro_env.task import kernel
 stats = getattr(kernel.step_axes.dispatcher, "stats", None)
-print(json.dumps({{"rows": rows, "kept": bool(stats and stats.cache_path), "module": hydro_env.__file__}}))
+found = {{"rows": rows, "kept": bool(stats and stats.cache_path), "compiled": len(recorder.buffer) // 2}}
+code = list(kernel.step_axes.dispatcher.inspect_asm().values()) if "assembly" in sys.argv else []
+print(json.dumps({{**found, "module": hydro_env.__file__, "assembly": code}}))
 """
 
 
@@ -47,10 +52,10 @@ def episode_here(**task):
     return np.array(rows)
 
 
-def episode_elsewhere(folder=ROOT, task=None, **variables):
+def episode_elsewhere(folder=ROOT, task=None, *more, **variables):
     """The same episode in a fresh process with other environment variables, from the package in ``folder``."""
     answer = subprocess.run(
-        [sys.executable, "-c", EPISODE, json.dumps(task or {})],
+        [sys.executable, "-c", EPISODE, json.dumps(task or {}), *more],
         env={**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", **variables},
         cwd=folder,
         capture_output=True,
@@ -60,36 +65,73 @@ def episode_elsewhere(folder=ROOT, task=None, **variables):
     assert answer.returncode == 0, answer.stderr
     found = json.loads(answer.stdout)
     assert Path(found["module"]).parents[1] == Path(folder)
-    return np.array(found["rows"]), found["kept"]
+    return found
 
 
-def test_without_any_folder_for_the_cache(tmp_path):
-    """A file where each folder would have to be: that denies root as well, whom permissions would not."""
-    shutil.copytree(ROOT / "hydro_env", tmp_path / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
-    for folder in (tmp_path / "hydro_env").rglob("*.py"):
-        (folder.parent / "__pycache__").touch()
-    (tmp_path / "file").touch()
-    nowhere = str(tmp_path / "file" / "folder")
+@pytest.fixture(scope="module")
+def without_cache(tmp_path_factory):
+    """An episode with a file where each folder would have to be: that denies root as well, unlike permissions."""
+    folder = tmp_path_factory.mktemp("sources")
+    shutil.copytree(ROOT / "hydro_env", folder / "hydro_env", ignore=shutil.ignore_patterns("__pycache__"))
+    for source in (folder / "hydro_env").rglob("*.py"):
+        (source.parent / "__pycache__").touch()
+    (folder / "file").touch()
+    nowhere = str(folder / "file" / "folder")
     variables = dict.fromkeys(("HOME", "XDG_CACHE_HOME", "NUMBA_CACHE_DIR", "IPYTHONDIR"), nowhere)
-    rows, kept = episode_elsewhere(tmp_path, **variables)
-    assert not kept
-    np.testing.assert_array_equal(rows, episode_here())
+    return episode_elsewhere(folder, None, "assembly", **variables)  # code from a cache cannot be inspected
 
 
-def test_on_a_processor_without_wide_registers(tmp_path):
-    """No instruction beyond SSE4.2: the same within rounding.
+def test_without_any_folder_for_the_cache(without_cache):
+    assert not without_cache["kept"]
+    np.testing.assert_array_equal(without_cache["rows"], episode_here())
+
+
+def test_the_integration_uses_the_widest_vector_instructions(without_cache):
+    """Products of whole registers of doubles must outnumber those of single ones, with square roots and quotients.
+
+    With AVX-512 both widths count: for some processors LLVM prefers the half, at which they run faster.
+    """
+    features = llvm.get_host_cpu_features()
+    register = "[yz]mm" if features.get("avx512f") else "ymm" if features.get("avx") else None
+    if register is None or not llvm.get_process_triple().startswith("x86_64"):
+        pytest.skip("this processor has no vector instructions that are known here")
+    (code,) = without_cache["assembly"]
+    packed = {name: len(re.findall(rf"\bv{name}pd\b[^\n]*%{register}", code)) for name in ("mul", "sqrt", "div")}
+    scalar = len(re.findall(r"\bv?mulsd\b", code))
+    assert packed["mul"] > 100, packed
+    assert packed["mul"] > scalar / 4, (packed, scalar)  # episodes and sensors are scalar
+    assert packed["sqrt"] >= 8, packed
+    assert packed["div"] >= 8, packed
+
+
+@pytest.fixture(scope="module")
+def older(tmp_path_factory):
+    """Episodes on a processor without any instruction beyond SSE4.2, with an empty cache and once more after it."""
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path_factory.mktemp("cache"))}
+    return [
+        episode_elsewhere(ROOT, EXACT, NUMBA_CPU_NAME="x86-64-v2", NUMBA_CPU_FEATURES="", **cache) for _ in range(2)
+    ]
+
+
+def test_on_a_processor_without_wide_registers(older):
+    """The same within rounding.
 
     Not the same bits: a processor that multiplies and adds in one instruction rounds once where another rounds twice.
     What holds on one processor, bit for bit, whatever the number of axes, their order and threads, is tested below.
     """
-    older = {"NUMBA_CPU_NAME": "x86-64-v2", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
-    rows, kept = episode_elsewhere(task=EXACT, **older)
-    assert kept
-    np.testing.assert_allclose(rows, episode_here(**EXACT), rtol=0, atol=1e-6)
+    for found in older:
+        assert found["kept"]
+        np.testing.assert_allclose(found["rows"], episode_here(**EXACT), rtol=0, atol=1e-6)
+
+
+def test_few_functions_are_compiled_before_the_first_step(older):
+    cold, warm = (found["compiled"] for found in older)
+    assert 0 < cold <= 172
+    assert warm == 0  # everything came from the cache
 
 
 def test_without_compiling():
-    rows, _ = episode_elsewhere(task=EXACT, NUMBA_DISABLE_JIT="1")
+    rows = episode_elsewhere(task=EXACT, NUMBA_DISABLE_JIT="1")["rows"]
     np.testing.assert_allclose(rows, episode_here(**EXACT), rtol=0, atol=1e-6)
 
 
@@ -106,10 +148,10 @@ def gymnasium_numbers(envs):
     return numbers
 
 
-@pytest.mark.parametrize("context", ["fork", "spawn"])
-def test_processes_of_gymnasium(context):
+def test_forked_processes_of_gymnasium():
+    """Spawned ones: tests/test_vector_env.py."""
     alone = gymnasium_numbers(SyncVectorEnv([MAKE] * 2))
-    for mine, other in zip(alone, gymnasium_numbers(AsyncVectorEnv([MAKE] * 2, context=context)), strict=True):
+    for mine, other in zip(alone, gymnasium_numbers(AsyncVectorEnv([MAKE] * 2, context="fork")), strict=True):
         np.testing.assert_array_equal(mine, other)
 
 
@@ -129,29 +171,6 @@ def test_processes_of_stable_baselines3(method):
     alone = sb3_numbers(DummyVecEnv([MAKE] * 2))
     for mine, other in zip(alone, sb3_numbers(SubprocVecEnv([MAKE] * 2, start_method=method)), strict=True):
         np.testing.assert_array_equal(mine, other)
-
-
-def test_in_a_thread():
-    found = []
-    thread = threading.Thread(target=lambda: found.append(episode_here()))
-    thread.start()
-    thread.join()
-    np.testing.assert_array_equal(found[0], episode_here())
-
-
-def test_two_environments_by_turns():
-    def run(envs):
-        rows = [[env.reset(seed=20 + number)[0]] for number, env in enumerate(envs)]
-        for action in COMMANDS[:, 0]:
-            for env, own in zip(envs, rows, strict=True):
-                own.append(env.step(action)[0])
-        return np.array(rows)
-
-    by_turns = run([ServoHydraulicEnv(), ServoHydraulicEnv(control_period=0.002)])
-    np.testing.assert_array_equal(by_turns[0], run([ServoHydraulicEnv()])[0])
-    other = ServoHydraulicEnv(control_period=0.002)
-    rows = [other.reset(seed=21)[0], *(other.step(action)[0] for action in COMMANDS[:, 0])]
-    np.testing.assert_array_equal(by_turns[1], rows)
 
 
 @pytest.fixture(scope="module")

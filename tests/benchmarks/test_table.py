@@ -8,16 +8,7 @@ from command_line import hydro
 
 from benchmarks import run as command
 from benchmarks.run import benchmark_to_folder, measure_group
-from benchmarks.table import (
-    Case,
-    Row,
-    UnavailableError,
-    figure,
-    markdown_table,
-    ratios,
-    read_csv,
-    write_csv,
-)
+from benchmarks.table import Case, Row, UnavailableError, figure, markdown_table, ratios, read_csv, write_csv
 from hydro_agents.running.console import ProgressDisplay
 from hydro_env import ConfigurationError
 

@@ -49,8 +49,7 @@ def test_a_move_in_a_closed_loop(monkeypatch, largest_mm, verdict):
 
 
 @pytest.mark.parametrize(
-    ("bandwidth_hz", "hump", "harder", "damped"),
-    [(30.0, 0.1, YES, YES), (39.5, NONE, NO, YES), (40.0, 0.9, NO, NO)],
+    ("bandwidth_hz", "hump", "harder", "damped"), [(30.0, 0.1, YES, YES), (39.5, NONE, NO, YES), (40.0, 0.9, NO, NO)]
 )
 def test_a_closed_loop(monkeypatch, bandwidth_hz, hump, harder, damped):
     rows = [{**LOOP, "bandwidth_hz": 40.0, "hump": 0.9}, {**LOOP, "bandwidth_hz": bandwidth_hz, "hump": hump}]

@@ -54,12 +54,7 @@ def test_every_valve_gives_the_same_speed_in_the_end(model):
         valve={"model": model}, load={"spring_stiffness": 0.0}, friction={"model": "none"}, supply={"model": "constant"}
     )
     speeds = step(plant, 2.0, 0.4, {"position": -0.1}).velocity
-    full = step(
-        plant.replace(valve={"model": "drive"}),
-        2.0,
-        0.4,
-        {"position": -0.1},
-    ).velocity
+    full = step(plant.replace(valve={"model": "drive"}), 2.0, 0.4, {"position": -0.1}).velocity
     assert speeds[-1] == pytest.approx(full[-1], rel=5e-3)
     assert speeds[-1] > 0.02
 

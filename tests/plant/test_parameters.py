@@ -143,10 +143,7 @@ def test_a_wrong_value_is_answered_with_one_line(text, message, tmp_path):
     [
         ({"load": {"mass": -60.0}}, " within 0.01 to 1e+06"),
         ({"load": {"mass": 1e9}}, " within 0.01 to 1e+06"),
-        (
-            {"leakage": {"internal_resistance": 1.0}},
-            ", at least 1e+08 (unit",
-        ),  # the other is infinity
+        ({"leakage": {"internal_resistance": 1.0}}, ", at least 1e+08 (unit"),  # the other is infinity
     ],
 )
 def test_both_bounds_are_told(values, bounds):

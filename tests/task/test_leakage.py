@@ -50,17 +50,7 @@ def test_classes_have_the_shares_that_the_draw_implies():
     assert LEAKAGE_CLASSES == ("healthy", "incipient", "moderate", "severe")
 
 
-BOUNDS = [
-    (0.0, 0),
-    (0.03, 0),
-    (0.0301, 1),
-    (0.1, 1),
-    (0.3, 1),
-    (0.301, 2),
-    (1.0, 2),
-    (1.001, 3),
-    (4.0, 3),
-]
+BOUNDS = [(0.0, 0), (0.03, 0), (0.0301, 1), (0.1, 1), (0.3, 1), (0.301, 2), (1.0, 2), (1.001, 3), (4.0, 3)]
 
 
 def test_labels_at_the_bounds_belong_to_the_lower_class():

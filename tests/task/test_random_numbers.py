@@ -140,10 +140,7 @@ LEFT_ALONE = {
         {"references": {"weights": {"ramp": 1.0}}},
         ("plant", "leak", "leak start", "position", "bias", "noise"),
     ),
-    "initial position": (
-        {"options": {"initial_position": 0.011}},
-        ("plant", "leak", "leak start", "family", "bias"),
-    ),
+    "initial position": ({"options": {"initial_position": 0.011}}, ("plant", "leak", "leak start", "family", "bias")),
     "one parameter": (
         {"options": {"parameters": {"valve": {"damping_ratio": 0.7}}}},
         ("leak", "leak start", "position", "family", "reference", "bias", "noise"),
