@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.leak_price import full_force, full_speed, working_place
 from hydro_agents.evaluation.limit_cycles import limit_cycles
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import Array, Experiment, Run, full_force, full_speed, sine_fit, working_place
+from hydro_agents.evaluation.sweeps import Array, Experiment, Run, sine_fit
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.tasks import noiseless, own_reference
@@ -56,7 +57,7 @@ def sine_references(
         config: the task.
         frequencies: Hz.
         amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
-        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
     centre = working_place(config.plant) if place is None else place
     low, high = reachable_range(config.plant)
@@ -161,7 +162,7 @@ def sudden_force(config: TaskConfig, force: float | None = None, place: float | 
     Args:
         config: the task.
         force: N; default: a fifth of the force of the supply. Its sign is drawn.
-        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
     newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
     task = _with_force(noiseless(config), place, BEFORE + AFTER, "step", newtons, BEFORE / (BEFORE + AFTER))
