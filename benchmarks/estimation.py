@@ -17,16 +17,15 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.estimation.estimate import Estimate, estimate
 from hydro_agents.estimation.following import estimate_run
 from hydro_agents.estimation.unknowns import LEAKAGE, default_unknowns
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution, default_randomisation
-from hydro_env.task.sensors import SENSORS
-from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
 
@@ -65,15 +64,11 @@ def record(
     controller: str = "PID",
 ) -> Array:
     """Signals (N, 5, T), SI, of one episode per seed under a shipped controller."""
-    names, _, scale, _ = observation_layout(config)
-    columns = [names.index(name) for name in (*SENSORS, "previous_command")]
     cases = Cases(
         np.array(seeds), leak, faults={name: np.full(len(seeds), size) for name, size in (faults or {}).items()}
     )
     acting = ACTING[controller].make(config, len(seeds), int(seeds[0]))
-    rollout = run_cases(config, acting, cases, columns, states=False)
-    assert rollout.signals is not None
-    signals = rollout.signals * scale[columns][:, None]
+    signals, _ = measured_run(config, acting, cases)
     signals[:, -1] = np.clip(signals[:, -1], -1.0, 1.0)
     return signals
 

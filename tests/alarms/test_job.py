@@ -5,6 +5,7 @@ from copy import deepcopy
 import numpy as np
 import pytest
 from command_line import assert_one_clear_line, hydro
+from untrained import untrained_head
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import scale_of
@@ -12,7 +13,6 @@ from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job
 from hydro_agents.detection.detector import Cause, Windows
 from hydro_agents.detection.estimator import FollowingDetector
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
@@ -31,19 +31,19 @@ class MadeUp:
         self.rise = rise
 
     def looks(self, work):
-        return {name: self._looks(name, *each) for name, each in work.items()}
+        return {name: self._looks(name, each) for name, each in work.items()}
 
-    def _looks(self, name, operation, onsets):
+    def _looks(self, name, work):
         generator = np.random.default_rng(len(name))
-        parts = [self._part(generator, operation, 0.0, operation.duration, operation.leak_lpm, None)]
-        ends = operation.duration + operation.after
-        return parts + [self._part(generator, operation, operation.duration, ends, None, onset) for onset in onsets]
+        parts = [self._part(generator, work, 0.0, work.duration, work.leak_lpm, None)]
+        ends = work.duration + work.after
+        return parts + [self._part(generator, work, work.duration, ends, None, onset) for onset in work.onsets]
 
-    def _part(self, generator, operation, begin, end, leak, onset):
-        time = np.arange(begin, end, operation.interval) + 0.5
-        shape = (operation.axes, len(time))
+    def _part(self, generator, work, begin, end, leak, onset):
+        time = np.arange(begin, end, work.interval) + 0.5
+        shape = (work.axes, len(time))
         flow = np.full(shape, leak or 0.01)
-        activity = np.tile(np.arange(len(time)) // 10 % 3, (operation.axes, 1)).astype(np.int8)
+        activity = np.tile(np.arange(len(time)) // 10 % 3, (work.axes, 1)).astype(np.int8)
         if onset is not None:
             flow[:] = onset.leak_lpm or 0.01
             if onset.then is not None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.detection.alarm_calibration import fit_tail, peaks, poisson_interval, rate_with_interval
-from hydro_agents.detection.alarm_proof import growth
+from hydro_agents.detection.alarm_job import growth
 from hydro_env import ConfigurationError
 
 

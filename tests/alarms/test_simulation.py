@@ -1,11 +1,12 @@
 """Axes at work: references, looks that depend on seeds alone, onsets from one past, files that are resumed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.alarm_job import Bench, Work
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate, working_references
+from hydro_agents.detection.alarm_simulation import Bench, Onset, Work, simulate, working_references
 from hydro_agents.detection.detector import Reading
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, activity_of, looks_at
@@ -13,7 +14,7 @@ from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 
 CONFIG = TaskConfig()
 CONTROLLER = PID(PIDGains(proportional=60.0), CONFIG)
-WORK = Operation(first_seed=1_900_000, axes=3, duration=4.0, interval=0.5, after=3.0)
+WORK = Work(first_seed=1_900_000, axes=3, duration=4.0, interval=0.5, after=3.0)
 
 
 class MeanPressure:
@@ -63,7 +64,7 @@ def test_references_of_work_stay_reachable_and_continuous():
 @pytest.fixture(scope="module")
 def looks():
     onsets = (Onset(2.0, Activity.MOVING), Onset(fault=("valve_null_shift", 0.02)), Onset(2.0, Activity.MOVING))
-    return simulate(CONFIG, CONTROLLER, MeanPressure(), WORK, onsets)
+    return simulate(CONFIG, CONTROLLER, MeanPressure(), replace(WORK, onsets=onsets))
 
 
 def test_each_onset_goes_on_from_the_same_past(looks):
@@ -78,14 +79,14 @@ def test_each_onset_goes_on_from_the_same_past(looks):
 
 
 def test_looks_depend_on_the_seed_alone(looks):
-    other = simulate(CONFIG, CONTROLLER, MeanPressure(), Operation(1_900_001, 1, 4.0, 0.5))[0]
+    other = simulate(CONFIG, CONTROLLER, MeanPressure(), Work(1_900_001, 1, 4.0, 0.5))[0]
     np.testing.assert_array_equal(other.score[0], looks[0].score[1])
 
 
 def test_a_rig_without_a_sensor_shows_nothing_in_its_place():
     config = TaskConfig(sensors={"pressure_a": {"fitted": False}})
     controller = PID(PIDGains(proportional=60.0), config)
-    found = simulate(config, controller, MeanPressure(), Operation(1_900_000, 1, 1.5, 0.5))[0]
+    found = simulate(config, controller, MeanPressure(), Work(1_900_000, 1, 1.5, 0.5))[0]
     assert np.isnan(found.score).all()
 
 
@@ -114,7 +115,7 @@ def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp
     def looks(detector, *onsets):
         done = []
         bench = Bench(CONFIG, {"PID": CONTROLLER}, detector, "", tmp_path, progress=lambda *now: done.append(now[1]))
-        return bench.looks({"a": Work(Operation(1_900_000, 2, 2.0, 0.5, after=1.0), onsets)})["a"], done[0]
+        return bench.looks({"a": Work(1_900_000, 2, 2.0, 0.5, after=1.0, onsets=onsets)})["a"], done[0]
 
     first, reused = looks(MeanPressure(), Onset(1.0))
     assert (len(first), reused) == (2, 0)
@@ -131,7 +132,7 @@ def test_finished_looks_are_read_again_and_those_of_another_detector_are_not(tmp
 
 def test_controllers_take_turns_over_the_axes():
     slower = PID(PIDGains(proportional=10.0), CONFIG)
-    work = {"a": Work(Operation(1_900_000, 4, 2.0, 0.5)), "b": Work(Operation(1_900_000, 2, 2.0, 0.5))}
+    work = {"a": Work(1_900_000, 4, 2.0, 0.5), "b": Work(1_900_000, 2, 2.0, 0.5)}
     both = Bench(CONFIG, {"PID": CONTROLLER, "slower": slower}, MeanPressure(), "").looks(work)
     alone = Bench(CONFIG, {"slower": slower}, MeanPressure(), "").looks(work)
     np.testing.assert_array_equal(both["a"][0].score[2:], alone["a"][0].score[2:])
@@ -141,7 +142,7 @@ def test_controllers_take_turns_over_the_axes():
 
 def test_too_short_work_and_recordings_are_refused():
     with pytest.raises(ConfigurationError, match=r"work of 0.5 s is shorter than a window of 1 s"):
-        simulate(CONFIG, CONTROLLER, MeanPressure(), Operation(0, 1, 0.5, 0.5))
+        simulate(CONFIG, CONTROLLER, MeanPressure(), Work(0, 1, 0.5, 0.5))
     with pytest.raises(ConfigurationError, match=r"recording of 0.5 s is shorter than a window of 1 s"):
         looks_at(np.zeros((1, 5, 100)), CONFIG, MeanPressure(), 0.5)
     with pytest.raises(ConfigurationError, match="shape"):

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.estimation.estimate import EstimationSettings, estimate
 from hydro_agents.estimation.unknowns import LEAKAGE
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases
 from hydro_env import TaskConfig
-from hydro_env.task.signals import observation_layout
 
 RANGES = {"supply.pressure": {"factor": [0.9, 1.1]}}
 UNKNOWN = (LEAKAGE, "supply.pressure", "start.position", "start.pressure_a", "start.pressure_b", "start.spool_position")
@@ -24,11 +23,8 @@ def supplied(pressure, **more):
 def test_the_pressure_of_a_constant_supply_is_found():
     """The data sheet says 70 bar, the axis has 73."""
     config = supplied(73e5, randomisation={})
-    names, _, scale, _ = observation_layout(config)
-    columns = [names.index(name) for name in SIGNALS]
     cases = Cases(np.array([1_300_000, 1_300_001]), np.full(2, 0.5), np.full(2, "multi_sine"))
-    run = run_cases(config, shipped("pid", config), cases, columns)
-    signals = run.signals.astype(np.float64) * np.array(scale)[columns][:, None]
+    signals, _ = measured_run(config, shipped("pid", config), cases)
     quick = EstimationSettings(horizons=(0.2,), restarts=1)
     found = estimate(signals, supplied(70e5, randomisation=RANGES), UNKNOWN, settings=quick)
     deviation = found.deviation("supply.pressure")

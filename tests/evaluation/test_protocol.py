@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from untrained import untrained_head
 
 import hydro_agents
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.detection import detection_cases
 from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases

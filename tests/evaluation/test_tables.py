@@ -14,7 +14,6 @@ from hydro_agents.evaluation.detection import (
     detection_curves,
     detection_rates,
     detection_summary,
-    signal_columns,
 )
 from hydro_agents.evaluation.evaluate import ratio_table, summary_table
 from hydro_agents.evaluation.metrics import METRICS
@@ -229,10 +228,3 @@ def test_one_row_per_episode():
         "estimated_flow_lpm": [2.0, 5.0, 7.0],
         "flagged": [False, True, True],
     }
-    assert signal_columns(("x", "position", "pressure_a", "pressure_b", "spool_position", "previous_command")) == [
-        1,
-        2,
-        3,
-        4,
-        5,
-    ]

@@ -6,7 +6,7 @@ import pytest
 from small_leaks import SMALL, ran, small
 
 from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.alarm_simulation import Operation
+from hydro_agents.detection.alarm_simulation import Work
 from hydro_agents.detection.detector import Reading
 from hydro_agents.evaluation import leak_alarm
 from hydro_agents.evaluation.leak_alarm import LEAKS, alarm, at_healthy_axes, at_onsets
@@ -45,9 +45,10 @@ def short(monkeypatch):
         monkeypatch.setattr(leak_alarm, name, seconds)
 
 
-def rows(work, score, **times):
-    operation = Operation(2_450_000, 2, **times, interval=SETTINGS.interval)
-    return work(Level(score), small().task, SETTINGS, operation)
+def rows(measure, score, **times):
+    onsets = LEAKS if measure is at_onsets else ()
+    work = Work(2_450_000, 2, **times, interval=SETTINGS.interval, onsets=onsets)
+    return measure(Level(score), small().task, SETTINGS, work)
 
 
 def test_an_alarm_that_never_rises_misses_everything():

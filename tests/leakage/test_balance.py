@@ -3,22 +3,20 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, fit_balance
 from hydro_agents.detection.balance_parts import factor, hold, substitute
 from hydro_agents.detection.damaged_signals import repaired
-from hydro_agents.detection.features import CHANGE, FEATURES, SIGNALS, features_of
+from hydro_agents.detection.detector import measured_run
+from hydro_agents.detection.features import CHANGE, FEATURES, features_of
 from hydro_agents.detection.sheet import Unknowns, sheet_of
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import TaskConfig
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig(references={"weights": {"multi_sine": 1.0, "point_to_point": 1.0}})
-LAYOUT = ObservationLayout.of(CONFIG)
-COLUMNS = [LAYOUT.index(name) for name in SIGNALS]
-SCALE = np.array([LAYOUT.scale[column] for column in COLUMNS])
 CONTROLLER = PID(PIDGains.from_yaml(config_file("agents", "pid")), CONFIG)
 FLOW = np.tile([0.01, 0.1, 1.0, 3.0], 12)
 SHEET = sheet_of(CONFIG)
@@ -26,8 +24,7 @@ SHEET = sheet_of(CONFIG)
 
 def simulated(config=CONFIG, **changes):
     seeds = TRAINING_SEEDS.start + 910_000 + np.arange(len(FLOW))
-    run = run_cases(config, CONTROLLER, Cases(seeds, FLOW, **changes), COLUMNS, states=False)
-    return run.signals.astype(np.float64) * SCALE[:, None]
+    return measured_run(config, CONTROLLER, Cases(seeds, FLOW, **changes))[0]
 
 
 @pytest.fixture(scope="module")

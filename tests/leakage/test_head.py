@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from untrained import untrained_head
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
@@ -21,7 +22,6 @@ from hydro_agents.detection.head_training import (
     network_tensors,
     size_target,
     train_head,
-    untrained_head,
 )
 from hydro_agents.detection.intervals import quantiles
 from hydro_agents.detection.monitor import MonitoredController

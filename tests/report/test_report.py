@@ -13,9 +13,9 @@ import pytest
 from browser import open_page, problems_everywhere
 from contrast import contrast, mixed
 from published import assert_published_page
+from untrained import untrained_head
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.head_training import untrained_head
 from hydro_agents.evaluation.evaluate import Evaluation, ProtocolSettings, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.report.canvas import LEAK_LOOKS, looks_of

@@ -56,7 +56,8 @@ def alarms(
     per table. The head with 40 hours takes some ten minutes, the estimator with 2 hours far longer; the first part
     shows how long on your machine. Ctrl-C keeps the finished jobs, and `--resume` continues.
     """
-    from hydro_agents.detection.alarm_job import SIZES, Bench, run_job
+    from hydro_agents.detection.alarm_job import SIZES, run_job
+    from hydro_agents.detection.alarm_simulation import Bench
     from hydro_agents.detection.detectors import DetectorChoice, make_detector
     from hydro_agents.detection.looks import window_of
     from hydro_agents.detection.monitor import HEAD_FILE

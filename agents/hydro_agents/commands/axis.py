@@ -140,7 +140,7 @@ def _record_dataset(
     name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
 ) -> None:
     from hydro_agents.learning.opponents import opponent
-    from hydro_agents.recordings.minari_dataset import check_dataset, record_dataset
+    from hydro_agents.recordings.simulated import check_dataset, record_dataset
     from hydro_agents.running.console import ProgressDisplay
 
     check_dataset(name)

@@ -25,10 +25,10 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm, Scale, Sum
-from hydro_agents.detection.alarm_simulation import Onset
+from hydro_agents.detection.alarm_simulation import OnsetLooks
 from hydro_agents.detection.detector import Floats
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.running.statistics import CONFIDENCE, Interval
+from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
 from hydro_env import ConfigurationError
 
 RESAMPLES = 200
@@ -141,15 +141,6 @@ def rate_with_interval(
     return Interval(rates[0], float(low), float(high))
 
 
-class OnsetLooks(NamedTuple):
-    """Looks at axes before and after an onset."""
-
-    onset: Onset
-    time: float  # s, of the onset
-    before: Looks
-    after: Looks
-
-
 class Candidate(NamedTuple):
     """A candidate with its thresholds and its delays on validation axes."""
 
@@ -236,6 +227,20 @@ def delays(alarm: LeakAlarm, found: OnsetLooks) -> tuple[Floats, NDArray[np.bool
     raised = alarm.follow(found.after, state)[0].alarm
     delay = found.after.time[raised.argmax(axis=1)] - found.time
     return np.where(raised.any(axis=1), delay, np.inf), before.alarm[:, -1]
+
+
+def delay_columns(delay: Floats, prefix: str = "") -> dict[str, Any]:
+    """Columns of a table: axes, median and 90 % quantile of their delays in s, and the share missed after a minute.
+
+    ``prefix`` stands before the names of the ends of the share's interval, ``low`` and ``high``.
+    """
+    median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
+    missed = share_interval(int((delay > PATIENCE).sum()), len(delay))
+    return {"axes": len(delay), "median_s": float(median), "p90_s": float(late)} | {
+        "missed": missed.value,
+        f"{prefix}low": missed.low,
+        f"{prefix}high": missed.high,
+    }
 
 
 def delay_figures(alarm: LeakAlarm, found: OnsetLooks) -> tuple[float, float]:

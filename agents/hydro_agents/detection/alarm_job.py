@@ -1,32 +1,35 @@
-"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report."""
+"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report.
+
+The trend of a growing leak is that of log10 of its estimated size, averaged over blocks that are long against a window:
+the residuals of a straight line through the blocks are nearly independent. The time to a limit has the interval of
+Fieller (*Some problems in interval estimation*, J. Royal Statistical Society B 16, 1954): all times at which the limit
+lies within the confidence band of the line.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from pydantic import Field
+from scipy.stats import t as student
 
-from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.alarm_calibration import Candidate, OnsetLooks, calibrate
-from hydro_agents.detection.alarm_proof import (
-    delay_table,
-    false_alarms,
-    fault_table,
-    growth_summary,
-    growth_table,
-    share_table,
+from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
+from hydro_agents.detection.alarm_calibration import (
+    Candidate,
+    calibrate,
+    delay_columns,
+    delays,
+    fit_tail,
+    peaks,
+    poisson_interval,
+    rate_with_interval,
 )
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
-from hydro_agents.detection.detector import Detector
-from hydro_agents.detection.looks import Activity, Looks, joined
-from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
+from hydro_agents.detection.alarm_simulation import Bench, Onset, OnsetLooks, Work
+from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.running.seeds import (
     ALARM_CALIBRATION,
     ALARM_CALIBRATION_ONSETS,
@@ -36,7 +39,7 @@ from hydro_agents.running.seeds import (
     ALARMS,
     SeedRange,
 )
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
 from hydro_env.files import Group
 
 LEVELS = (0.1, 0.3, 1.0)
@@ -54,6 +57,10 @@ FAULTS = (
 
 LIMIT_LPM = 1.0
 """The size to which growing leaks are extrapolated."""
+
+
+LEAST_BLOCKS = 5
+"""Fewest blocks of looks for the trend of a growing leak."""
 
 
 class AlarmJob(Group):
@@ -81,73 +88,6 @@ SIZES = {
 """Default sizes by detector: for one look the estimator takes a thousand times as long as the head."""
 
 
-class Work(NamedTuple):
-    """Axes at work, and the onsets that each continue the same axes."""
-
-    operation: Operation
-    onsets: tuple[Onset, ...] = ()
-
-    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
-        """Its looks, onset by onset."""
-        before, *each = looks
-        time = self.operation.duration
-        return [OnsetLooks(onset, time, before, after) for onset, after in zip(self.onsets, each, strict=True)]
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Settings that all looks of a calibration share."""
-
-    config: TaskConfig
-    controllers: Mapping[str, Controller]  # in turn, one for each job
-    detector: Detector
-    detector_name: str
-    folder: Path | None = None  # for the results of the jobs; None keeps none
-    together: int = 128  # largest number of axes of a job
-    progress: Report | None = None  # called when a job finishes
-
-    def looks(self, work: Mapping[str, Work]) -> dict[str, list[Looks]]:
-        """Looks up to the onset, and after each onset; see :func:`~hydro_agents.detection.alarm_simulation.simulate`.
-
-        Raises:
-            ConfigurationError: an operation is shorter than a window, or an axis cannot begin.
-        """
-        jobs: dict[tuple[str, int], Job] = {}
-        acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers.values()]
-        for name, (operation, onsets) in work.items():
-            fair = math.ceil(operation.axes / len(acting))
-            size = self.together if operation.axes > self.together else fair  # each controller gets a part
-            for number, first in enumerate(range(0, operation.axes, size)):
-                participant, digest = acting[number % len(acting)]
-                count = min(size, operation.axes - first)
-                part = replace(operation, first_seed=operation.first_seed + first, axes=count)
-                jobs[name, number] = Job(simulated, participant, (self.config, part, onsets), digest)
-        named = {f"{name}|{number}": job for (name, number), job in jobs.items()}
-        results = run_jobs(named, self.folder, None, self.progress)[0]
-        found: dict[str, list[list[Looks]]] = {name: [] for name in work}
-        for name, number in jobs:
-            result = results[f"{name}|{number}"]
-            if result.error:
-                raise ConfigurationError(result.error)
-            count = 1 + len(work[name].onsets)
-            fields = [{key: result.metrics[f"{index}.{key}"] for key in Looks._fields} for index in range(count)]
-            found[name].append([Looks(**each) for each in fields])
-        return {name: [joined(column) for column in zip(*parts, strict=True)] for name, parts in found.items()}
-
-
-def simulated(
-    acting: tuple[Controller, Detector], config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...]
-) -> Columns:
-    """The looks of :func:`~hydro_agents.detection.alarm_simulation.simulate`, named ``0.time``, ``0.score``, ….
-
-    Raises:
-        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
-    """
-    controller, detector = acting
-    each = simulate(config, controller, detector, operation, onsets)
-    return {f"{index}.{key}": values for index, looks in enumerate(each) for key, values in looks._asdict().items()}
-
-
 class Result(NamedTuple):
     """Settings of the best candidate, and the tables of the test by name."""
 
@@ -169,10 +109,10 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
 
     def healthy(seeds: SeedRange) -> Work:
         axes = job.axes_of_healthy
-        return Work(Operation(seeds.take(axes).start, axes, job.shift, job.interval))
+        return Work(seeds.take(axes).start, axes, job.shift, job.interval)
 
     def leaking(seeds: SeedRange, onsets: tuple[Onset, ...], after: float) -> Work:
-        return Work(Operation(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after), onsets)
+        return Work(seeds.take(job.axes).start, job.axes, job.past, job.interval, after=after, onsets=onsets)
 
     leaks = tuple(Onset(level, then) for level in LEVELS for then in reversed(Activity))
     work = {
@@ -196,7 +136,7 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
     }
     for number, (name, level) in enumerate(starts.items()):
         first = ALARM_STARTS.take(job.axes, 10_000 * number).start
-        work[name] = Work(Operation(first, job.axes, job.past, job.interval, leak_lpm=level))
+        work[name] = Work(first, job.axes, job.past, job.interval, leak_lpm=level)
     looks = bench.looks(work)
     after = work["onsets"].found(looks["onsets"])
     growing = work["growth"].found(looks["growth"])
@@ -220,3 +160,161 @@ def _candidates(tried: list[Candidate]) -> pd.DataFrame:
             row |= {f"{name}_median_s": median, f"{name}_missed": missed}
         rows.append(row)
     return pd.DataFrame(rows)
+
+
+def false_alarms(settings: AlarmSettings, healthy: Looks) -> pd.DataFrame:
+    """False alarms per 100 h at multiples of the thresholds: counted with a Poisson interval, and from the tail.
+
+    At multiples below 1 alarms are frequent enough to count; the counts check the fitted tail. Alarms cluster: the
+    column ``axes`` gives the number of axes with alarms.
+    """
+    alarm, _ = LeakAlarm(settings).follow(healthy)
+    per_axis = peaks(alarm.total)
+    everything = np.concatenate(per_axis)
+    tail = fit_tail(everything, healthy.hours)
+    rows = []
+    for factor in (0.25, 0.5, 0.75, 1.0, 1.5):
+        count = int((everything > factor).sum())
+        counted = poisson_interval(count, healthy.hours / 100.0)
+        row = {"threshold": factor, "hours": healthy.hours, "alarms": count}
+        row["axes"] = sum(bool((found > factor).any()) for found in per_axis)
+        row |= counted.columns("per_100_h")
+        if factor >= tail.start:
+            by_tail = rate_with_interval(per_axis, healthy.hours, factor)
+            row |= {"by_tail": by_tail.value, "tail_low": by_tail.low, "tail_high": by_tail.high}
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
+    """Delay from the onset by size and activity: median and 90 % quantile in s, and the share missed after a minute."""
+    alarm, rows = LeakAlarm(settings), []
+    for found in onsets:
+        delay, early = delays(alarm, found)
+        columns = delay_columns(delay[~early])
+        row = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": columns["axes"]}
+        rows.append(row | {"alarm_before": int(early.sum())} | columns)
+    return pd.DataFrame(rows)
+
+
+def share_table(settings: AlarmSettings, cases: Sequence[tuple[str, Looks]]) -> pd.DataFrame:
+    """Share of axes with an alarm at the end, and the time in s until half of the axes have one, case by case."""
+    rows = []
+    for name, looks in cases:
+        alarm, _ = LeakAlarm(settings).follow(looks)
+        raised = alarm.alarm
+        half = raised.mean(axis=0) >= 0.5
+        row = {"case": name, "axes": len(raised), "seconds": float(looks.time[-1])}
+        row |= share_interval(int(raised[:, -1].sum()), len(raised)).columns("alarmed")
+        rows.append(row | {"half_after_s": float(looks.time[half.argmax()]) if half.any() else np.inf})
+    return pd.DataFrame(rows)
+
+
+def fault_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.DataFrame:
+    """Share of axes that raise an alarm after the onset of another fault with a healthy seal; see :func:`delays`."""
+    alarm, rows = LeakAlarm(settings), []
+    for found in onsets:
+        delay, early = delays(alarm, found)
+        hits = np.isfinite(delay[~early])
+        name = " ".join(f"{value}" for value in found.onset.fault or ("none",))
+        row = {"fault": name, "axes": len(hits), "seconds": float(found.after.time[-1] - found.time)}
+        rows.append(row | share_interval(int(hits.sum()), len(hits)).columns("alarmed"))
+    return pd.DataFrame(rows)
+
+
+class Growth(NamedTuple):
+    """Trend of one axis; NaN where there are too few looks, infinity where the limit is never reached."""
+
+    decades_per_hour: Interval
+    hours_to_limit: Interval  # from the last look on; 0: reached already
+
+
+def growth(
+    time: NDArray[Any],
+    flow_lpm: NDArray[Any],
+    limit_lpm: float,
+    least_lpm: float = 0.0,
+    block: float = 10.0,
+    confidence: float = CONFIDENCE,
+) -> Growth:
+    """Growth of the leak of one axis.
+
+    Args:
+        time: (L,), s, of the looks.
+        flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
+        limit_lpm: the limit, l/min at 100 bar.
+        least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
+        block: s, over which looks are averaged.
+        confidence: of the intervals.
+    """
+    unknown = Interval(np.nan, np.nan, np.nan)
+    flow = np.asarray(flow_lpm, dtype=np.float64)
+    known = np.isfinite(flow) & (flow > 0.0)
+    hours, size = np.asarray(time, dtype=np.float64)[known] / 3600.0, np.log10(flow[known])
+    if not len(hours):
+        return Growth(unknown, unknown)
+    which = np.unique(((hours - hours[0]) * 3600.0 / block).astype(np.int64), return_inverse=True)[1]
+    counts = np.bincount(which)
+    x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
+    below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
+    x, y = (values[below[-1] + 1 :] if len(below) else values for values in (x, y))
+    if len(x) < LEAST_BLOCKS:
+        return Growth(unknown, unknown)
+    centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
+    slope = float(((x - centre) * y).sum() / spread)
+    level = float(y.mean())
+    freedom = len(x) - 2
+    variance = float(((y - level - slope * (x - centre)) ** 2).sum()) / freedom
+    factor = float(student.ppf(0.5 * (1.0 + confidence), freedom))
+    half = factor * np.sqrt(variance / spread)
+    missing = float(np.log10(limit_lpm)) - level
+    end = float(hours[-1] - centre)
+    low, high = _crossing(slope, missing, factor**2 * variance, len(x), spread)
+    expected = missing / slope if slope > 0.0 else (-np.inf if missing <= 0.0 else np.inf)
+    ahead = [max(value - end, 0.0) for value in (expected, low, high)]
+    return Growth(Interval(slope, slope - half, slope + half), Interval(*ahead))
+
+
+def _crossing(slope: float, missing: float, width: float, count: int, spread: float) -> tuple[float, float]:
+    """Times x after the centre that bound (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
+    a = slope**2 - width / spread
+    b = -2.0 * slope * missing
+    c = missing**2 - width / count
+    inside = b * b - 4.0 * a * c
+    if a > 0.0 and slope > 0.0:  # the trend is significant: two ends
+        root = np.sqrt(max(inside, 0.0))
+        return (-b - root) / (2.0 * a), (-b + root) / (2.0 * a)
+    if a > 0.0:  # it falls significantly
+        return (-np.inf, -np.inf) if missing <= 0.0 else (np.inf, np.inf)
+    if inside < 0.0 or c <= 0.0:  # nothing excluded
+        return -np.inf, np.inf
+    root = np.sqrt(inside)  # a < 0: outside both roots
+    return max((-b - root) / (2.0 * a), (-b + root) / (2.0 * a)), np.inf
+
+
+def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
+    """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
+
+    Args:
+        found: looks at axes whose leaks grow beyond the limit.
+        limit_lpm: the limit, l/min at 100 bar.
+        least_lpm: smallest size that the detector can read.
+    """
+    rows = []
+    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
+        half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
+        trend = growth(found.after.time[: half + 1], flow[: half + 1], limit_lpm, least_lpm)
+        left = float(found.after.time[full] - found.after.time[half]) / 3600.0
+        expected = trend.hours_to_limit
+        row = {"hours_left": left, **expected.columns("expected_hours")}
+        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
+    return pd.DataFrame(rows)
+
+
+def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
+    """One row: axes with a trend, medians, and the share of intervals that contain the true time."""
+    known = table.dropna()  # NaN: too few looks at a readable size
+    holds = share_interval(int(known["holds"].sum()), len(known))
+    row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
+    row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
+    return pd.DataFrame([row | {"holds": holds.value, "holds_low": holds.low, "holds_high": holds.high}])

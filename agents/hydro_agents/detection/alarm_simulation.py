@@ -1,4 +1,4 @@
-"""Simulated axes in long, continuous operation, and the looks of a detector at them.
+"""Simulated axes in long, continuous operation, and the looks of a detector at them, as jobs that can be resumed.
 
 An episode holds one family and begins at rest. The reference of an axis at work consists of stretches of 10 to 60 s,
 each with its own family, at full speed, at a sixteenth of it, or standing.
@@ -6,18 +6,21 @@ each with its own family, at full speed, at a sixteenth of it, or standing.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.detector import Detector
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import Detector, MeasuredColumns
 from hydro_agents.detection.features import SIGNALS
-from hydro_agents.detection.looks import Activity, Looks, look, window_of
+from hydro_agents.detection.looks import Activity, Looks, joined, look, window_of
+from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import LeakageDraw, task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, KIND_OF_FAULT, Fault
@@ -37,7 +40,39 @@ _FAULT_ONSET = choice(Fault, "schedule", "onset")
 
 
 @dataclass(frozen=True)
-class Operation:
+class Onset:
+    """Change of the axes after ``Work.duration``; each onset continues the same axes."""
+
+    leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
+    then: Activity | None = None  # from then on; None: all activities in turn
+    grows: bool = False  # log-linearly until the end, instead of suddenly
+    fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude, sudden
+
+    @property
+    def activity(self) -> str:
+        """The activity of the axes from then on, as a word; ``all``: all in turn."""
+        return self.then.name.lower() if self.then is not None else "all"
+
+    @property
+    def name(self) -> str:
+        """Name for files and tables."""
+        parts = ["none" if self.leak_lpm is None else f"{self.leak_lpm:g}"]
+        parts += [self.activity] if self.then is not None else []
+        parts += ["growing"] if self.grows else []
+        return "_".join([*parts, *(f"{value}" for value in self.fault or ())])
+
+
+class OnsetLooks(NamedTuple):
+    """Looks at axes before and after an onset."""
+
+    onset: Onset
+    time: float  # s, of the onset
+    before: Looks
+    after: Looks
+
+
+@dataclass(frozen=True)
+class Work:
     """Axes at work, with consecutive seeds."""
 
     first_seed: int
@@ -46,90 +81,65 @@ class Operation:
     interval: float  # s, between looks
     leak_lpm: float | None = None  # at 100 bar, from the start; None: healthy, drawn by the seed
     after: float = 0.0  # s, that follow each onset
-    parameters: Mapping[str, Mapping[str, float]] | None = None  # of every plant, as the option of reset
+    onsets: tuple[Onset, ...] = ()  # each continues the same axes
+
+    def found(self, looks: list[Looks]) -> list[OnsetLooks]:
+        """Its looks (:func:`simulate`), onset by onset."""
+        before, *each = looks
+        pairs = zip(self.onsets, each, strict=True)
+        return [OnsetLooks(onset, self.duration, before, after) for onset, after in pairs]
 
 
-@dataclass(frozen=True)
-class Onset:
-    """Change of the axes after ``Operation.duration``; each onset continues the same axes."""
-
-    leak_lpm: float | None = None  # at 100 bar; None: the seal stays healthy
-    then: Activity | None = None  # from then on; None: all activities in turn
-    grows: bool = False  # log-linearly until the end, instead of suddenly
-    fault: tuple[str, float] | None = None  # one of hydro_env.task.faults.FAULTS and its magnitude, sudden
-
-    @property
-    def name(self) -> str:
-        """Name for files and tables."""
-        parts = ["none" if self.leak_lpm is None else f"{self.leak_lpm:g}"]
-        parts += [self.then.name.lower()] if self.then is not None else []
-        parts += ["growing"] if self.grows else []
-        return "_".join([*parts, *(f"{value}" for value in self.fault or ())])
-
-
-def simulate(
-    config: TaskConfig,
-    controller: Controller,
-    detector: Detector,
-    operation: Operation,
-    onsets: tuple[Onset, ...] = (),
-) -> list[Looks]:
+def simulate(config: TaskConfig, controller: Controller, detector: Detector, work: Work) -> list[Looks]:
     """Simulate axes at work and look at them at regular times; axes, references and noise depend on the seeds alone.
 
     Returns:
         Looks at the axes up to the onset, then the looks after each onset, all with the same past.
 
     Raises:
-        ConfigurationError: the operation is shorter than a window, or an axis cannot begin.
+        ConfigurationError: the work is shorter than a window, or an axis cannot begin.
     """
-    work = _Work(config, controller, detector, operation)
-    before = work.looks(work.change)
-    results, start = [before], work.memory()
-    for onset in onsets:
-        work.recall(start)
-        work.begin(onset)
-        results.append(work.looks(work.end))
-    work.env.close()
+    running = _Running(config, controller, detector, work)
+    results, start = [running.looks(running.change)], running.memory()
+    for onset in work.onsets:
+        running.recall(start)
+        running.begin(onset)
+        results.append(running.looks(running.end))
+    running.env.close()
     return results
 
 
-class _Work:
+class _Running:
     """Axes at work; :meth:`recall` returns to an earlier state for the next onset."""
 
-    def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, operation: Operation) -> None:
-        self.controller, self.detector, self.operation = controller, deepcopy(detector), operation
+    def __init__(self, config: TaskConfig, controller: Controller, detector: Detector, work: Work) -> None:
+        self.controller, self.detector, self.work = controller, deepcopy(detector), work
         self.known, self.period = config, config.control_period
-        self.every = max(round(operation.interval / self.period), 1)
-        self.change = round(operation.duration / self.period)
-        self.end = self.change + round(operation.after / self.period)
+        self.every = max(round(work.interval / self.period), 1)
+        self.change = round(work.duration / self.period)
+        self.end = self.change + round(work.after / self.period)
         self.length = window_of(detector, config)
         if self.change < self.length:
             raise ConfigurationError(
-                f"alarms: work of {operation.duration:g} s is shorter than a window of {self.length * self.period:g} s"
+                f"alarms: work of {work.duration:g} s is shorter than a window of {self.length * self.period:g} s"
             )
         leakage = {**config.leakage.model_dump(), "schedule": "constant"}
         # One period more than is simulated: no axis restarts.
         self.config = task_config(config, episode_duration=(self.end + 1) * self.period, leakage=leakage)
-        layout = ObservationLayout.of(self.config)
-        self.rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # the rig may lack a sensor
-        self.columns = [layout.index(SIGNALS[row]) for row in self.rows]
-        self.scale = np.array([layout.scale[column] for column in self.columns])
-        self.seeds = np.arange(operation.first_seed, operation.first_seed + operation.axes)
-        self.env = ServoHydraulicVectorEnv(operation.axes, self.config, info=False)
-        options: dict[str, Any] = {
-            "reference": working_references(self.config, self.seeds),
-            "leakage_flow_lpm": self._flows(),
-            **({"parameters": operation.parameters} if operation.parameters else {}),
-        }
+        self.measured = MeasuredColumns.of(self.config)
+        self.seeds = np.arange(work.first_seed, work.first_seed + work.axes)
+        self.env = ServoHydraulicVectorEnv(work.axes, self.config, info=False)
+        references = working_references(self.config, self.seeds)
+        options: dict[str, Any] = {"reference": references, "leakage_flow_lpm": self._flows()}
         self.observation, _ = self.env.reset(seed=[int(seed) for seed in self.seeds], options=options)
-        self.window = np.full((operation.axes, len(SIGNALS), self.length), np.nan)
-        self.alive = np.ones(operation.axes, dtype=np.bool_)
+        self.window = np.full((work.axes, len(SIGNALS), self.length), np.nan)
+        self.alive = np.ones(work.axes, dtype=np.bool_)
         self.controller_memory: Any = None
         self.step = 0
 
     def _flows(self) -> NDArray[np.float64]:
-        if self.operation.leak_lpm is not None:
-            return np.full(len(self.seeds), self.operation.leak_lpm)
+        if self.work.leak_lpm is not None:
+            return np.full(len(self.seeds), self.work.leak_lpm)
         low, high = np.log(self.config.leakage.healthy_range)
         return np.array([np.exp(np.random.default_rng([int(seed), 2]).uniform(low, high)) for seed in self.seeds])
 
@@ -166,9 +176,10 @@ class _Work:
 
     def looks(self, end: int) -> Looks:
         """Simulate until a step, and return the looks."""
-        length, rows = self.length, []
+        length, measured, rows = self.length, self.measured, []
         while self.step < end:
-            self.window[:, self.rows, self.step % length] = self.observation[:, self.columns] * self.scale
+            seen = self.observation[:, measured.columns] * measured.scale
+            self.window[:, measured.rows, self.step % length] = seen
             if self.step + 1 >= length and (self.step + 1 - length) % self.every == 0:
                 signals = np.roll(self.window, -(self.step + 1), axis=2)
                 score, *rest = look(self.detector, signals, self.known)
@@ -183,6 +194,59 @@ class _Work:
             self.step += 1
         time, *columns = zip(*rows, strict=True)
         return Looks(np.array(time), *(np.stack(values, axis=1) for values in columns))
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Settings that all looks of a calibration share."""
+
+    config: TaskConfig
+    controllers: Mapping[str, Controller]  # in turn, one for each job
+    detector: Detector
+    detector_name: str
+    folder: Path | None = None  # for the results of the jobs; None keeps none
+    together: int = 128  # largest number of axes of a job
+    progress: Report | None = None  # called when a job finishes
+
+    def looks(self, listed: Mapping[str, Work]) -> dict[str, list[Looks]]:
+        """Looks up to the onset, and after each onset; see :func:`simulate`.
+
+        Raises:
+            ConfigurationError: work is shorter than a window, or an axis cannot begin.
+        """
+        jobs: dict[str, Job] = {}
+        keys: dict[str, list[str]] = {name: [] for name in listed}
+        acting = [((each, self.detector), fingerprint(each, self.detector)) for each in self.controllers.values()]
+        for name, work in listed.items():
+            fair = math.ceil(work.axes / len(acting))
+            size = self.together if work.axes > self.together else fair  # each controller gets a part
+            for number, first in enumerate(range(0, work.axes, size)):
+                participant, digest = acting[number % len(acting)]
+                part = replace(work, first_seed=work.first_seed + first, axes=min(size, work.axes - first))
+                keys[name].append(f"{name}|{number}")
+                jobs[keys[name][-1]] = Job(simulated, participant, (self.config, part), digest)
+        results = run_jobs(jobs, self.folder, None, self.progress)[0]
+        found = {}
+        for name, work in listed.items():
+            parts: list[list[Looks]] = []
+            for result in (results[key] for key in keys[name]):
+                if result.error:
+                    raise ConfigurationError(result.error)
+                each = range(1 + len(work.onsets))
+                parts.append([Looks(*(result.metrics[f"{index}.{key}"] for key in Looks._fields)) for index in each])
+            found[name] = [joined(column) for column in zip(*parts, strict=True)]
+        return found
+
+
+def simulated(acting: tuple[Controller, Detector], config: TaskConfig, work: Work) -> Columns:
+    """The looks of :func:`simulate`, named ``0.time``, ``0.score``, ….
+
+    Raises:
+        ConfigurationError: the work is shorter than a window, or an axis cannot begin.
+    """
+    controller, detector = acting
+    each = simulate(config, controller, detector, work)
+    return {f"{index}.{key}": values for index, looks in enumerate(each) for key, values in looks._asdict().items()}
 
 
 def working_references(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.detector import CAUSE_OF_FAULT
-from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, features_of
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import CAUSE_OF_FAULT, MeasuredColumns
+from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
 from hydro_agents.detection.operations import OPERATIONS, Operation
 from hydro_agents.detection.sheet import Sheet, sheet_of
@@ -221,16 +221,15 @@ class Plan:
         flow = self._leaks(generator, count)
         faults, fault, labels = draw_faults(config, generator, count, settings.fault_share)
         labels[:, 0] = flow > config.leakage.class_bounds[0]
-        layout = ObservationLayout.of(task)
-        columns = [layout.index(name) for name in SIGNALS]
+        measured = MeasuredColumns.of(task)
         acting: Any = (
             Operation(row.manner, task, count, int(seeds[0]))
             if row.manner is not None
             else self.controllers[chunk.controller]
         )
-        run = run_cases(task, acting, Cases(seeds, flow, faults=faults), columns, states=False, chunk=count)
+        run = run_cases(task, acting, Cases(seeds, flow, faults=faults), measured.columns, states=False, chunk=count)
         assert run.signals is not None
-        signals = run.signals * np.array([layout.scale[column] for column in columns], dtype=np.float32)[:, None]
+        signals = run.signals * measured.scale.astype(np.float32)[:, None]
         lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
         parts = []
         for size in sizes:

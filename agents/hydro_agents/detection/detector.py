@@ -23,7 +23,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.detection.features import SIGNALS
+from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_env import TaskConfig
 from hydro_env.task.faults import KIND_OF_FAULT
 
@@ -109,6 +111,42 @@ class Windows:
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
         return Windows(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+
+
+class MeasuredColumns(NamedTuple):
+    """Where the observations of a task hold :data:`~hydro_agents.detection.features.SIGNALS`; a rig may lack some."""
+
+    rows: list[int]  # of SIGNALS that the rig has
+    columns: list[int]  # of the observation, one for each row
+    scale: Floats  # SI units per 1, one for each row
+
+    @classmethod
+    def of(cls, config: TaskConfig) -> MeasuredColumns:
+        """The columns of a task."""
+        layout = ObservationLayout.of(config)
+        rows = [row for row, name in enumerate(SIGNALS) if name in layout.names]
+        columns = [layout.index(SIGNALS[row]) for row in rows]
+        return cls(rows, columns, np.array([layout.scale[column] for column in columns]))
+
+    def si(self, observed: NDArray[Any]) -> Floats:
+        """Signals (N, 5, T) in SI units from these columns of observations, (N, columns, T); NaN: no such sensor."""
+        signals = np.full((len(observed), len(SIGNALS), observed.shape[2]), np.nan)
+        signals[:, self.rows] = observed.astype(np.float64) * self.scale[:, None]
+        return signals
+
+
+def measured_run(
+    config: TaskConfig, controller: Controller, cases: Cases, states: bool = False
+) -> tuple[Floats, Rollout]:
+    """Run cases; returns their measured signals (N, 5, T) in SI units, and the runs.
+
+    Raises:
+        ControllerError: see :func:`~hydro_agents.running.cases.run_cases`.
+    """
+    measured = MeasuredColumns.of(config)
+    run = run_cases(config, controller, cases, measured.columns, states)
+    assert run.signals is not None
+    return measured.si(run.signals), run
 
 
 class Reading(NamedTuple):

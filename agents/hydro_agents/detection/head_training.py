@@ -60,13 +60,6 @@ def make_network(width: int) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-def untrained_head(config: TaskConfig, width: int = 8, longest: float = 4.0) -> LeakageHead:
-    """A head with random weights: for tests, and as the start of a training."""
-    tensors = tensors_like(width) | network_tensors(make_network(width))
-    tensors["scale"][:] = tensors["widening"][:] = tensors["limit"][:] = 1.0
-    return LeakageHead(tensors, HeadSettings(config, config.steps, round(longest * config.steps), 0.5, {}))
-
-
 def network_tensors(network: nn.Sequential) -> dict[str, NDArray[Any]]:
     """Weights and biases of a network, under the names of a head's tensors."""
     linear = [layer for layer in network if isinstance(layer, nn.Linear)]

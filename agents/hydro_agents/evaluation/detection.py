@@ -10,9 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import ObservationLayout
-from hydro_agents.detection.detector import Detector, Windows, threshold_at_false_alarm_rate
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.running.cases import Cases, Rollout, run_cases
@@ -63,11 +61,6 @@ def detection_cases(config: TaskConfig, count: int) -> Cases:
     return Cases(np.array(DETECTION.take(count)), flow)
 
 
-def signal_columns(names: tuple[str, ...]) -> list[int]:
-    """Columns of the observation that a detector reads."""
-    return [names.index(name) for name in SIGNALS]
-
-
 def episodes(protocol: StudyProtocol, chosen: Participants) -> Iterator[Cell]:
     """The head on whole episodes under every controller; nothing without a head."""
     if chosen.head is None:
@@ -86,8 +79,7 @@ def watched(pair: tuple[Controller, LeakageHead], config: TaskConfig, cases: Cas
         ControllerError: the controller failed.
     """
     controller, head = pair
-    columns = signal_columns(head.settings.layout.names)
-    rollout = run_cases(config, controller, cases, columns, states=False)
+    rollout = run_cases(config, controller, cases, MeasuredColumns.of(config).columns, states=False)
     return detection_columns(cases, rollout, HeadDetector(head), config)
 
 
@@ -96,9 +88,7 @@ def detection_columns(cases: Cases, rollout: Rollout, detector: Detector, config
     assert rollout.signals is not None
     assert cases.leakage_flow_lpm is not None
     assert detector.threshold is not None
-    layout = ObservationLayout.of(config)
-    scale = np.array([layout.scale[column] for column in signal_columns(layout.names)])
-    reading = detector.read(Windows.of(rollout.signals.astype(np.float64) * scale[:, None]), config)
+    reading = detector.read(Windows.of(MeasuredColumns.of(config).si(rollout.signals)), config)
     return {
         "seed": cases.seeds,
         "leakage_flow_lpm": cases.leakage_flow_lpm,

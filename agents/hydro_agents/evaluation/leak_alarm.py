@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.alarm_calibration import PATIENCE, OnsetLooks, delays, peaks, poisson_interval
-from hydro_agents.detection.alarm_simulation import Onset, Operation, simulate
+from hydro_agents.detection.alarm_calibration import delay_columns, delays, peaks, poisson_interval
+from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.evaluation.conditions import Cell
@@ -17,7 +17,6 @@ from hydro_agents.evaluation.leak_protocol import HEALTHY, Detectors, LeakProtoc
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAKAGE_ALARMS, LEAKAGE_ONSETS
-from hydro_agents.running.statistics import share_interval
 from hydro_env import ConfigurationError, TaskConfig
 
 SHIFT, PAST, AFTER = 600.0, 300.0, 62.0
@@ -33,57 +32,52 @@ def alarm(protocol: LeakProtocol, chosen: Detectors) -> Iterator[Cell]:
     axes = max(int(np.ceil(protocol.alarm_hours * 3600.0 / SHIFT)), 1)
     for reader, (detector, settings) in chosen.alarms.items():
         digest = fingerprint(detector)
-        for work, seeds, duration, after in (
-            (at_healthy_axes, LEAKAGE_ALARMS.take(axes), SHIFT, 0.0),
-            (at_onsets, LEAKAGE_ONSETS.take(axes), PAST, AFTER),
+        for measure, seeds, duration, after, onsets in (
+            (at_healthy_axes, LEAKAGE_ALARMS.take(axes), SHIFT, 0.0, ()),
+            (at_onsets, LEAKAGE_ONSETS.take(axes), PAST, AFTER, LEAKS),
         ):
             jobs = []
             for first in range(0, axes, AXES_TOGETHER):
                 count = min(AXES_TOGETHER, axes - first)
-                operation = Operation(seeds.start + first, count, duration, settings.interval, after=after)
-                jobs.append(Job(work, detector, (protocol.task, settings, operation), digest))
+                work = Work(seeds.start + first, count, duration, settings.interval, after=after, onsets=onsets)
+                jobs.append(Job(measure, detector, (protocol.task, settings, work), digest))
             yield Cell(reader, known={"detector": reader}, jobs=tuple(jobs))
 
 
-def at_healthy_axes(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+def at_healthy_axes(detector: Detector, config: TaskConfig, settings: AlarmSettings, work: Work) -> Columns:
     """Alarms and hours of each healthy axis.
 
     Raises:
         ConfigurationError: the detector cannot read the axes, or they cannot begin.
     """
-    (looks,) = _looks(detector, config, operation)
+    (looks,) = _looks(detector, config, work)
     found = peaks(LeakAlarm(settings).follow(looks)[0].total)
     return {
-        "leak_lpm": np.full(operation.axes, HEALTHY),
-        "then": np.full(operation.axes, "all"),
+        "leak_lpm": np.full(work.axes, HEALTHY),
+        "then": np.full(work.axes, "all"),
         "alarms": np.array([float((axis > 1.0).sum()) for axis in found]),
-        "hours": np.full(operation.axes, looks.hours / operation.axes),
+        "hours": np.full(work.axes, looks.hours / work.axes),
     }
 
 
-def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, operation: Operation) -> Columns:
+def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, work: Work) -> Columns:
     """Delay in s from each onset to the alarm (infinite: none) of each axis, and whether it had an earlier alarm.
 
     Raises:
         ConfigurationError: the detector cannot read the axes, or they cannot begin.
     """
-    before, *each = _looks(detector, config, operation, LEAKS)
     watching, rows = LeakAlarm(settings), []
-    for onset, looks in zip(LEAKS, each, strict=True):
-        delay, early = delays(watching, OnsetLooks(onset, operation.duration, before, looks))
-        then = onset.then.name.lower() if onset.then is not None else "all"
-        rows.append(
-            pd.DataFrame(
-                {"leak_lpm": onset.leak_lpm, "then": then, "delay_s": delay, "early": early.astype(np.float64)}
-            )
-        )
+    for found in work.found(_looks(detector, config, work)):
+        delay, early = delays(watching, found)
+        columns = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "delay_s": delay}
+        rows.append(pd.DataFrame(columns | {"early": early.astype(float)}))
     table = pd.concat(rows)
     return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
 
 
-def _looks(detector: Detector, config: TaskConfig, operation: Operation, onsets: tuple[Onset, ...] = ()) -> list[Looks]:
+def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:
     try:
-        return simulate(config, shipped("pid", config), detector, operation, onsets)
+        return simulate(config, shipped("pid", config), detector, work)
     except ConfigurationError as error:
         raise ConfigurationError(f"the alarm cannot watch: {error}") from None
 
@@ -103,9 +97,5 @@ def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
             row |= {"alarms": count, "hours": hours, "per_100_h": rate.value}
             found.append(row | {"per_100_h_low": rate.low, "per_100_h_high": rate.high, "axes": len(axes)})
             continue
-        delay = axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy()
-        missed = share_interval(int((delay > PATIENCE).sum()), len(delay))
-        median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
-        row |= {"axes": len(delay), "median_s": float(median), "p90_s": float(late)}
-        found.append(row | {"missed": missed.value, "missed_low": missed.low, "missed_high": missed.high})
+        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
     return pd.DataFrame(found)

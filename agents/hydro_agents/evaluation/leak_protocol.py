@@ -13,14 +13,12 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.detection.alarm import AlarmSettings
-from hydro_agents.detection.detector import Detector, Windows
+from hydro_agents.detection.detector import Detector, Windows, measured_run
 from hydro_agents.detection.detectors import DetectorChoice
-from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.operations import ACTING, MOTIONS
 from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol
-from hydro_agents.running.cases import Cases, ControllerError, run_cases
+from hydro_agents.running.cases import Cases, ControllerError
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
 from hydro_env import ConfigurationError, TaskConfig
@@ -282,18 +280,11 @@ def simulated_windows(
         ControllerError: the controller of the axes failed.
         ConfigurationError: a run cannot begin.
     """
-    layout = ObservationLayout.of(config)
-    present = [name for name in SIGNALS if name in layout.names]
-    columns = [layout.index(name) for name in present]
     controller = ACTING[acting].make(config, len(cases), int(cases.seeds[0]))
-    run = run_cases(config, controller, cases, columns)
-    assert run.signals is not None
-    scaled = np.full((len(cases), len(SIGNALS), config.steps), np.nan)  # NaN: the rig has no such sensor
-    for number, name in enumerate(present):
-        scaled[:, SIGNALS.index(name)] = run.signals[:, number].astype(np.float64) * layout.scale[layout.index(name)]
+    signals, run = measured_run(config, controller, cases, states=True)
     spare = config.steps - samples
     places = [np.random.default_rng([int(seed), 13]).integers(spare // 2, spare + 1) for seed in cases.seeds]
-    cut = np.stack([axis[:, first : first + samples] for axis, first in zip(scaled, places, strict=True)])
+    cut = np.stack([axis[:, first : first + samples] for axis, first in zip(signals, places, strict=True)])
     error = 1e3 * np.abs(run.position.astype(np.float64) - run.reference).mean(axis=1)
     return cut, {
         "seed": cases.seeds.astype(np.float64),

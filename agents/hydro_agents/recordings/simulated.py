@@ -1,20 +1,22 @@
-"""``hydro record``: a recording of a simulated axis with the signals of a rig."""
+"""``hydro record``: a recording of a simulated axis with the signals of a rig, or episodes as a data set of Minari."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.controllers.base import Controller, ObservationLayout
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.recordings.columns import MEASURED, factor
-from hydro_agents.running.cases import Cases, run_cases
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_agents.running.cases import Cases
+from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.files import write_text
 from hydro_env.mistakes import unknown
 from hydro_env.task.faults import FAULTS
@@ -28,6 +30,7 @@ WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
 
 LONGEST_RECORDING = 3600.0  # s
+MOST_EPISODES = 100_000
 
 
 class Recorded(NamedTuple):
@@ -77,23 +80,16 @@ def record_axis(
     """
     if config.episode_duration > LONGEST_RECORDING:
         raise ConfigurationError(f"--duration = {config.episode_duration:g} s: must be at most {LONGEST_RECORDING:g} s")
-    layout = ObservationLayout.of(config)
-    measured = [row for row, name in enumerate(SIGNALS) if name in layout.names]  # a rig may lack sensors
-    columns = [layout.index(SIGNALS[row]) for row in measured]
     cases = Cases(
         np.array([seed]),
         None if leakage_flow_lpm is None else np.array([leakage_flow_lpm]),
         None if family is None else np.array([family]),
         faults={name: np.array([size]) for name, size in (faults or {}).items()} or None,
     )
-    run = run_cases(config, controller, cases, columns, states=False)
-    assert run.signals is not None
+    signals, run = measured_run(config, controller, cases)
     rows = config.steps if run.failed_at[0] < 0 else int(run.failed_at[0]) + 1
-    scale = np.array([layout.scale[column] for column in columns], dtype=np.float64)
     time = np.arange(rows, dtype=np.float64) * config.control_period
-    signals: Floats = np.full((len(SIGNALS), rows), np.nan)
-    signals[measured] = run.signals[0, :, :rows].astype(np.float64) * scale[:, None]
-    write_text(path, recording_csv(time, signals, note))
+    write_text(path, recording_csv(time, signals[0, :, :rows], note))
     failed = None if run.failed_at[0] < 0 else rows * config.control_period
     return Recorded(rows, rows * config.control_period, float(run.leakage_flow_lpm[0]), failed)
 
@@ -133,3 +129,109 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
 def heading(signal: str, units: Mapping[str, str] = WRITTEN_UNITS) -> str:
     """Heading of a column: ``position [mm]``."""
     return f"{signal} [{units[signal]}]"
+
+
+class DatasetSummary(NamedTuple):
+    """Summary of a recorded data set."""
+
+    episodes: int
+    steps: int
+    folder: str
+
+
+def check_dataset(name: str) -> None:
+    """Check that a data set of this name can be made, before any work.
+
+    Raises:
+        ConfigurationError: Minari is missing, the name is invalid, or the data set exists.
+    """
+    try:
+        import minari
+        from minari.dataset.minari_dataset import parse_dataset_id
+    except ImportError:
+        raise ConfigurationError('--minari needs Minari: pip install "hydro_env[minari]"') from None
+    try:
+        parse_dataset_id(name)
+    except ValueError:
+        raise ConfigurationError(f"--minari {name}: must be NAME-v0 or FOLDER/NAME-v0") from None
+    if name in minari.list_local_datasets():
+        raise ConfigurationError(f"--minari {name}: exists; choose another name, or run: minari delete {name}")
+
+
+def record_dataset(
+    name: str,
+    config: TaskConfig,
+    controller: Controller,
+    algorithm: str,
+    episodes: int,
+    first_seed: int,
+    options: Mapping[str, Any],
+    note: str = "",
+    progress: Callable[[int], None] | None = None,
+) -> DatasetSummary:
+    """Run episodes of the environment and store them in Minari's folder (``MINARI_DATASETS_PATH``).
+
+    The data set contains the whole task; ``recover_environment`` therefore works on another machine. The infos are
+    those of ``info="flat"``: leak, class, faults and true motion, which are not in the observations.
+
+    Args:
+        name: of the data set, ``FOLDER/NAME-v0``.
+        config: the task.
+        controller: moves the axis.
+        algorithm: name of the controller.
+        episodes: number of episodes.
+        first_seed: seed of the first episode; the others follow.
+        options: of ``reset``.
+        note: description of the data set.
+        progress: called with the number of finished episodes.
+
+    Raises:
+        ConfigurationError: Minari is missing, or an option or the name is impossible.
+    """
+    check_dataset(name)
+    import minari
+    from minari.data_collector import EpisodeBuffer
+
+    if not 1 <= episodes <= MOST_EPISODES:
+        raise ConfigurationError(f"--episodes = {episodes}: must be within 1 to {MOST_EPISODES}")
+    buffers = []
+    with gym.make("hydro_env:ServoHydraulic-v0", config=config.model_dump(mode="json"), info="flat") as env:
+        for number in range(episodes):
+            seed = first_seed + number
+            observation, info = env.reset(seed=seed, options=dict(options))
+            observations, infos, memory = [observation], [info], None
+            actions: list[Any] = []
+            rewards: list[float] = []
+            failed: list[bool] = []
+            ended: list[bool] = []
+            while not (failed and (failed[-1] or ended[-1])):
+                action, memory = controller.predict(observation, memory)
+                observation, reward, terminated, truncated, info = env.step(action)
+                rows = (observations, actions, rewards, failed, ended, infos)
+                for row, value in zip(rows, (observation, action, reward, terminated, truncated, info), strict=True):
+                    row.append(value)
+            buffers.append(
+                EpisodeBuffer(
+                    id=number,
+                    seed=seed,
+                    observations=np.stack(observations),
+                    actions=np.stack(actions),
+                    rewards=rewards,
+                    terminations=failed,
+                    truncations=ended,
+                    infos={key: np.array([one[key] for one in infos]) for key in infos[0]},
+                )
+            )
+            if progress is not None:
+                progress(number + 1)
+        with warnings.catch_warnings():  # the user adds author and code link
+            warnings.simplefilter("ignore")
+            dataset = minari.create_dataset_from_buffers(
+                name,
+                buffers,
+                env=env,
+                algorithm_name=algorithm,
+                description=note,
+                requirements=[f"hydro_env=={__version__}"],
+            )
+    return DatasetSummary(episodes, int(dataset.total_steps), str(dataset.storage.data_path.parent))
