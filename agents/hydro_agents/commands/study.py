@@ -216,7 +216,7 @@ def _controller(
 
 
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
-    from hydro_agents.detection.dataset import HeadTrainingSettings
+    from hydro_agents.detection.training_settings import HeadTrainingSettings
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
