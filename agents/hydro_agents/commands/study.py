@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,6 +28,7 @@ from hydro_env import ConfigurationError
 from hydro_env.mistakes import did_you_mean
 
 if TYPE_CHECKING:
+    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.study.settings import StudySettings
 
 
@@ -179,11 +182,26 @@ def _refuse(option: str, given: bool, part: str) -> None:
         raise ConfigurationError(f"{option}: does not apply to hydro train {part}")
 
 
+@contextmanager
+def _training(
+    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], what: str, resume: bool, overwrite: bool
+) -> Iterator[ProgressDisplay]:
+    """Claim a folder for a training; ``kept`` are the files, ``what`` their name, without which none can be resumed."""
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+
+    if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no {what}; leave --resume out")
+    with (
+        output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        yield display
+
+
 def _controller(
     study: StudySettings, name: str, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
 ) -> Path:
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
     from hydro_agents.study.training import (
         CHECKPOINTS,
         TRAINING_FILES,
@@ -202,12 +220,8 @@ def _controller(
         raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
     base = study.make(corrected) if corrected is not None else None
     files = (*TRAINING_FILES, *TUNING_FILES) if corrected in study.tuned else TRAINING_FILES
-    if resume and not any(file for kept in (CHECKPOINTS, *TUNING_FILES) for file in folder.glob(kept)):
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint; leave --resume out")
-    with (
-        output_folder(folder, f"train {name}", files, resume=resume, overwrite=overwrite),
-        ProgressDisplay() as display,
-    ):
+    kept = (CHECKPOINTS, *TUNING_FILES)
+    with _training(folder, name, files, kept, "checkpoint", resume, overwrite) as display:
         if corrected in study.tuned:
             base = tune_controller(study, corrected, folder, seed, display)
             resume = any(folder.glob(CHECKPOINTS))
@@ -217,21 +231,14 @@ def _controller(
 
 def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
     from hydro_agents.detection.training_settings import HeadTrainingSettings
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
     from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
 
     (study.leakage_head or HeadTrainingSettings()).check(study.task)
     named = study.with_weights(agents)
-    controllers = list(named.values())
     tell_rigs(study, named)
-    if resume and not any(folder.glob(HEAD_CHECKPOINTS)):
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no checkpoint of the head; leave --resume out")
-    with (
-        output_folder(folder, "train head", HEAD_FILES, resume=resume, overwrite=overwrite),
-        ProgressDisplay() as display,
-    ):
-        train_leakage_head(study, folder, seed, resume, controllers, display)
+    what = "checkpoint of the head"
+    with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], what, resume, overwrite) as display:
+        train_leakage_head(study, folder, seed, resume, list(named.values()), display)
     return folder / f"{HEAD_WEIGHTS}.safetensors"
 
 
@@ -248,8 +255,6 @@ def _gains(
 ) -> Path:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.tuning import EVALUATIONS
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
     from hydro_agents.study.settings import TuningSettings
     from hydro_agents.study.training import TUNING_LOG, tune_gains
     from hydro_env.files import read_yaml, validate
@@ -257,12 +262,7 @@ def _gains(
     budget = TuningSettings(objective=objective.value, evaluations=evaluations or EVALUATIONS)
     path, log = folder / f"{kind}.yaml", folder / TUNING_LOG
     first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
-    if resume and not log.exists():
-        raise ConfigurationError(f"{folder}: nothing to resume, there is no {log.name}; leave --resume out")
-    with (
-        output_folder(folder, f"train {kind}", [path.name, log.name], resume=resume, overwrite=overwrite),
-        ProgressDisplay() as display,
-    ):
+    with _training(folder, kind, [path.name, log.name], [log.name], log.name, resume, overwrite) as display:
         best = tune_gains(kind, study.task, budget, first, path, log, seed, resume, display, f"tune {kind}")
         display.say(
             f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.score.mean:.4f} mm, "

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_price import full_force, full_speed, working_place
 from hydro_agents.evaluation.limit_cycles import limit_cycles
 from hydro_agents.evaluation.participants import Participants, split_name
@@ -317,5 +317,4 @@ def measured(controller: Controller, experiment: str, config: TaskConfig) -> Col
     Raises:
         ControllerError: the controller raises an exception or returns no finite commands.
     """
-    table = EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller")
-    return {str(name): table[name].to_numpy() for name in table}
+    return columns_of(EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller"))

@@ -12,7 +12,7 @@ from hydro_agents.detection.alarm_calibration import delay_columns, delays, peak
 from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_protocol import HEALTHY, Detectors, LeakProtocol
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import Columns, Job, fingerprint
@@ -71,8 +71,7 @@ def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, w
         delay, early = delays(watching, found)
         columns = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "delay_s": delay}
         rows.append(pd.DataFrame(columns | {"early": early.astype(float)}))
-    table = pd.concat(rows)
-    return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
+    return columns_of(pd.concat(rows))
 
 
 def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:

@@ -16,7 +16,7 @@ from hydro_agents.estimation.information import TASK, WORN_VALVE, UnknownSets, i
 from hydro_agents.estimation.known_windows import MOTIONS, known_windows, leak_cases
 from hydro_agents.estimation.move_design import Move, moved
 from hydro_agents.estimation.unknowns import LEAKAGE, priors_of
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
@@ -171,7 +171,7 @@ def surveyed(controller: Controller, config: TaskConfig, settings: SurveySetting
             )
             for place, length in enumerate(known.lengths)
         ]
-    return _columns(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
+    return columns_of(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
 
 
 def trial(
@@ -234,7 +234,7 @@ def tried(controller: Controller, config: TaskConfig, move: Move, motion: str, l
             "holds": found.holds,
         }
     )
-    return _columns(table)
+    return columns_of(table)
 
 
 def _joined(jobs: Mapping[str, Job], folder: Path | None, progress: Report | None) -> pd.DataFrame:
@@ -248,8 +248,3 @@ def _joined(jobs: Mapping[str, Job], folder: Path | None, progress: Report | Non
         if results[key].error:
             raise ConfigurationError(results[key].error)
     return pd.concat([pd.DataFrame(results[key].metrics) for key in jobs], ignore_index=True)
-
-
-def _columns(table: pd.DataFrame) -> Columns:
-    kinds = {name: str for name in ("motion", "unknowns", "sensors") if name in table}
-    return {str(name): table[name].to_numpy().astype(kinds.get(name, table[name].dtype)) for name in table}

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.running.jobs import Columns, Job
 from hydro_env import PlantParameters, TaskConfig, equilibrium
@@ -149,5 +149,4 @@ def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
 
 def leak_costs(_: Any, config: TaskConfig) -> Columns:
     """The table of the cost of a leak."""
-    table = leak_price(config)
-    return {str(name): table[name].to_numpy() for name in table}
+    return columns_of(leak_price(config))

@@ -32,19 +32,6 @@ FAR = 6.0
 SECONDS_PER_HOUR = 3600.0
 
 
-@table("conditions", KIND)
-def conditions(results: Results) -> pd.DataFrame:
-    """One row per condition, see :meth:`LeakProtocol.table`."""
-    made: pd.DataFrame = results.protocol.table()
-    return made
-
-
-@table("status", KIND)
-def status(results: Results) -> pd.DataFrame:
-    """What became of every detector under every condition."""
-    return results.status
-
-
 @table("protocol", KIND)
 def facts(results: Results) -> pd.DataFrame:
     """Keys and values: what ran, when, and where."""

@@ -17,23 +17,10 @@ LEAK_GROUP = "leak"
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
-@table("conditions", KIND)
-def conditions(results: Results) -> pd.DataFrame:
-    """One row per condition, see :meth:`RobustnessProtocol.table`."""
-    made: pd.DataFrame = results.protocol.table()
-    return made
-
-
 @table("sees", KIND)
 def inputs(results: Results) -> pd.DataFrame:
     """The inputs of every controller."""
     return sees_table(results.participants, results.protocol.task)
-
-
-@table("status", KIND)
-def status(results: Results) -> pd.DataFrame:
-    """What became of every controller under every condition."""
-    return results.status
 
 
 @table("protocol", KIND)
