@@ -92,9 +92,8 @@ def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
         row = {"detector": reader, "leak_lpm": leak, "then": then}
         if leak == HEALTHY:
             count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
-            rate = poisson_interval(count, hours / 100.0)
-            row |= {"alarms": count, "hours": hours, "per_100_h": rate.value}
-            found.append(row | {"per_100_h_low": rate.low, "per_100_h_high": rate.high, "axes": len(axes)})
+            rate = poisson_interval(count, hours / 100.0).named("per_100_h")
+            found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
             continue
         found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
     return pd.DataFrame(found)

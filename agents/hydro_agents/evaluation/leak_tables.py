@@ -97,10 +97,6 @@ def share(values: Any) -> Interval:
     return share_interval(int(array.sum()), len(array))
 
 
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
-
-
 _CELL = ["detector", "condition", "level"]
 
 
@@ -123,8 +119,8 @@ def detection(results: Results) -> pd.DataFrame:
         windows_per_hour = SECONDS_PER_HOUR / results.protocol.conditions[cell["condition"]].duration
         rows.append(
             cell
-            | _columns("flagged", flagged)
-            | _columns("at_1_percent", share(frame["at_1_percent"]))
+            | flagged.named("flagged")
+            | share(frame["at_1_percent"]).named("at_1_percent")
             | {
                 "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
                 "per_hour": flagged.value * windows_per_hour,
@@ -161,7 +157,7 @@ def sizes(results: Results) -> pd.DataFrame:
             decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
             row["rms_log10"] = float(np.sqrt(np.mean(decades**2))) if cell["level"] != HEALTHY else np.nan
             row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))
-        row |= _columns("coverage", share(((low <= truth) & (truth <= high))[has]))
+        row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
         deviation = (high - low) / (2.0 * 1.645)
         far = np.abs(estimate - truth) > FAR * np.maximum(deviation, 1e-4)
         row["unnoticed_minimum"] = float(far[has].mean()) if has.any() else np.nan
@@ -200,10 +196,9 @@ def reliability(results: Results) -> pd.DataFrame:
         parts = []
         for number in np.unique(place):
             here = place == number
-            frequent = share(leaking[here])
             parts.append(
                 {"detector": detector, "condition": condition, "probability": float(probability[here].mean())}
-                | _columns("frequency", frequent)
+                | share(leaking[here]).named("frequency")
                 | {"windows": int(here.sum())}
             )
         distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
@@ -224,7 +219,7 @@ def masking(results: Results) -> pd.DataFrame:
         rows.append(
             {"detector": detector, "condition": condition, "acting": chosen.acting, "level": level}
             | {"error_mm": float(frame["error_mm"].mean())}
-            | _columns("at_1_percent", share(frame["at_1_percent"]))
+            | share(frame["at_1_percent"]).named("at_1_percent")
             | {"bound_lpm": sigma.get((str(condition), float(level)), np.nan), "windows": len(frame)}
         )
     return pd.DataFrame(rows)

@@ -62,8 +62,8 @@ def summary(results: Results) -> pd.DataFrame:
                         "condition": condition,
                         "metric": metric,
                         "unit": about.unit,
-                        **dict(zip(("mean", "mean_low", "mean_high"), mean, strict=True)),
-                        **dict(zip(("iqm", "iqm_low", "iqm_high"), middle, strict=True)),
+                        **mean.named("mean"),
+                        **middle.named("iqm"),
                         "worst": float(worst[metric]),
                         "worst_seed": int(worst["seed"]),
                         "worst_family": worst["family"],
@@ -176,7 +176,7 @@ def profiles(results: Results) -> pd.DataFrame:
                         "controller": name,
                         "against": against,
                         "tau": float(tau),
-                        **dict(zip(("share", "low", "high"), share, strict=True)),
+                        **share.columns("share"),
                     }
                 )
     return pd.DataFrame(rows)
