@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 from browser import problems_everywhere
 from published import assert_published_page
-from small_leaks import made_up_run, made_up_tables
+from small_leaks import made_up_run, made_up_tables, small
 
 from hydro_agents.detection.detector import VERDICTS
-from hydro_agents.evaluation.leak_alarm import alarm_table
+from hydro_agents.evaluation.runner import Results
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_findings import findings_of
 from hydro_agents.report.leakage import LEAKAGE, confusion_tables, right_verdicts
@@ -158,7 +158,8 @@ def test_alarms_are_counted_over_axes_and_hours():
     healthy = pd.DataFrame({"leak_lpm": 0.0, "then": "all", "alarms": [0.0, 3.0], "hours": 10.0})
     delays = {"delay_s": [2.0, 4.0, 100.0, 1.0], "early": [0.0, 0.0, 0.0, 1.0]}
     leaking = pd.DataFrame({"leak_lpm": 1.0, "then": "all", **delays})
-    table = alarm_table(pd.concat([healthy, leaking]).assign(detector="head"))
+    rows = pd.concat([healthy, leaking]).assign(detector="head")
+    table = Results(small(), None, {"alarm": rows}, pd.DataFrame()).table("alarms")
     first = table.iloc[0]
     assert (first["alarms"], first["hours"], first["per_100_h"]) == (3, 20.0, 15.0)
     assert first["per_100_h_low"] < 15.0 < first["per_100_h_high"]

@@ -50,7 +50,7 @@ GROUPS = {
         "study": "study:study",
         "train": "study:train",
         "evaluate": "evaluate:evaluate",
-        "render": "render:render",
+        "render": "axis:render",
         "export": "export:export",
         "bound": "bounds:bound",
         "ladder": "study:ladder",

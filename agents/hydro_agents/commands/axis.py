@@ -1,8 +1,10 @@
-"""``hydro simulate``, ``record``, ``identify`` and ``diagnose``: runs and recordings of one axis."""
+"""``hydro simulate``, ``record``, ``render``, ``identify`` and ``diagnose``: runs, films and recordings of axes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import sys
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hydro_agents.commands.options import (
+    Agents,
     Columns,
     Faults,
     Output,
@@ -19,13 +22,17 @@ from hydro_agents.commands.options import (
     PlantSeed,
     Recording,
     Rig,
+    Task,
     check_new_file,
     command_line,
     exact_task,
+    named_agents,
     say,
 )
 
 if TYPE_CHECKING:
+    from PIL.Image import Image
+
     from hydro_env import TaskConfig
 
 
@@ -226,3 +233,77 @@ def diagnose(
     with ProgressDisplay() as display:
         found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
     say(*diagnose_to_folder(output, found, overwrite, command_line()))
+
+
+MOST_PANELS = 6
+
+
+def render(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The film: .mp4, .gif or .webp.")],
+    task: Task = None,
+    rig: Rig = None,
+    agent: Agents = None,
+    leakage: Annotated[
+        list[float] | None,
+        typer.Option(help="Leak in l/min at 100 bar; repeat it for panels side by side. Default: drawn."),
+    ] = None,
+    fault: Faults = None,
+    family: Annotated[str, typer.Option(help="Family of references.")] = "point_to_point",
+    duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="Length in s.")] = 4.0,
+    seed: PlantSeed = 0,
+    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1 is real time, 0.1 ten times slower.")] = 1.0,
+    frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="Approximate rate.")] = 25.0,
+    width: Annotated[int, typer.Option(min=160, max=7680, help="Width in pixels.")] = 1280,
+    columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly square.")] = None,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
+
+    Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows a
+    healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
+    `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
+    """
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.simulated import named_faults
+    from hydro_agents.report.film import FORMATS, check_mp4, film, film_size, frame_rate, panels, write_film
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+
+    if output.suffix.lower() not in FORMATS:
+        raise ConfigurationError(f"--output {output}: must end in {', '.join(FORMATS)}")
+    if output.is_dir() or not output.parent.is_dir():
+        raise ConfigurationError(f"--output {output}: must be a file in a folder that exists")
+    check_new_file(output, overwrite)
+    if output.suffix.lower() == ".mp4":
+        check_mp4()
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=duration)
+    controllers = {name: opponent(what, config, name) for name, what in named_agents(agent).items()}
+    if not controllers:
+        controllers["PID"] = opponent("pid", config, "PID")
+        try:
+            controllers["PPO on flow linearisation"] = opponent("ppo", config, "PPO")
+        except ConfigurationError as error:  # the shipped weights belong to another rig or task
+            print(f"hydro: left out: {error}", file=sys.stderr)
+    shown = panels(controllers, leakage or [])
+    if len(shown) > MOST_PANELS:
+        raise ConfigurationError(f"{len(shown)} panels: must be at most {MOST_PANELS}; give fewer --agent or --leakage")
+    rate = frame_rate(output, config.control_period, frames_per_second, speed)
+    side_by_side = min(columns or math.ceil(math.sqrt(len(shown))), len(shown))
+    options = {"reference": family, "faults": named_faults(fault or [])}
+    count = config.steps // rate.periods_per_frame + 1
+    frames = film(config, shown, seed, options, rate.periods_per_frame, width, side_by_side)
+    with ProgressDisplay() as progress:
+
+        def counted() -> Iterator[Image]:
+            for number, frame in enumerate(frames):
+                progress.update("film", number, count)
+                yield frame
+            progress.update("film", count, count)
+
+        write_film(output, counted(), rate.milliseconds)
+    pixels = film_size(len(shown), width, side_by_side)
+    say(
+        f"{output}: {count} frames of {pixels[0]} × {pixels[1]} pixels, {1e3 / rate.milliseconds:.3g} per second, "
+        f"{output.stat().st_size / 1e6:.2g} MB"
+    )

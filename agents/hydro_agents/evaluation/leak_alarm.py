@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.alarm_calibration import delay_columns, delays, peaks, poisson_interval
+from hydro_agents.detection.alarm_calibration import delays, peaks
 from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
@@ -79,21 +79,3 @@ def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:
         return simulate(config, shipped("pid", config), detector, work)
     except ConfigurationError as error:
         raise ConfigurationError(f"the alarm cannot watch: {error}") from None
-
-
-def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset.
-
-    Args:
-        rows: of the part, one per axis and onset.
-    """
-    found: list[dict[str, object]] = []
-    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
-        row = {"detector": reader, "leak_lpm": leak, "then": then}
-        if leak == HEALTHY:
-            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
-            rate = poisson_interval(count, hours / 100.0).named("per_100_h")
-            found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
-            continue
-        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
-    return pd.DataFrame(found)

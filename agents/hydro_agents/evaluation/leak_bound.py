@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -141,13 +142,7 @@ def survey(
         ConfigurationError: the settings are impossible.
     """
     checked(settings, config)
-    digest = fingerprint(controller)
-    jobs = {
-        f"{motion}|{leak:g}": Job(surveyed, controller, (config, settings, motion, leak), digest)
-        for motion in MOTIONS
-        for leak in settings.leak_levels
-    }
-    return _joined(jobs, folder, progress)
+    return _rows(surveyed, controller, (config, settings), MOTIONS, settings.leak_levels, folder, progress)
 
 
 def surveyed(controller: Controller, config: TaskConfig, settings: SurveySettings, motion: str, leak: float) -> Columns:
@@ -199,16 +194,10 @@ def trial(
     Raises:
         ConfigurationError: no axis can make the move.
     """
-    digest = fingerprint(controller)
-    jobs = {
-        f"{motion}|{leak:g}": Job(tried, controller, (config, move, motion, leak, plants), digest)
-        for motion in (*MOTIONS, TEST_MOVE)
-        for leak in leaks
-    }
-    return _joined(jobs, None, progress)
+    return _rows(tried, controller, (config, move, plants), (*MOTIONS, TEST_MOVE), leaks, None, progress)
 
 
-def tried(controller: Controller, config: TaskConfig, move: Move, motion: str, leak: float, plants: int) -> Columns:
+def tried(controller: Controller, config: TaskConfig, move: Move, plants: int, motion: str, leak: float) -> Columns:
     """The rows of one motion and leak.
 
     Raises:
@@ -237,12 +226,26 @@ def tried(controller: Controller, config: TaskConfig, move: Move, motion: str, l
     return columns_of(table)
 
 
-def _joined(jobs: Mapping[str, Job], folder: Path | None, progress: Report | None) -> pd.DataFrame:
-    """The rows of all jobs in their order.
+def _rows(
+    work: Callable[..., Columns],
+    controller: Controller,
+    arguments: tuple[Any, ...],
+    motions: Iterable[str],
+    leaks: Iterable[float],
+    folder: Path | None,
+    progress: Report | None,
+) -> pd.DataFrame:
+    """The rows of one job per motion and leak, in this order.
 
     Raises:
         ConfigurationError: a job failed.
     """
+    digest, leaks = fingerprint(controller), tuple(leaks)
+    jobs = {
+        f"{motion}|{leak:g}": Job(work, controller, (*arguments, motion, leak), digest)
+        for motion in motions
+        for leak in leaks
+    }
     results = run_jobs(jobs, folder, None, progress)[0]
     for key in jobs:
         if results[key].error:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from hydro_agents.detection.alarm_calibration import delay_columns, poisson_interval
 from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
-from hydro_agents.evaluation.leak_alarm import alarm_table
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
@@ -42,8 +42,18 @@ def facts(results: Results) -> pd.DataFrame:
 
 @table("alarms", KIND)
 def alarms(results: Results) -> pd.DataFrame:
-    """False alarms per 100 h, delays and misses of each alarm."""
-    return alarm_table(results.part("alarm"))
+    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset."""
+    rows = results.part("alarm")
+    found: list[dict[str, object]] = []
+    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
+        row = {"detector": reader, "leak_lpm": leak, "then": then}
+        if leak == HEALTHY:
+            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
+            rate = poisson_interval(count, hours / 100.0).named("per_100_h")
+            found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
+            continue
+        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
+    return pd.DataFrame(found)
 
 
 @table("thresholds", KIND)

@@ -190,17 +190,8 @@ def worst_cases(results: Results) -> pd.DataFrame:
     base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
     joined = cases.join(base, on=where)
     joined["ratio"] = joined[ERROR] / joined["baseline_error_mm"]
-    shown = [
-        "controller",
-        "training_seed",
-        "rank",
-        *where,
-        ERROR,
-        "baseline_error_mm",
-        "ratio",
-        "peak_error_mm",
-        "failed",
-    ]
+    shown = ["controller", "training_seed", "rank", *where, ERROR]
+    shown += ["baseline_error_mm", "ratio", "peak_error_mm", "failed"]
     frames = []
     for name in cases["controller"].unique():
         own = joined[joined["controller"] == name]
