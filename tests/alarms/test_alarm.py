@@ -54,11 +54,21 @@ def test_mean_has_the_spread_of_an_exponential_average():
     assert result.total[:, -1].std() == pytest.approx(np.sqrt(0.1 / 1.9), rel=0.05)
 
 
-def test_single_looks_remember_nothing():
-    watch = alarm(method="mean", threshold=1.0)
-    score = np.array([[0.0, 2.0, -1.0]])
-    result, _ = watch.follow(looks(score), learnt(watch, 1))
-    np.testing.assert_allclose(result.total[0], score[0] - 0.5)
+@pytest.mark.parametrize(
+    ("method", "score", "sigma", "total"),
+    [
+        ("mean", [0.0, 2.0, -1.0], np.nan, [-0.5, 1.5, -1.5]),
+        ("cusum", [1.0, np.nan, 2.0, np.nan], np.nan, [0.5, 0.5, 2.0, 2.0]),
+        ("cusum", [2.0, 2.0], [0.5, 2.0], [1.5, 1.875]),
+    ],
+    ids=["single looks remember nothing", "no score adds nothing", "the detector's own uncertainty weighs a look"],
+)
+def test_totals_by_hand(method, score, sigma, total):
+    watch = alarm(method=method, threshold=1.0)
+    result, _ = watch.follow(looks(score, sigma=np.array([sigma])), learnt(watch, 1))
+    np.testing.assert_allclose(result.total[0], total)
+    _, state = watch.follow(looks(score))
+    assert state.seen[0, Activity.MOVING] == np.isfinite(score).sum()
 
 
 def test_an_axis_is_judged_against_its_own_baseline():
@@ -126,20 +136,6 @@ def test_what_the_detector_cannot_explain_raises_no_alarm_and_a_named_fault_is_p
         assert result.alarm.any() == raised
         assert result.cause[0, 19] == Cause.NONE
         assert result.cause[0, -1] == cause
-
-
-def test_looks_without_a_score_add_nothing():
-    watch = alarm(threshold=1.0)
-    score = np.array([1.0, np.nan, 2.0, np.nan])
-    result, state = watch.follow(looks(score))
-    np.testing.assert_allclose(result.total[0], [0.5, 0.5, 2.0, 2.0])
-    assert state.seen[0, Activity.MOVING] == 2
-
-
-def test_the_detectors_own_uncertainty_weighs_a_look():
-    watch = alarm(threshold=1.0)
-    result, _ = watch.follow(looks([[2.0], [2.0]], sigma=np.array([[0.5], [2.0]])), learnt(watch, 2))
-    np.testing.assert_allclose(result.total[:, 0], [1.5, 0.375])
 
 
 def test_several_sums_watch_side_by_side():

@@ -54,26 +54,18 @@ def known(windows):
     return information(CONFIG, windows, priors_of(CONFIG), LENGTHS)
 
 
-def test_windows_hold_the_truth(windows):
+def test_windows_hold_the_truth_and_the_faults(pid, windows):
     """The simulator, told the truth, leaves nothing but noise."""
-    model, scaled = true_model(CONFIG, windows, priors_of(CONFIG))
-    measured = usable_readings(windows.signals, CONFIG, model)
-    read, _ = model.readings(scaled, np.arange(windows.count))
-    squares = (measured - read) ** 2
-    assert np.nanmean(squares) == pytest.approx(1.0, abs=0.05)
-    np.testing.assert_allclose(windows.value(LEAKAGE), LEAK)
-
-
-def test_windows_hold_the_faults(pid):
     faults = {"valve_null_shift": 0.01, "external_leak": 0.5, "position_gain": 0.02, "pressure_b_offset": 0.01}
-    seen = known_windows(CONFIG, pid, leak_cases(VALIDATION_SEEDS, 3, LEAK, faults), 0.2, 0.5)
-    priors = priors_of(CONFIG, (*default_unknowns(CONFIG), "valve.null_shift", "position_gain"))
-    model, scaled = true_model(CONFIG, seen, priors)
-    measured = usable_readings(seen.signals, CONFIG, model)
-    read, _ = model.readings(scaled, np.arange(seen.count))
-    assert np.nanmean((measured - read) ** 2) == pytest.approx(1.0, abs=0.08)
-    np.testing.assert_allclose(seen.value("valve.null_shift"), 0.01)
-    np.testing.assert_allclose(seen.value("position_gain"), 1.02)
+    faulty = known_windows(CONFIG, pid, leak_cases(VALIDATION_SEEDS, 3, LEAK, faults), 0.2, 0.5)
+    for seen, truth in (windows, {LEAKAGE: LEAK}), (faulty, {"valve.null_shift": 0.01, "position_gain": 1.02}):
+        priors = priors_of(CONFIG, tuple(dict.fromkeys((*default_unknowns(CONFIG), *truth))))
+        model, scaled = true_model(CONFIG, seen, priors)
+        measured = usable_readings(seen.signals, CONFIG, model)
+        read, _ = model.readings(scaled, np.arange(seen.count))
+        assert np.nanmean((measured - read) ** 2) == pytest.approx(1.0, abs=0.05 if seen is windows else 0.08)
+        for name, value in truth.items():
+            np.testing.assert_allclose(seen.value(name), value)
 
 
 def test_one_unknown_is_known_as_well_as_its_derivative_says(windows):

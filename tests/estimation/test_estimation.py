@@ -35,28 +35,38 @@ QUICK = EstimationSettings(horizons=(0.2,), restarts=1)
 PLANT = PARAMETER_PATHS.index
 
 
-def driven(config, leak, seeds, samples=SAMPLES, faults=None, start_moving=False):
-    """Signals (N, 5, T) of axes that follow a few sines, their physical parameters and states at the first sample."""
+def sines(axes, time):
+    return 0.25 * np.sin(25.0 * time) + 0.12 * np.sin(61.0 * time) + 0.02 - 0.3 * axes.column("position") / 0.02
+
+
+def driven(config, leak, seeds, samples=SAMPLES, command=sines, start_moving=False, **options):
+    """Signals (N, 5, T) of axes under some commands, their physical parameters and states at the first sample."""
     env = ServoHydraulicVectorEnv(len(seeds), config, info=False, autoreset_mode="Disabled")
-    options = {"leakage_flow_lpm": np.asarray(leak, float), "initial_position": 0.0}
-    env.reset(seed=list(seeds), options={**options, **({"faults": faults} if faults else {})})
+    options = {"leakage_flow_lpm": np.asarray(leak, float), "initial_position": 0.0, **options}
+    env.reset(seed=list(seeds), options=options)
     axes, columns = env.axes, []
-
-    def column():
-        return np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")])
-
     before = 15 if start_moving else 0
     for step in range(samples + before):
         if step == before:
             start = axes.state.copy()
         if step >= before:
-            columns.append(column())
-        time = step * config.control_period
-        command = 0.25 * np.sin(25.0 * time) + 0.12 * np.sin(61.0 * time) + 0.02 - 0.3 * axes.column("position") / 0.02
-        env.step(np.clip(command, -1.0, 1.0).astype(np.float32)[:, None])
+            columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
+        acting = command(axes, step * config.control_period)
+        env.step(np.clip(acting, -1.0, 1.0).astype(np.float32)[:, None])
     physical = axes.physical.copy()
     physical[:, PLANT("leakage.internal_resistance")] = [resistance_from_flow(flow) for flow in leak]
     return np.stack(columns, axis=-1), physical, start
+
+
+def replayed(config, command, durations, physical, start, latency=(1e-3,)):
+    """Readings and last states of axes, each with its own window of commands (N, T)."""
+    durations = np.broadcast_to(durations, (len(command), command.shape[1] - 1)).astype(float)
+    return replay(config, Commands(command, durations), np.arange(len(command)), physical, start, np.array(latency))
+
+
+def assert_within(found, name, truth, deviations=4.0):
+    """The values of an unknown differ from the truth by at most so many of their standard deviations."""
+    assert (np.abs(found.value(name) - truth) < deviations * found.deviation(name)).all(), name
 
 
 @pytest.fixture(scope="module")
@@ -85,43 +95,34 @@ def quiet():
 
 def test_the_replay_is_what_the_environment_does():
     config = exact(TaskConfig(episode_duration=1.0, command_latency_range=(0.0, 4e-3)))
-    env = ServoHydraulicVectorEnv(3, config, info=False)
-    env.reset(seed=[1, 2, 3], options={"leakage_flow_lpm": 2.0})
-    axes, start = env.axes, env.axes.state.copy()
-    commands, seen = [axes.column("command").copy()], [axes.column("measured")[:, SENSOR_COLUMNS].copy()]
-    for command in np.random.default_rng(0).uniform(-0.4, 0.4, (40, 3)).astype(np.float32):
-        env.step(command[:, None])
-        commands.append(axes.column("command").copy())
-        seen.append(axes.column("measured")[:, SENSOR_COLUMNS].copy())
-    physical = axes.physical.copy()
-    physical[:, PLANT("leakage.internal_resistance")] = resistance_from_flow(2.0)
-    durations = np.full((3, 40), config.control_period)
-    readings, last = replay(
-        config, Commands(np.transpose(commands), durations), np.arange(3), physical, start, axes.column("latency")
-    )
-    np.testing.assert_allclose(readings, np.transpose(seen, (1, 2, 0)), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(last, axes.state, rtol=1e-9)
+    random, seen = np.random.default_rng(0), []
+
+    def command(axes, time):
+        seen[:] = axes.column("latency").copy(), axes.state.copy()  # at the last sample in the end
+        return random.uniform(-0.4, 0.4, 3)
+
+    signals, physical, start = driven(config, [2.0] * 3, [1, 2, 3], 41, command)
+    readings, last = replayed(config, signals[:, -1], config.control_period, physical, start, seen[0])
+    np.testing.assert_allclose(readings, signals[:, :-1], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(last, seen[1], rtol=1e-9)
 
 
 def test_the_sensors_lag_as_those_of_the_environment():
     config = quiet()
     signals, physical, start = driven(config, [0.3], [7])
-    commands = Commands(signals[:, -1], np.full((1, SAMPLES - 1), config.control_period))
-    readings, _ = replay(config, commands, np.zeros(1, np.int64), physical, start, np.array([config.command_latency]))
+    readings, _ = replayed(config, signals[:, -1], config.control_period, physical, start, [config.command_latency])
     inside = (signals[:, 1] > 0.0) & (signals[:, 1] < 100e5)
     np.testing.assert_allclose(readings[:, 1][inside], signals[:, 1][inside], rtol=1e-9)
     np.testing.assert_allclose(readings[:, 0], signals[:, 0], atol=1e-12)
 
 
 def test_a_plant_that_cannot_be_integrated_gives_nan():
-    physical = np.tile([1.0], (1, len(PARAMETER_PATHS)))
-    physical[:] = driven(CONFIG, [0.3], [7], 3)[1]
+    physical = driven(CONFIG, [0.3], [7], 3)[1]
     physical[:, PLANT("leakage.internal_resistance")] = -1.0  # the chambers would drive each other
-    commands = Commands(np.zeros((1, 9)), np.full((1, 8), 5e-3))
     start = np.zeros((1, N_STATES))
     start[:, [State._fields.index(name) for name in ("pressure_a", "pressure_b")]] = 2e6, 3e6
     start[:, State._fields.index("supply_pressure")], start[:, State._fields.index("gas_volume")] = 7e6, np.nan
-    readings, last = replay(CONFIG, commands, np.zeros(1, np.int64), physical, start, np.array([1e-3]))
+    readings, last = replayed(CONFIG, np.zeros((1, 9)), 5e-3, physical, start)
     assert np.isnan(last).all()
     assert np.isnan(readings[:, :, -1]).all()
 
@@ -142,12 +143,11 @@ def test_noisy_windows_of_unknown_plants_are_read_within_their_uncertainty(movin
     assert found.names == default_unknowns(CONFIG)
     assert found.holds.all()
     assert (np.abs(found.chi2_per_sample - 1.0) < 0.2).all()
-    assert (np.abs(found.value(LEAKAGE) - leak) < 3.5 * found.deviation(LEAKAGE)).all()
+    assert_within(found, LEAKAGE, leak, 3.5)
     assert (found.deviation(LEAKAGE) < 0.03).all()
     for name in ("load.mass", "valve.rated_flow", "friction.coulomb_force"):
-        assert (np.abs(found.value(name) - physical[:, PLANT(name)]) < 4.0 * found.deviation(name)).all()
-    position = start[:, State._fields.index("position")]
-    assert (np.abs(found.value("start.position") - position) < 4.0 * found.deviation("start.position")).all()
+        assert_within(found, name, physical[:, PLANT(name)])
+    assert_within(found, "start.position", start[:, State._fields.index("position")])
 
 
 def test_interval_and_probability_follow_from_value_and_deviation(found):
@@ -182,14 +182,8 @@ def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
 
 
 def test_what_a_window_at_rest_cannot_tell_is_named():
-    env = ServoHydraulicVectorEnv(1, CONFIG, info=False)
-    env.reset(seed=[5], options={"leakage_flow_lpm": [0.01], "initial_position": 0.01})
-    axes, columns = env.axes, []
-    hold = axes.column("command").copy()
-    for _ in range(60):
-        columns.append(np.column_stack([axes.column("measured")[:, SENSOR_COLUMNS], axes.column("command")]))
-        env.step(hold.astype(np.float32)[:, None])
-    still = estimate(np.stack(columns, axis=-1), CONFIG, settings=QUICK)
+    signals, *_ = driven(CONFIG, [0.01], [5], 60, lambda axes, time: axes.column("command"), initial_position=0.01)
+    still = estimate(signals, CONFIG, settings=QUICK)
     assert {"load.mass", "load.viscous_damping", "position_bias"} <= set(still.undetermined(0))
     assert "start.position" not in still.undetermined(0)
 
@@ -202,7 +196,7 @@ def test_missing_readings_are_left_out(moving):
     gaps[:, 0, 70] = np.nan
     partial = estimate(gaps, CONFIG)
     assert partial.holds.all()
-    assert (np.abs(partial.value(LEAKAGE) - leak[2:]) < 4.0 * partial.deviation(LEAKAGE)).all()
+    assert_within(partial, LEAKAGE, leak[2:])
     assert (partial.deviation("spool_position_bias") > 0.99 * prior_of(CONFIG, "spool_position_bias").deviation).all()
     blind = signals[2:3].copy()
     blind[:, :4] = np.nan
@@ -218,7 +212,7 @@ def test_saturated_readings_are_left_out(moving):
     cut[:, 2] = np.minimum(cut[:, 2], limited.high)
     answer = estimate(cut, config)
     assert answer.holds.all()
-    assert abs(answer.value(LEAKAGE)[0] - leak[2]) < 4.0 * answer.deviation(LEAKAGE)[0]
+    assert_within(answer, LEAKAGE, leak[2])
 
 
 def test_own_time_stamps_are_followed():
@@ -227,21 +221,14 @@ def test_own_time_stamps_are_followed():
     rng = np.random.default_rng(5)
     durations = rng.choice([3e-3, 5e-3, 9e-3], 119)
     command = np.repeat(signals[:, -1], 2, axis=1)
-    readings, _ = replay(
-        CONFIG,
-        Commands(command, durations[None]),
-        np.zeros(1, np.int64),
-        physical,
-        start,
-        np.array([CONFIG.command_latency]),
-    )
+    readings, _ = replayed(CONFIG, command, durations, physical, start, [CONFIG.command_latency])
     noise = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])[:, None]
     window = np.concatenate([readings + noise * rng.standard_normal(readings.shape), command[:, None]], axis=1)
     unknowns = [name for name in FEW if "bias" not in name]
     right = estimate(window, CONFIG, unknowns, durations=durations, physical=physical, settings=QUICK)
     wrong = estimate(window, CONFIG, unknowns, physical=physical, settings=QUICK)
     assert right.holds[0]
-    assert abs(right.value(LEAKAGE)[0] - 0.4) < 4.0 * right.deviation(LEAKAGE)[0]
+    assert_within(right, LEAKAGE, 0.4)
     assert not wrong.holds[0]
 
 
@@ -270,7 +257,7 @@ def test_a_null_shift_that_is_unknown_is_read():
     right = estimate(signals, CONFIG, (*default_unknowns(CONFIG), "valve.null_shift"))
     assert right.holds.all()
     np.testing.assert_allclose(right.value("valve.null_shift"), 0.02, atol=0.005)
-    assert (np.abs(right.value(LEAKAGE) - 0.1) < 4.0 * right.deviation(LEAKAGE)).all()
+    assert_within(right, LEAKAGE, 0.1)
 
 
 @pytest.mark.parametrize("memory", [None, 5.0])

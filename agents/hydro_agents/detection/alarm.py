@@ -31,8 +31,7 @@ from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 
 Flags = NDArray[np.bool_]
-CAUSE_MEMORY = 20.0
-"""Averaging time in s of the causes that the detector names."""
+CAUSE_MEMORY = 20.0  # averaging time in s of the causes that the detector names
 
 
 class Scale(Group):

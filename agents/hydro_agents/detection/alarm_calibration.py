@@ -36,11 +36,8 @@ RESAMPLES = 200
 BLOCK = 20.0
 """Length in s of the blocks of looks whose averages give the spread; neighbouring looks have correlated errors."""
 
-HIGHEST_SHARE = 0.95
-"""Share of healthy axes whose baseline is below ``highest_baseline``."""
-
-PATIENCE = 60.0
-"""Time in s after which an undetected leak counts as missed."""
+HIGHEST_SHARE = 0.95  # share of healthy axes whose baseline is below ``highest_baseline``
+PATIENCE = 60.0  # time in s after which an undetected leak counts as missed
 
 CANDIDATES: tuple[tuple[Sum, ...], ...] = (
     (Sum(method="mean"),),

@@ -42,8 +42,7 @@ from hydro_agents.running.seeds import (
 from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
 from hydro_env.files import Group
 
-LEVELS = (0.1, 0.3, 1.0)
-"""Leaks of the onsets, l/min at 100 bar; the alarm is designed for the first."""
+LEVELS = (0.1, 0.3, 1.0)  # leaks of the onsets, l/min at 100 bar; the alarm is designed for the first
 
 FAULTS = (
     ("valve_null_shift", -0.01),
@@ -55,12 +54,10 @@ FAULTS = (
 )
 """Other faults whose onset should raise no alarm, and their magnitudes."""
 
-LIMIT_LPM = 1.0
-"""The size to which growing leaks are extrapolated."""
+LIMIT_LPM = 1.0  # the size to which growing leaks are extrapolated
 
 
-LEAST_BLOCKS = 5
-"""Fewest blocks of looks for the trend of a growing leak."""
+LEAST_BLOCKS = 5  # fewest blocks of looks for the trend of a growing leak
 
 
 class AlarmJob(Group):

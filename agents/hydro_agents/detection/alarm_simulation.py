@@ -29,11 +29,8 @@ from hydro_env.task.settings import choice
 
 SHARES = {Activity.STANDING: 0.2, Activity.SLOW: 0.2, Activity.MOVING: 0.6}
 PACE = {Activity.STANDING: 0.0, Activity.SLOW: 1.0 / 16.0, Activity.MOVING: 1.0}
-STRETCH = (10.0, 60.0)
-"""Duration of a stretch in s, drawn log-uniformly."""
-
-FADE = 2.0
-"""Time in s in which the reference passes from one family to the next."""
+STRETCH = (10.0, 60.0)  # duration of a stretch in s, drawn log-uniformly
+FADE = 2.0  # time in s in which the reference passes from one family to the next
 
 _ONSET, _GROWTH = (choice(LeakageDraw, "schedule", name) for name in ("onset", "growth"))
 _FAULT_ONSET = choice(Fault, "schedule", "onset")

@@ -38,25 +38,15 @@ from hydro_env.plant.parts.valve import smooth_root
 from hydro_env.plant.states import ATMOSPHERIC_PRESSURE
 from hydro_env.units import LITRE_PER_MINUTE
 
-ITERATIONS = 12
-"""Largest number of evaluations of the balance."""
-
-FIRST_DAMPING = 1e-3
-"""Fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)."""
-
-ENOUGH = 0.1
-"""Decrease of the cost (χ²) below which the fit ends."""
-
-LARGEST_MOVE = 1.5
-"""Largest change of an unknown in one iteration, in standard deviations of its prior."""
+ITERATIONS = 12  # largest number of evaluations of the balance
+FIRST_DAMPING = 1e-3  # fraction of the normal matrix's diagonal that is added to it (Levenberg–Marquardt)
+ENOUGH = 0.1  # decrease of the cost (χ²) below which the fit ends
+LARGEST_MOVE = 1.5  # largest change of an unknown in one iteration, in standard deviations of its prior
 
 SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 
-CAVITATING = 1e-3
-"""m per period; error of the travel while a pressure may be at the end of its sensor's range."""
-
-PARTS = 8
-"""Number of equal parts of a window; the leak is also estimated for each part alone."""
+CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be at the end of its sensor's range
+PARTS = 8  # number of equal parts of a window; the leak is also estimated for each part alone
 
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)

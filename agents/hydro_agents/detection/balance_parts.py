@@ -10,11 +10,8 @@ import math
 from hydro_agents.detection.sheet import POINTS
 from hydro_env.compiling import inline
 
-SMALLEST_PIVOT = 0.05
-"""Lower limit of a pivot; it keeps a matrix definite after the subtraction of known noise."""
-
-OUTLIER = 3.0
-"""Standard deviations beyond which a residual counts linearly (Huber)."""
+SMALLEST_PIVOT = 0.05  # lower limit of a pivot; it keeps a matrix definite after the subtraction of known noise
+OUTLIER = 3.0  # standard deviations beyond which a residual counts linearly (Huber)
 
 
 @inline

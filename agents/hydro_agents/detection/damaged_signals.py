@@ -12,11 +12,8 @@ from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, inline
 from hydro_env.task.sensors import SENSORS
 
-SPOOL, COMMAND = SENSORS.index("spool_position"), len(SENSORS)
-"""Rows of a window; the command follows the sensors."""
-
-LONGEST_GAP = 5
-"""Samples; a reading that stays at the lower end of its range for longer is valid."""
+SPOOL, COMMAND = SENSORS.index("spool_position"), len(SENSORS)  # rows of a window; the command follows the sensors
+LONGEST_GAP = 5  # samples; a reading that stays at the lower end of its range for longer is valid
 
 FAR_FROM_END, FAR_FROM_END_SPOOL = 0.05, 0.3
 """Fraction of a sensor's range; a reading that falls by more within one period is a lost sample."""

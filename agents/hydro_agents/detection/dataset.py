@@ -21,8 +21,7 @@ from hydro_env.task.configuration import task_config
 from hydro_env.task.faults import FAULT_KINDS, FAULTS, SIGNED_KINDS, faults_of
 from hydro_env.task.sensors import SENSORS
 
-UNSEEN = ("position_offset",)
-"""Faults that are invisible in the measured signals; they get no label."""
+UNSEEN = ("position_offset",)  # faults that are invisible in the measured signals; they get no label
 
 LABEL_OF_FAULT = {
     name: LABELS.index(cause.word.replace(" ", "_")) for name, cause in CAUSE_OF_FAULT.items() if name not in UNSEEN
@@ -37,8 +36,7 @@ LEAKS = ("constant", "onset", "growth", "orifice")
 
 CHANGING = ("onset", "growth")
 
-CHUNK = 256
-"""Largest number of axes that are simulated together."""
+CHUNK = 256  # largest number of axes that are simulated together
 
 SECOND_FAULT, AT_START, SMALL = 0.1, 0.2, 0.35
 """Shares: of faulty axes with a second fault, of windows at the start of a run, of leaks that are drawn from the
@@ -47,8 +45,7 @@ healthy bound upwards; the other leaks are drawn from three times that bound upw
 NOISY, LEAST_NOISE, MOST_NOISE = 0.3, 0.7, 1.6
 """Share of chunks with other sensor noise, and its range as a factor on the task's."""
 
-LATEST = 0.9
-"""Latest onset of a leak, as a fraction of the window."""
+LATEST = 0.9  # latest onset of a leak, as a fraction of the window
 
 
 class Windows(NamedTuple):

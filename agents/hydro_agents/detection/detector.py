@@ -31,8 +31,7 @@ from hydro_env.task.faults import KIND_OF_FAULT
 
 Floats = NDArray[np.float64]
 
-HALF_WIDTH = 1.645
-"""Half width of a 90 % interval, in standard deviations."""
+HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 
 NO_COMMANDS = "commands are missing in the window"
 

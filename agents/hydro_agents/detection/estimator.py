@@ -33,14 +33,9 @@ from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 
 Progress = Callable[[int], None]
 
-SURE = 3.0
-"""Distance of an estimate from its healthy range that names a fault, in standard deviations."""
-
-WIDE_BIAS = 3.0
-"""Standard deviation of a sensor's offset, relative to the largest offset of the data sheet."""
-
-DETERMINED = 0.05
-"""Largest standard deviation of a valid reading, in l/min at 100 bar, or as a share of the leak."""
+SURE = 3.0  # distance of an estimate from its healthy range that names a fault, in standard deviations
+WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
+DETERMINED = 0.05  # largest standard deviation of a valid reading, in l/min at 100 bar, or as a share of the leak
 
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""

@@ -22,8 +22,7 @@ SIGNALS = (*SENSORS, "previous_command")
 LABELS = ("internal_leak", "external_leak", "valve_fault", "sensor_fault", "return_line")
 """Labels of the head. An axis may have several at once; therefore each has its own probability."""
 
-LAST_PARTS = 3
-"""Number of last parts of the window whose own leak is a feature, for the size of a growing leak."""
+LAST_PARTS = 3  # number of last parts of the window whose own leak is a feature, for the size of a growing leak
 
 
 class Motion(NamedTuple):
@@ -77,8 +76,7 @@ FEATURES = (
 """Names of the features."""
 
 SPREAD = FEATURES.index("spread of position")
-STILL = np.log10(3e-4)
-"""The axis stands still if this feature is below this value."""
+STILL = np.log10(3e-4)  # the axis stands still if this feature is below this value
 
 CHANGE = FEATURES.index("change of leak")
 """The feature that separates windows with a constant leak from windows with a changing one."""
@@ -89,8 +87,7 @@ STILL_COMMAND = 2e-3
 
 FULL_COMMAND = 0.999
 
-RIDGE = 1e-3
-"""Added to the diagonal of the normal equations of the load, per sample (ridge regression)."""
+RIDGE = 1e-3  # added to the diagonal of the normal equations of the load, per sample (ridge regression)
 
 
 class Summary(NamedTuple):
@@ -315,8 +312,7 @@ def _build_describe(sources: int) -> Any:
     return compiled(describe)
 
 
-AFTER_MOTION = _AFTER_FIT + len(Motion._fields)
-"""Number of the first feature after those of :class:`Motion`."""
+AFTER_MOTION = _AFTER_FIT + len(Motion._fields)  # number of the first feature after those of :class:`Motion`
 
 describe = _build_describe(SOURCES)
 

@@ -38,8 +38,7 @@ UPDATES_PER_WINDOW = 16
 SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
 """l/min at 100 bar; smaller leaks count as none: an interval that begins there begins at 0. No answer is larger."""
 
-FARTHEST = 8.0
-"""Limit of a feature, in standard deviations from its mean in training."""
+FARTHEST = 8.0  # limit of a feature, in standard deviations from its mean in training
 
 
 class LeakageEstimate(NamedTuple):

@@ -35,19 +35,13 @@ from hydro_env.files import Group
 
 CHECKPOINT_FILE = "head_checkpoint.safetensors"
 KIND = "leakage head checkpoint"
-RIDGE = 0.05
-"""Added to the covariance of the standardised features before inversion."""
+RIDGE = 0.05  # added to the covariance of the standardised features before inversion
 
 FALSE_ALARM_RATE = 0.01
 
-CHANGING_SHARE = 0.15
-"""Share of the windows that are treated as windows with a changing leak."""
-
-LARGEST_SHIFT = 2.0
-"""Largest size of the shift of a leak's logit at standstill."""
-
-OUTSIDE_RATE = 0.01
-"""Share of validation windows that are marked as unlike the training."""
+CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
+LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
+OUTSIDE_RATE = 0.01  # share of validation windows that are marked as unlike the training
 
 Progress = Callable[[str, int, int, float], None]
 

@@ -21,14 +21,9 @@ GROUPS = 2 * WIDTHS
 """Groups of windows, each with its own distances: by the width of the network's interval, and with a constant or a
 changing leak."""
 
-ROUNDS = 6
-"""Iterations of the search for the ends."""
-
-COVERAGE = 0.9
-"""Share of the intervals that contain the true size."""
-
-FEWEST, REACH = 40, 0.2
-"""Smallest number of windows for a size; largest distance of a window from the size, in decades."""
+ROUNDS = 6  # iterations of the search for the ends
+COVERAGE = 0.9  # share of the intervals that contain the true size
+FEWEST, REACH = 40, 0.2  # smallest number of windows for a size; largest distance of a window from the size, in decades
 
 
 def quantiles(output: NDArray[np.float64]) -> NDArray[np.float64]:

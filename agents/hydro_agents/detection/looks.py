@@ -17,11 +17,8 @@ from hydro_env import ConfigurationError, TaskConfig
 STANDING_BELOW, MOVING_FROM = 1e-4, 5e-3
 """Travel per second in m/s: below the first value the axis stands, from the second on it moves."""
 
-USUAL_WINDOW = 2.0
-"""s, length of the windows of a detector without a ``window`` of its own."""
-
-_SPAN = 0.1
-"""Averaging time in s of the position before its travel is computed, which removes the noise."""
+USUAL_WINDOW = 2.0  # s, length of the windows of a detector without a ``window`` of its own
+_SPAN = 0.1  # averaging time in s of the position before its travel is computed, which removes the noise
 
 
 class Activity(IntEnum):

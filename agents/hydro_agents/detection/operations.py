@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -143,10 +144,14 @@ class _Memory(NamedTuple):
 
 
 class _Unseen(_Operator):
-    """Base of the operations outside the training; each axis draws its own parameters."""
+    """An operation outside the training; each axis draws its own four numbers, 0 to 1, for its law.
 
-    def __init__(self, config: TaskConfig, count: int, seed: int) -> None:
+    A law gives the commands (N,) relative to the holding command from this object, the memory and the error in strokes.
+    """
+
+    def __init__(self, law: Callable[[_Unseen, _Memory, Array], Array], config: TaskConfig, count: int, seed: int):
         super().__init__(config)
+        self.law = law
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
     def at_start(self, error: Array) -> _Memory:
@@ -155,42 +160,29 @@ class _Unseen(_Operator):
 
     def act(self, error: Array, holding: Array, memory: _Memory) -> tuple[Array, _Memory]:
         """Commands (N,)."""
-        command = self.command(memory, error)
+        command = self.law(self, memory, error)
         return holding + command, _Memory(memory.time + 1, error, command)
 
-    def command(self, memory: _Memory, error: Array) -> Array:
-        """Commands (N,) relative to the holding command; ``error`` (N,) in strokes."""
-        raise NotImplementedError
 
-
-class SlidingMode(_Unseen):
+def _sliding_mode(axes: _Unseen, memory: _Memory, error: Array) -> Array:
     """A switching surface of error and speed of the error, with a boundary layer (Slotine and Li, 1991, chapter 7)."""
-
-    def command(self, memory: _Memory, error: Array) -> Array:
-        """Commands (N,)."""
-        lead, layer, size, _ = self.numbers
-        surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / self.control_period
-        return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
+    lead, layer, size, _ = axes.numbers
+    surface = error + (0.005 + 0.02 * lead) * (error - memory.error) / axes.control_period
+    return np.asarray((0.1 + 0.5 * size) * np.tanh(surface / (0.002 + 0.01 * layer)))
 
 
-class ThreeStep(_Unseen):
+def _three_step(axes: _Unseen, memory: _Memory, error: Array) -> Array:
     """A switch with a dead band (out, hold, in), like a simple control with proximity switches."""
-
-    def command(self, memory: _Memory, error: Array) -> Array:
-        """Commands (N,)."""
-        band, size = 0.003 + 0.01 * self.numbers[0], 0.05 + 0.3 * self.numbers[1]
-        keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
-        return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
+    band, size = 0.003 + 0.01 * axes.numbers[0], 0.05 + 0.3 * axes.numbers[1]
+    keep = (memory.command != 0.0) & (np.abs(error) > 0.3 * band) & (np.sign(error) == np.sign(memory.command))
+    return np.where((np.abs(error) > band) | keep, size * np.sign(error), 0.0)
 
 
-class SweptSine(_Unseen):
+def _swept_sine(axes: _Unseen, memory: _Memory, error: Array) -> Array:
     """A sine of rising frequency in open loop, like in a measurement of the frequency response."""
-
-    def command(self, memory: _Memory, error: Array) -> Array:
-        """Commands (N,)."""
-        time, rate = memory.time * self.control_period, 1.0 + 4.0 * self.numbers[1]
-        size = 0.03 + 0.2 * self.numbers[0]
-        return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
+    time, rate = memory.time * axes.control_period, 1.0 + 4.0 * axes.numbers[1]
+    size = 0.03 + 0.2 * axes.numbers[0]
+    return np.asarray(0.2 * error + size * np.sin(2.0 * np.pi * (1.0 + 0.5 * rate * time) * time))
 
 
 class Acting(NamedTuple):
@@ -244,9 +236,9 @@ ACTING: dict[str, Acting] = {
     **{name: Acting(_manner(name), True) for name in MANNERS},
     "ADRC": Acting(_shipped("adrc"), False),
     "LQG": Acting(_shipped("lqg"), False),
-    "sliding mode": Acting(SlidingMode, False),
-    "three-step switch": Acting(ThreeStep, False),
-    "swept sine": Acting(SweptSine, False),
+    "sliding mode": Acting(partial(_Unseen, _sliding_mode), False),
+    "three-step switch": Acting(partial(_Unseen, _three_step), False),
+    "swept sine": Acting(partial(_Unseen, _swept_sine), False),
 }
 """Controllers of the axes, by name."""
 

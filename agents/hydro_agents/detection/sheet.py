@@ -18,23 +18,12 @@ from hydro_env.task.sensors import SENSORS
 from hydro_env.task.settings import settings_of
 from hydro_env.units import FULL_VOLTAGE
 
-POINTS = 2
-"""Points between two samples at which the flows are evaluated."""
-
-FREQUENCIES, DAMPINGS = 9, 3
-"""Numbers of natural frequencies and of damping ratios of the candidate valves."""
-
-AT_ONCE = 1e5
-"""1/s; rate for the ideal parts of the valve model."""
-
-NOISE_WITHOUT_LAG = 1.17
-"""Factor by which the removal of the transducers' lag raises their noise."""
-
-SPOOL_NOISE_LEFT = 0.4
-"""Share of the spool sensor's noise that remains after smoothing."""
-
-FLOW_ERROR = 0.015
-"""Error of the flow between two samples, as a fraction of the change due to the spool's motion."""
+POINTS = 2  # points between two samples at which the flows are evaluated
+FREQUENCIES, DAMPINGS = 9, 3  # numbers of natural frequencies and of damping ratios of the candidate valves
+AT_ONCE = 1e5  # 1/s; rate for the ideal parts of the valve model
+NOISE_WITHOUT_LAG = 1.17  # factor by which the removal of the transducers' lag raises their noise
+SPOOL_NOISE_LEFT = 0.4  # share of the spool sensor's noise that remains after smoothing
+FLOW_ERROR = 0.015  # error of the flow between two samples, as a fraction of the change due to the spool's motion
 
 
 class Unknowns(NamedTuple):

@@ -19,8 +19,7 @@ from hydro_env.task.sensors import SENSORS
 if TYPE_CHECKING:
     from hydro_agents.detection.dataset import Plan
 
-RISE = 0.05
-"""Part of the training during which the learning rate rises."""
+RISE = 0.05  # part of the training during which the learning rate rises
 
 
 class HeadTrainingSettings(Group):

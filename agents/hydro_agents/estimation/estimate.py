@@ -24,20 +24,11 @@ from hydro_env.units import Number
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SAMPLES_PER_BATCH = 25_600
-"""Largest number of samples, over all windows, in one fit; more would only need more memory."""
-
-SHORTEST_FIT = 10
-"""Samples; shorter fits carry no information."""
-
-RESTART = 0.7
-"""Standard deviation of the random start of a further search, in standard deviations of the prior."""
-
-UNLIKELY = 4.0
-"""Standard deviations of the prior beyond which a value contradicts it."""
-
-UNDETERMINED = 0.7
-"""An unknown is undetermined if its standard deviation remains above this share of the prior's."""
+SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
+SHORTEST_FIT = 10  # samples; shorter fits carry no information
+RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
+UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
+UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
 
 
 class EstimationSettings(Group):

@@ -14,8 +14,7 @@ from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
-_FIRST_SAMPLES = 6
-"""Number of samples for the straight line that gives each start value."""
+_FIRST_SAMPLES = 6  # number of samples for the straight line that gives each start value
 
 
 def first_values(signals: Array, durations: Array, config: TaskConfig, priors: Mapping[str, Prior]) -> Array:

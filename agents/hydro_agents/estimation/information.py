@@ -39,8 +39,7 @@ from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-8
-"""Tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %."""
+TOLERANCE = 1e-8  # tolerance of the integrator for the derivatives; a smaller one changes the bound by less than 0.1 %
 
 RESPONSE = 3.0
 """Change of the readings by one step of a difference, in standard deviations of their noise, over all samples.
@@ -49,8 +48,7 @@ With smaller steps the integrator's error dominates; with larger ones the readin
 this step changes the bound by 0.01 %, a step ten times as large by up to 1 %.
 """
 
-WINDOWS_PER_BATCH = 16
-"""Number of windows that are linearised together; more would only need more memory."""
+WINDOWS_PER_BATCH = 16  # number of windows that are linearised together; more would only need more memory
 
 LEAK_ALONE, PLANT_KNOWN, TASK, WORN_VALVE, EVERYTHING = (
     "the leak alone",

@@ -32,7 +32,6 @@ from hydro_env.task.sensors import SENSOR_COLUMNS, SENSORS
 Array = NDArray[np.float64]
 
 SLOWER = 16.0  # factor of the slow motion
-
 SMALLEST_STEP = 1e-6  # m; steps of this size count as rest
 
 

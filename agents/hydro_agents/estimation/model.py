@@ -38,8 +38,7 @@ lowest point, for example at rest; long ones would reach across it.
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
 
-LONGEST_INTERVAL = 10.0
-"""s; a longer gap between two samples must be a mistake."""
+LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
 _SUPPLY, _SETTING = State._fields.index("supply_pressure"), PARAMETER_PATHS.index("supply.pressure")

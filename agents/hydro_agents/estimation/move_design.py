@@ -25,15 +25,9 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT
 Array = NDArray[np.float64]
 
 STROKES = 4  # the last one returns to the start
-
-LEAST_SPEED = 0.1
-"""Smallest speed of a stroke, as a share of the largest."""
-
-LEAST_HOLD = 0.02
-"""Smallest share of the time at rest for each hold, before normalisation to a sum of 1."""
-
-_IMPOSSIBLE = 1e3
-"""Cost of a move that is too long or fails; far above the logarithm of any standard deviation."""
+LEAST_SPEED = 0.1  # smallest speed of a stroke, as a share of the largest
+LEAST_HOLD = 0.02  # smallest share of the time at rest for each hold, before normalisation to a sum of 1
+_IMPOSSIBLE = 1e3  # cost of a move that is too long or fails; far above the logarithm of any standard deviation
 
 
 class MoveSettings(Group):

@@ -29,8 +29,7 @@ from hydro_env.units import FULL_VOLTAGE
 
 Array = NDArray[np.float64]
 
-ROWS_PER_THREAD = 64
-"""Smallest number of rows per thread; with fewer, starting the thread takes longer than its work."""
+ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
 MOST_STEPS = 500.0
 """Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
@@ -39,8 +38,7 @@ _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
 
-Reading = named_tuple("Reading", SENSORS, __name__)
-"""What the sensors read at one instant."""
+Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
 
 _write_reading = tuple_writer(Reading)
 

@@ -23,11 +23,8 @@ Indices = NDArray[np.int64]
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])
 """Factors on the damping; the best of their steps is taken in each iteration."""
 
-SMALL_DAMPING = 1e-2
-"""Damping up to which a step is nearly a Gauss–Newton step."""
-
-BLOCK = 20
-"""Number of samples per block; the mean residual of each block is tested."""
+SMALL_DAMPING = 1e-2  # damping up to which a step is nearly a Gauss–Newton step
+BLOCK = 20  # number of samples per block; the mean residual of each block is tested
 
 NONE_SHARED: Indices = np.empty(0, np.int64)
 

@@ -40,8 +40,7 @@ START = tuple(
     f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 
-_SHARE_UNKNOWN = 0.1
-"""Relative standard deviation of a parameter that the task does not draw."""
+_SHARE_UNKNOWN = 0.1  # relative standard deviation of a parameter that the task does not draw
 
 _NOT_DRAWN = {
     "valve.null_shift": 0.01,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.damaged_signals import FEWEST, SHORTEST
 from hydro_agents.recordings.columns import COMMAND, MEASURED, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_agents.recordings.sampling import Sampled
@@ -17,33 +18,17 @@ Floats = NDArray[np.float64]
 Found = tuple[NDArray[np.bool_], str, Weight]
 
 MOST_MISSING = 0.2  # share of a channel
-
-MOST_SATURATED = 0.6
-"""Largest share of a channel at an end of its range: a cavitating pressure stays at zero."""
-
-SHORTEST_STUCK, STUCK_SAMPLES = 0.1, 20  # s, and samples
-"""A reading is stuck if it stays equal for at least both: the noise of a working sensor leaves one step earlier."""
+MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 
 ACTIVE_COMMAND = 0.01
 """Range of the command, as a fraction of full command, over which a sensor without noise must change."""
 
-MOST_SPIKES = 0.05
-"""Largest share of out-of-range values that count as single spikes, which are left out."""
-
-DROP = 0.1
-"""Smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks."""
-
-FEWEST_DROPS = 3
-"""Smallest number of falls of a broken loop; a chamber may cavitate once or twice."""
-
-LOWEST_PRESSURE = -1.2e5
-"""Pa; lowest gauge pressure: vacuum minus the error of a transducer."""
-
-LEAST_SHARE = 0.05
-"""Smallest used fraction of a signal's range."""
-
-LEAST_PRESSURE = 0.2
-"""Fraction of the supply pressure that at least one of the two chambers reaches."""
+MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
+DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
+FEWEST_DROPS = 3  # smallest number of falls of a broken loop; a chamber may cavitate once or twice
+LOWEST_PRESSURE = -1.2e5  # Pa; lowest gauge pressure: vacuum minus the error of a transducer
+LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
+LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
 
 PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
 
@@ -180,7 +165,7 @@ def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) ->
     """Runs of equal readings that the sensor's noise or the axis's motion rules out."""
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
-    shortest = max(STUCK_SAMPLES, round(SHORTEST_STUCK / samples.period))
+    shortest = max(FEWEST, round(SHORTEST / samples.period))
     noisy = config.sensors.enabled and sensor.noise > 0.5 * sensor.resolution
     command, stuck, runs = samples.signals[COMMAND], np.zeros(len(values), dtype=np.bool_), 0
     for begin, end in zip(*runs_of(same), strict=True):

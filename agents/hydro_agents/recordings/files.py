@@ -24,18 +24,13 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
-LARGEST_RECORDING = 200_000_000
-"""Largest size in bytes; about three hours at 200 rows per second as CSV."""
-
-OTHER_ENCODING = "cp1252"
-"""Of texts that are not UTF-8: that of Western Windows programs."""
+LARGEST_RECORDING = 200_000_000  # largest size in bytes; about three hours at 200 rows per second as CSV
+OTHER_ENCODING = "cp1252"  # of texts that are not UTF-8: that of Western Windows programs
 
 LONGEST_STEP = 2.0
 """Longest distance between a channel's own stamps for interpolation, as a multiple of the usual distance."""
 
-TIME_HEADING = "time [s]"
-"""Heading of the common time of channels with their own stamps."""
-
+TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 MOST_LINES = 200  # in which the headings must stand
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.running.text import number
 
-NOT_RECORDED = "was not recorded"
-"""What is found about a signal without a column."""
+NOT_RECORDED = "was not recorded"  # what is found about a signal without a column
 
 
 class Weight(StrEnum):

@@ -43,11 +43,8 @@ used."""
 
 FEWEST_SAMPLES = 100
 
-LEAST_TRAVEL = 20.0
-"""Smallest useful travel, in standard deviations of the position's noise."""
-
-LEAST_SHARE = 0.05
-"""Smallest travel, as a share of the travel from the valve's flow."""
+LEAST_TRAVEL = 20.0  # smallest useful travel, in standard deviations of the position's noise
+LEAST_SHARE = 0.05  # smallest travel, as a share of the travel from the valve's flow
 
 FITS, FAILS = 0.6, 0.75
 """Unexplained share of the force: largest value of a fitting balance, smallest value of a wrong one.

@@ -24,14 +24,12 @@ ambiguous."""
 
 ROWS_TOGETHER = 20
 
-MOST_MISSING = 0.2
-"""Largest share of rows that may be missing or duplicate."""
+MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
 
 FOLLOWING = 0.1
 """Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
 
-HOLD_SHARE = 0.8
-"""Smallest share of command changes at the same row within the control period."""
+HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
 
 
 class Sampled(NamedTuple):

@@ -28,7 +28,6 @@ WRITTEN_UNITS = {"time": "s", "position": "mm", "pressure_a": "bar", "pressure_b
 }
 
 _FORMAT = "%.7g"  # digits for the 16-bit steps of every sensor
-
 LONGEST_RECORDING = 3600.0  # s
 MOST_EPISODES = 100_000
 
