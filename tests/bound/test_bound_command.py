@@ -17,15 +17,14 @@ from hydro_agents.evaluation.leak_bound import COLUMNS, sensor_choices
 from hydro_agents.report.bounds import convergence_picture
 from hydro_agents.running.text import frame_markdown
 from hydro_env import TaskConfig
-from tests.command_line import assert_one_clear_line, hydro
+from tests.command_line import assert_one_clear_line, done, hydro
 from tests.published import assert_published
 
 
 def test_the_command_writes_every_case_and_a_table(tmp_path):
     task = tmp_path / "task.yaml"
     task.write_text("episode_duration: 0.05\n")
-    answer = hydro("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
-    assert answer.returncode == 0, answer.stderr
+    answer = done("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
     assert_published("bound", tmp_path / "out")
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
     shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO"}
@@ -77,8 +76,7 @@ def test_convergence_varies_one_setting_at_a_time():
 def test_leak_bound_writes_every_number_and_a_table(tmp_path):
     out = tmp_path / "out"
     options = ("--leak", 0, "--leak", 1, "--window", 0.2, "--window", 0.4, "--plants", 3)
-    answer = hydro("leak-bound", *options, "--unknown", "valve.null_shift", "--output", out)
-    assert answer.returncode == 0, answer.stderr
+    answer = done("leak-bound", *options, "--unknown", "valve.null_shift", "--output", out)
     table = pd.read_csv(out / "leak_bound.csv")
     assert tuple(table.columns) == COLUMNS
     # motions, leaks, plants, windows; six sets of unknowns, and the choices of sensors with one of them
@@ -120,8 +118,7 @@ def test_leak_bound_refuses_in_one_line(tmp_path, options, parts):
 def test_test_move_writes_the_move_and_reads_the_leak(tmp_path):
     out = tmp_path / "out"
     options = ("--duration", 0.5, "--travel", 5, "--leak", 1, "--plants", 3, "--evaluations", 1)
-    answer = hydro("test-move", *options, "--output", out)
-    assert answer.returncode == 0, answer.stderr
+    answer = done("test-move", *options, "--output", out)
     move = pd.read_csv(out / "move.csv")
     assert list(move.columns) == ["time_s", "reference_m"]
     assert move["time_s"].iloc[-1] == pytest.approx(0.5)

@@ -9,7 +9,7 @@ import time
 import pandas as pd
 import pytest
 import yaml
-from command_line import COMMAND, assert_one_clear_line, environment, hydro, own_lines
+from command_line import COMMAND, assert_one_clear_line, done, environment, hydro, own_lines
 from published import assert_published
 from small_protocol import SMALL
 
@@ -25,6 +25,7 @@ OWN_LEAKS = {
     },
 }
 LEAKS = ("evaluate", "--protocol", "leaks.yaml", "-j", "1")
+OWN = ("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1")
 
 AGENTS = """
 import numpy as np
@@ -52,15 +53,10 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def evaluate(*arguments):
-    return hydro("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1", *arguments)
-
-
 def test_own_agents_and_training_seeds_stand_in_every_table(place):
     whole = {**SMALL, "standstill_plants": 1, "bound_conditions": ["plain"], "bound_plants": 1}
     (place / "own.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
-    answer = evaluate("--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
-    assert answer.returncode == 0, answer.stderr
+    answer = done(*OWN, "--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
     tables = place / "results" / "own" / "tables"
     assert_published("robustness", tables)
     assert set(pd.read_csv(tables / "ranking.csv")["controller"]) == {"PID", "calm"}
@@ -76,24 +72,22 @@ def test_own_agents_and_training_seeds_stand_in_every_table(place):
 
 
 def test_a_failing_agent_is_named_and_the_others_stay(place):
-    answer = evaluate("-o", "out", "--agent", "wild=robust_agents:Wild")
+    answer = hydro(*OWN, "-o", "out", "--agent", "wild=robust_agents:Wild")
     assert_one_clear_line(answer, "wild under plain", "seed 22", "predict returned nan", "status.csv", "out holds")
     assert set(pd.read_csv("out/tables/cases.csv")["controller"]) == {"PID"}
 
 
 def test_resuming_uses_the_finished_jobs(place):
-    assert evaluate("-o", "out").returncode == 0
+    done(*OWN, "-o", "out")
     first = pd.read_csv("out/tables/cases.csv")
-    assert_one_clear_line(evaluate("-o", "out"), "holds results already", "--resume continues")
-    answer = evaluate("-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
-    assert answer.returncode == 0, answer.stderr
+    assert_one_clear_line(hydro(*OWN, "-o", "out"), "holds results already", "--resume continues")
+    done(*OWN, "-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
     cases = pd.read_csv("out/tables/cases.csv")
     pd.testing.assert_frame_equal(cases[cases["controller"] == "PID"].reset_index(drop=True), first, check_exact=True)
 
 
 def test_tables_page_and_the_shares_found_on_the_console(place):
-    answer = hydro(*LEAKS)
-    assert answer.returncode == 0, answer.stderr
+    answer = done(*LEAKS)
     folder = place / "results" / "leaks"
     windows = pd.read_csv(folder / "tables" / "windows.csv")
     assert len(windows) == 6 * (3 + 2)
@@ -107,8 +101,7 @@ def test_tables_page_and_the_shares_found_on_the_console(place):
     printed = next(line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["head"])
     assert [float(share) for share in printed[1:]] == pytest.approx(100.0 * shares, abs=0.05)
     assert hydro(*LEAKS).returncode == 2  # the folder holds results
-    again = hydro(*LEAKS, "--resume")
-    assert again.returncode == 0, again.stderr
+    done(*LEAKS, "--resume")
     pd.testing.assert_frame_equal(pd.read_csv(folder / "tables" / "windows.csv"), windows, check_exact=True)
 
 

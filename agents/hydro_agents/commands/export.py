@@ -70,8 +70,7 @@ def export(
         _export_controller(what, task, rig, output, overwrite)
 
 
-Exported = tuple[Mapping[str, str | bytes], Sequence[str]]
-"""Contents of files by name, and lines about them."""
+Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
 
 
 def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[], Exported]) -> None:

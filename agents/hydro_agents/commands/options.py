@@ -36,8 +36,7 @@ Agents = Annotated[
     ),
 ]
 
-Written = tuple[str, dict[str, str | bytes]]
-"""Text of the results (Markdown), and contents of files by name."""
+Written = tuple[str, dict[str, str | bytes]]  # text of the results (Markdown), and contents of files by name
 
 
 def _rig_file(given: Path | None) -> Path | None:

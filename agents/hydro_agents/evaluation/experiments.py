@@ -32,8 +32,7 @@ from hydro_env.task.configuration import task_config
 FREQUENCIES = (0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 40.0, 55.0)
 """Hz; frequencies from a third of the sampling frequency upwards are left out."""
 
-AMPLITUDE_SHARE = 0.01
-"""Amplitude of the sines as a share of the range of positions that the supply can hold."""
+AMPLITUDE_SHARE = 0.01  # amplitude of the sines as a share of the range of positions that the supply can hold
 
 SPEED_SHARE = 0.15
 """Largest speed of the sines, as a share of the speed at full command; it keeps the valve far from its limits."""
@@ -136,20 +135,14 @@ def crossing(frequency: Array, values: NDArray[np.floating], level: float) -> fl
 
 # Stiffness ------------------------------------------------------------------------------------------------------------
 
-FORCE_SHARE = 0.2
-"""Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
+FORCE_SHARE = 0.2  # amplitude of the force as a share of the force that the supply of the nominal rig gives
 
 BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
 """s: time before the force step, time after it, and last part of each, over which the position is averaged."""
 
-RECOVERED = 0.1
-"""Recovery band as a share of the peak deviation; at least one step of the position sensor."""
-
-SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)
-"""Hz; force sines."""
-
-SINE_SETTLING, SINE_WATCHED = 0.5, 1.0
-"""s (and two cycles each)."""
+RECOVERED = 0.1  # recovery band as a share of the peak deviation; at least one step of the position sensor
+SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
+SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
 def sudden_force(config: TaskConfig, force: float | None = None, place: float | None = None) -> Iterator[Run]:
@@ -236,17 +229,13 @@ def _with_force(
 
 # Standstill under noise -----------------------------------------------------------------------------------------------
 
-STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
-"""l/min at 100 bar."""
-
-PLACES = (0.0, 0.3, -0.3)
-"""Held positions: shares of the range that the supply can hold."""
+STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)  # l/min at 100 bar
+PLACES = (0.0, 0.3, -0.3)  # held positions: shares of the range that the supply can hold
 
 KICK, KICK_SHARE = 0.5, 0.01
 """s until the reference returns from a first step, and the step's share of the range of references."""
 
-REST, HELD = 1.5, 6.0
-"""s from then until the evaluation, and length of the evaluation."""
+REST, HELD = 1.5, 6.0  # s from then until the evaluation, and length of the evaluation
 
 
 def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterator[Run]:

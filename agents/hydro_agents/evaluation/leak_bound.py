@@ -33,8 +33,7 @@ TEST_MOVE = "test move"
 COLUMNS = ("motion", "leakage_flow_lpm", "seed", "window_s", "unknowns", "sensors", "sigma_lpm")
 """Columns of :func:`survey`."""
 
-BEGIN = 1.0
-"""s; windows of other motions than the test move begin this long after the start of their episode."""
+BEGIN = 1.0  # s; windows of other motions than the test move begin this long after the start of their episode
 
 
 def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:

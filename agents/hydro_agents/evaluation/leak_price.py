@@ -24,8 +24,7 @@ from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import FULL_VOLTAGE
 
-PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)
-"""l/min at 100 bar."""
+PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)  # l/min at 100 bar
 
 
 PLACE = 0.3

@@ -20,14 +20,9 @@ from hydro_agents.running.statistics import Interval, share_interval
 KIND = "leakage"
 FALSE_ALARM_RATE = 0.01
 
-BINS = np.linspace(0.0, 1.0, 11)
-"""Edges of the bins of the reliability curve."""
-
-SMALLEST_SIZE = 1e-3
-"""l/min; lower limit of estimates in logarithms."""
-
-FAR = 6.0
-"""Error of an unflagged estimate that counts as a local minimum, in standard deviations."""
+BINS = np.linspace(0.0, 1.0, 11)  # edges of the bins of the reliability curve
+SMALLEST_SIZE = 1e-3  # l/min; lower limit of estimates in logarithms
+FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in standard deviations
 
 SECONDS_PER_HOUR = 3600.0
 

@@ -25,11 +25,8 @@ from hydro_env import TaskConfig
 
 Array = NDArray[np.floating[Any]]
 
-LEAST_CYCLES = 3
-"""Smallest number of cycles in the evaluated time; a slower motion is drift."""
-
-LASTING = 0.5
-"""An oscillation whose last third has less than this share of its amplitude is decaying."""
+LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
+LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
 
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after its return, evaluated time."""

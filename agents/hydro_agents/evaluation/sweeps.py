@@ -17,8 +17,7 @@ from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
 
-LEAKS = (0.01, 1.0, 4.0)
-"""l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak."""
+LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
 
 
 class Run(NamedTuple):

@@ -21,8 +21,7 @@ from hydro_env import ConfigurationError, TaskConfig
 
 BEST_FOUND = "best found"
 
-BestFound = Callable[[TaskConfig, Cases], Rollout]
-"""Runs cases under the best commands that a search finds."""
+BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best commands that a search finds
 
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
