@@ -9,6 +9,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import TimeAwareObservation
+from refusal import refused
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.rewards import REWARD_TERMS
@@ -205,34 +206,6 @@ class Odd:
         raise RuntimeError("no array")
 
 
-BAD_ACTIONS = (
-    None,
-    "full",
-    ["0.5"],
-    [None],
-    [True],
-    [1j],
-    [HUGE],
-    {"a": 1},
-    Odd(),
-    [[0.1], [0.2, 0.3]],
-    object(),
-    b"1",
-)
-
-
-@pytest.mark.parametrize(
-    "action", BAD_ACTIONS, ids=[type(action).__name__ + str(n) for n, action in enumerate(BAD_ACTIONS)]
-)
-def test_wrong_actions(action):
-    env, envs = ServoHydraulicEnv(), ServoHydraulicVectorEnv(2)
-    for each in (env, envs):
-        each.reset(seed=0)
-        with pytest.raises(ConfigurationError, match=r"^action") as caught:
-            each.step(action)
-        assert len(str(caught.value).splitlines()) == 1
-
-
 @pytest.mark.parametrize("make", BOTH)
 def test_wrong_seeds(make):
     env = make()
@@ -257,9 +230,8 @@ def test_wrong_seeds(make):
 )
 def test_wrong_arguments(name, values):
     for value in values:
-        with pytest.raises(ConfigurationError, match=name) as caught:
+        with refused(name) as caught:
             ServoHydraulicVectorEnv(**{name: value})
-        assert len(str(caught.value).splitlines()) == 1
         assert len(str(caught.value)) < 300
     if name in ("render_mode", "info", "config"):
         for value in values:
@@ -294,9 +266,8 @@ def test_wrong_arguments(name, values):
     ids=lambda options: re.sub(" at 0x[0-9a-f]+", "", str(options))[:60],  # the same in every worker of pytest
 )
 def test_wrong_options(make, options):
-    with pytest.raises(ConfigurationError, match=r"^reset options") as caught:
+    with refused(r"^reset options"):
         make().reset(seed=0, options=options)
-    assert len(str(caught.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize("mask", [[True], "TF", [[True], [True, False]], [1, 0], [False, False], None])

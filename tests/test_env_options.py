@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
 
@@ -78,13 +79,6 @@ def test_options_hold_for_one_episode():
     env.reset(seed=3, options={"leakage_flow_lpm": 3.9, "initial_position": 0.0, "reference": np.zeros(3)})
     plain.reset(seed=3)
     np.testing.assert_array_equal(env.reset()[0], plain.reset()[0])
-
-
-def test_same_seed_and_option_give_the_same_episode():
-    options = {"leakage_resistance": 1e12, "reference": "ramp"}
-    first, second = (ServoHydraulicEnv().reset(seed=3, options=options) for _ in range(2))
-    np.testing.assert_array_equal(first[0], second[0])
-    assert first[1] == second[1]
 
 
 WRONG = {
@@ -168,9 +162,8 @@ def test_a_wrong_option_is_answered_with_one_line_and_does_no_harm(options, mess
     env, untouched = ServoHydraulicEnv(), ServoHydraulicEnv()
     for each in (env, untouched):
         each.reset(seed=1)
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         env.reset(options=options)
-    assert len(str(caught.value).splitlines()) == 1
     # The next episode is as if nothing had been asked, save that an attempt to begin one may have been counted.
     np.testing.assert_array_equal(env.reset(seed=2)[0], untouched.reset(seed=2)[0])
     for action in (0.3, -0.2, 0.9):
@@ -199,17 +192,35 @@ def test_after_an_episode_that_could_not_begin_a_reset_is_needed():
         assert np.isfinite(env.step(action)[0]).all()
 
 
+class Odd:
+    """An object that NumPy cannot make numbers of."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+
 BAD_ACTIONS = {
     "NaN": np.array([NAN]),
     "infinite": np.array([np.inf]),
     "minus infinite": np.array([-np.inf], dtype=np.float32),
+    "complex": [1j],
+    "huge": [10**400],
     "two": np.zeros(2),
     "scalar": np.float32(0.1),
     "number": 0.1,
     "matrix": np.zeros((2, 2)),
+    "ragged": [[0.1], [0.2, 0.3]],
     "empty": np.zeros(0),
     "text": ["full"],
+    "number as text": ["0.5"],
+    "word": "full",
+    "bytes": b"1",
+    "true": [True],
     "nothing": None,
+    "list of nothing": [None],
+    "mapping": {"a": 1},
+    "no array": Odd(),
+    "object": object(),
 }
 
 
@@ -219,10 +230,13 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(action):
     for each in (env, untouched):
         each.reset(seed=1)
         each.step(np.full(1, 0.5))
-    with pytest.raises(ConfigurationError, match=r"action = .*: must be finite, of shape \(1,\)") as caught:
+    with refused(r"action = .*: must be finite, of shape \(1,\)"):
         env.step(action)
-    assert len(str(caught.value).splitlines()) == 1
     np.testing.assert_array_equal(env.step(np.full(1, 0.5))[0], untouched.step(np.full(1, 0.5))[0])
+    envs = ServoHydraulicVectorEnv(2)
+    envs.reset(seed=0)
+    with refused("^action"):
+        envs.step(action)
 
 
 def test_a_reference_given_for_one_episode_leaves_the_reference_of_the_task():

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_env import ConfigurationError, ServoHydraulicEnv, ServoHydraulicVectorEnv
 
@@ -168,9 +169,8 @@ def test_a_wrong_option_is_answered_with_one_line_and_does_no_harm(options, mess
     envs, untouched = ServoHydraulicVectorEnv(3), ServoHydraulicVectorEnv(3)
     for each in (envs, untouched):
         each.reset(seed=0)
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         envs.reset(options=options)
-    assert len(str(caught.value).splitlines()) == 1
     np.testing.assert_array_equal(envs.reset(seed=1)[0], untouched.reset(seed=1)[0])
     np.testing.assert_array_equal(envs.step(np.ones((3, 1)))[0], untouched.step(np.ones((3, 1)))[0])
 
@@ -190,9 +190,8 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(actions, mess
     envs, untouched = ServoHydraulicVectorEnv(3), ServoHydraulicVectorEnv(3)
     for each in (envs, untouched):
         each.reset(seed=0)
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         envs.step(actions)
-    assert len(str(caught.value).splitlines()) == 1
     np.testing.assert_array_equal(envs.step(np.ones((3, 1)))[0], untouched.step(np.ones((3, 1)))[0])
 
 
@@ -209,9 +208,8 @@ def test_a_wrong_action_is_answered_with_one_line_and_does_no_harm(actions, mess
     ],
 )
 def test_a_wrong_argument_is_answered_with_one_line(arguments, message):
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         ServoHydraulicVectorEnv(**{"num_envs": 2, **arguments})
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_the_first_reset_must_begin_every_axis():

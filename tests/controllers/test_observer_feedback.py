@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from refusal import refused
 from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.adrc import ADRC, ADRCGains, placed
@@ -12,7 +13,7 @@ from hydro_agents.controllers.lqg import LQG, LQGGains, kalman_gain, regulator
 from hydro_agents.controllers.observer_feedback import SampledModel
 from hydro_agents.controllers.preview import braked
 from hydro_agents.controllers.registry import make_controller
-from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 
 TASK = TaskConfig()
 RIGS = ("kovari_2015", "symmetric_eha", "aalborg_svsdp_2017")
@@ -140,9 +141,8 @@ def test_simpler_valves_give_stable_loops_too(kind, valve):
 
 
 def test_gains_without_a_solution_are_refused_in_one_line():
-    with pytest.raises(ConfigurationError, match="lqg: no regulator or Kalman filter for these gains") as raised:
+    with refused("lqg: no regulator or Kalman filter for these gains"):
         LQG(LQGGains(bandwidth=1e9), TASK)
-    assert "\n" not in str(raised.value)
 
 
 def test_the_regulator_of_lqg_has_the_margins_that_optimality_gives():

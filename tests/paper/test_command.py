@@ -5,9 +5,9 @@ import re
 import pandas as pd
 import pytest
 from browser import problems_everywhere
+from refusal import refused
 
 from hydro_agents.commands.application import main
-from hydro_env import ConfigurationError
 from hydro_env.task.sensors import Sensors
 from paper import run as command
 from paper.moves import displacement_table
@@ -45,9 +45,8 @@ def test_nothing_is_cut_off_in_a_browser(browser, folder):
 
 
 def test_a_folder_with_results_is_kept_unless_told(folder):
-    with pytest.raises(ConfigurationError, match="--overwrite") as caught:
+    with refused("--overwrite"):
         command.reproduce_to_folder(folder, overwrite=False)
-    assert "\n" not in str(caught.value)
 
 
 def test_a_file_in_place_of_the_folder_is_one_line_and_exit_2(tmp_path, monkeypatch, capsys):

@@ -48,7 +48,7 @@ def test_the_whole_drive_adds_the_lag_of_the_coil():
     assert np.abs(run.coil_current - 0.25 * (1.0 - np.exp(-run.time / lag))).max() < 1e-6
 
 
-@pytest.mark.parametrize("model", ["drive", "spool", "ideal"])
+@pytest.mark.parametrize("model", ["spool", "ideal"])
 def test_every_valve_gives_the_same_speed_in_the_end(model):
     plant = PlantParameters().replace(
         valve={"model": model}, load={"spring_stiffness": 0.0}, friction={"model": "none"}, supply={"model": "constant"}
@@ -59,8 +59,8 @@ def test_every_valve_gives_the_same_speed_in_the_end(model):
     assert speeds[-1] > 0.02
 
 
-@pytest.mark.parametrize(("model", "slower_than"), [("spool", 600.0), ("ideal", 1e-6)])
-def test_the_linearisation_knows_ideal_parts(model, slower_than):
+@pytest.mark.parametrize("model", ["spool", "ideal"])
+def test_the_linearisation_knows_ideal_parts(model):
     """Transfer from voltage to spool: what is ideal neither delays nor weakens it."""
     axis = linearise(PlantParameters().replace(valve={"model": model}), position=0.02)
     row, unit = STATE_NAMES.index("spool_position"), np.eye(len(STATE_NAMES))

@@ -101,27 +101,6 @@ def test_a_broken_state_ends_and_harms_no_neighbour(value):
         assert not (np.abs(state[7] - clean[7]) <= 1e-12).all()
 
 
-def test_threads_do_not_change_a_number():
-    count, steps = 800, 30
-    rng = np.random.default_rng(2)
-    actions = rng.uniform(-1, 1, (steps, count, 1)).astype(np.float32)
-    runs = []
-    for threads in (1, 2, 3):
-        envs = ServoHydraulicVectorEnv(count, threads=threads, episode_duration=0.2)
-        rows = [envs.reset(seed=3)[0]]
-        rewards = []
-        for action in actions:
-            observation, reward, *_ = envs.step(action)
-            rows.append(observation)
-            rewards.append(reward)
-        assert (envs.axes._pool is not None) == (threads > 1)
-        envs.close()
-        runs.append((np.array(rows), np.array(rewards)))
-    for observations, rewards in runs[1:]:
-        np.testing.assert_array_equal(observations, runs[0][0])
-        np.testing.assert_array_equal(rewards, runs[0][1])
-
-
 SCRIPT = """
 import json, sys, warnings
 warnings.simplefilter("ignore", RuntimeWarning)  # unsigned numbers wrap around, as they must

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from hydro_env import PlantParameters, flow_from_resistance, resistance_from_flow
 from hydro_env.errors import ConfigurationError
@@ -133,9 +134,8 @@ WRONG = {
 def test_a_wrong_value_is_answered_with_one_line(text, message, tmp_path):
     path = tmp_path / "wrong.yaml"
     path.write_text(text)
-    with pytest.raises(ConfigurationError, match=f"^{path}: .*{message}") as caught:
+    with refused(f"^{path}: .*{message}"):
         PlantParameters.from_yaml(path)
-    assert len(str(caught.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(

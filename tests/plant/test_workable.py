@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import refused
 from scipy.optimize import minimize_scalar
 
 from hydro_env import PlantParameters, equilibrium, simulate
@@ -191,9 +192,8 @@ IMPOSSIBLE = {
 
 @pytest.mark.parametrize(("groups", "message"), IMPOSSIBLE.values(), ids=IMPOSSIBLE)
 def test_an_impossible_rig_is_refused(groups, message):
-    with pytest.raises(ConfigurationError, match=f"^rig: .*{message}") as caught:
+    with refused(f"^rig: .*{message}"):
         refuse_unworkable(PlantParameters().replace(**groups))
-    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_second_rod_must_fit():

@@ -239,8 +239,6 @@ def test_what_does_not_fit_is_answered_with_one_line(arguments, message):
 
 
 RIG_FILES = {
-    "unknown key": ("load: {weight: 3}", "load.weight = 3: unknown key; known here: mass"),
-    "unknown group": ("lode: {mass: 3}", "lode: unknown key; did you mean load?"),
     "a range of nothing": (
         "randomisation: {load.weight: {factor: [1, 2]}}",
         "'load.weight' is not a number of the plant",

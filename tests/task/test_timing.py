@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from hydro_env import ConfigurationError, ServoHydraulicEnv, equilibrium, simulate
+from hydro_env import ServoHydraulicEnv, equilibrium, simulate
 from hydro_env.plant.states import STATE_NAMES
 
 PERIOD = 5e-3
@@ -117,6 +118,5 @@ def test_time_does_not_depend_on_the_control_period():
     ],
 )
 def test_impossible_timing_is_refused_with_one_line(timing, message):
-    with pytest.raises(ConfigurationError, match=message) as caught:
+    with refused(message):
         ServoHydraulicEnv(**timing)
-    assert len(str(caught.value).splitlines()) == 1
