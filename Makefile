@@ -3,8 +3,9 @@
 #   make test    the same set-up, then the tests
 PYTHON ?= python3
 VENV ?= .venv
-# One process per core; a file of tests stays in one process, so that its fixtures are made once.
-WORKERS ?= -n auto --dist loadfile
+# One process per core; a file of tests stays in one process, so that its fixtures are made once. The order of files is
+# that of tests/conftest.py.
+WORKERS ?= -n auto --dist loadfile --no-loadscope-reorder
 OUTPUT ?= results/study
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin

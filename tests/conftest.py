@@ -16,6 +16,14 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+FEW_BUT_LONG = ("test_recipes.py", "test_runs_anywhere.py", "test_pages.py", "test_examples.py", "test_pretrained.py")
+
+
+def pytest_collection_modifyitems(items):
+    """Files with few long tests come first: of several processes none is left with such a file at the end."""
+    items.sort(key=lambda item: item.path.name not in FEW_BUT_LONG)
+
+
 @pytest.fixture(scope="module")  # Playwright keeps an event loop: it ends with the file of tests
 def browser():
     """A headless browser; see tests/browser.py."""
