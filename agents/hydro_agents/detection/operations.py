@@ -21,6 +21,7 @@ Change = Callable[[TaskConfig], TaskConfig]
 Make = Callable[[TaskConfig, int, int], Controller]
 """Makes the controller of the axes from the task, the number of axes and a seed."""
 
+SLOWER = 12.0
 WAVES = ("sine", "square", "noise")
 """Waves that may be added to the command; noise is a new random level in each half period."""
 
@@ -204,14 +205,14 @@ def ordinary(config: TaskConfig) -> TaskConfig:
     return config
 
 
-def slow(config: TaskConfig, factor: float = 12.0) -> TaskConfig:
-    """The task with references that are slower by a factor."""
+def slow(config: TaskConfig) -> TaskConfig:
+    """The task with references that are slower by the factor :data:`SLOWER`."""
     r = config.references
     low, high = r.frequency_range
     changes = {
-        "speed_share": r.speed_share / factor,
-        "acceleration_limit": max(r.acceleration_limit / factor**2, 0.011),
-        "frequency_range": (low / factor, high / factor),
+        "speed_share": r.speed_share / SLOWER,
+        "acceleration_limit": max(r.acceleration_limit / SLOWER**2, 0.011),
+        "frequency_range": (low / SLOWER, high / SLOWER),
     }
     return task_config(config, references=r.model_dump() | changes)
 
