@@ -95,14 +95,9 @@ class HeadSettings:
 class HeadState(NamedTuple):
     """Memory of the head; no call changes its argument."""
 
-    history: tuple[NDArray[np.float32], ...]
-    """SIGNALS (N, 5) of the last observations, at most a window of them, newest last."""
-
-    seen: NDArray[np.int64]
-    """Observations since the start of each axis' episode, (N,)."""
-
-    answer: NDArray[np.float64]
-    """The last estimate (N, fields of LeakageEstimate)."""
+    history: tuple[NDArray[np.float32], ...]  # SIGNALS (N, 5), at most a window of them, newest last
+    seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
+    answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
 
 
 class _StoredHead(Group):

@@ -156,11 +156,9 @@ class _Unseen(_Operator):
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
     def at_start(self, error: Array) -> _Memory:
-        """The memory at the start of an episode."""
         return _Memory(0, error, np.zeros_like(error))
 
     def act(self, error: Array, holding: Array, memory: _Memory) -> tuple[Array, _Memory]:
-        """Commands (N,)."""
         command = self.law(self, memory, error)
         return holding + command, _Memory(memory.time + 1, error, command)
 
