@@ -19,19 +19,8 @@ from PIL import Image
 
 import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.report.canvas import (
-    COLOURS,
-    GREY,
-    WIDE,
-    WIDTH,
-    bars,
-    dodge,
-    level_axis,
-    looks_of,
-    render,
-    row_axis,
-    ticks,
-)
+from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
+from hydro_agents.report.palette import COLOURS, looks_of
 from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.text import correction_name

@@ -15,8 +15,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from hydro_agents.report.canvas import COLOURS, GREY, INK, LINES, PALE, PAPER, legend_inside, looks_of, ticks
-from hydro_agents.report.canvas import LEAK_LOOKS as LOOKS
+from hydro_agents.report.canvas import GREY, INK, PALE, PAPER, legend_inside, ticks
+from hydro_agents.report.palette import COLOURS, LINES, looks_of
+from hydro_agents.report.palette import LEAK_LOOKS as LOOKS
 from hydro_agents.running.text import number, setting
 from hydro_env import resistance_from_flow
 from paper.force_rate import DRAWN, DRIVE, TERMS

@@ -6,12 +6,11 @@ from made_up_tables import cases, protocol_tables
 from proportional import Proportional
 
 from hydro_agents.evaluation.experiments import EXPERIMENTS
-from hydro_agents.report.canvas import COLOURS
 from hydro_agents.report.content import Content
-from hydro_agents.report.pages import with_traces
+from hydro_agents.report.palette import COLOURS
 from hydro_agents.report.robustness import ROBUSTNESS
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.traces import worst_rows, worst_traces
+from hydro_agents.report.traces import with_traces, worst_rows, worst_traces
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_env import TaskConfig
 

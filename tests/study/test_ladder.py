@@ -8,8 +8,7 @@ import pytest
 
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
-from hydro_agents.study.ladder import JOB_FILE, LadderSettings, run_ladder
-from hydro_agents.study.ladder_table import ratios, rung_scores
+from hydro_agents.study.ladder import JOB_FILE, LadderSettings, ratios, run_ladder, rung_scores
 from hydro_env import ConfigurationError
 from hydro_env.files import validate, write_yaml
 

@@ -1,5 +1,7 @@
 """A study over training seeds: its table and curves against known values, and what a second run does again."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,40 +21,33 @@ STUDY = StudySettings(
 )
 
 
-def ratios(seed):
-    values = {"Flow linearisation": (0.7, 0.6), "PPO": (0.70 - 0.01 * seed, 0.54)}
-    return pd.DataFrame(
-        [
-            {"controller": name, "against": "PID", "group": group, "value": "", "ratio": ratio}
-            for name, pair in values.items()
-            for group, ratio in zip(("all", "equal_weight"), pair, strict=True)
-        ]
-    )
-
-
 def made(folder, seed):
     """A finished study, as the tests need it."""
-    own = folder / "controllers" / "PPO"
-    own.mkdir(parents=True)
-    (folder / "tables").mkdir()
-    ratios(seed).to_csv(folder / "tables" / "ratios.csv", index=False)
-    rates = {
-        "controller": ["PID", "PPO"],
-        "group": "range",
-        "value": "0.1–0.2",
-        "flagged_share": [0.9 + 0.05 * seed, 0.5],
-    }
-    pd.DataFrame(rates).to_csv(folder / "tables" / "detection_rates.csv", index=False)
-    summary = {"controller": ["PID"], "auroc": 0.99, "false_alarm_rate": 0.01 + 0.001 * seed}
-    summary |= {"median_size_error_factor": 1.05}
-    pd.DataFrame(summary).to_csv(folder / "tables" / "detection_summary.csv", index=False)
+    state = {"format": "hydro_env study, state 1", "done": ["evaluate"]}
+    state["seconds"] = {"train PPO": 100 + seed, "train leakage head": 50}
     log = {"time/total_timesteps": [50, 75, 100], "validation/mean_error_mm": [0.2, np.nan, 0.1 + 0.01 * seed]}
-    pd.DataFrame(log | {"validation/base_mean_error_mm": 0.12}).to_csv(own / "progress.csv", index=False)
-    (folder / "state.json").write_text(
-        '{"format": "hydro_env study, state 1", "done": ["evaluate"],'
-        f' "seconds": {{"train PPO": {100 + seed}, "train leakage head": 50}}}}'
-    )
-    (folder / "study.yaml").write_text("")
+    tables = {
+        "tables/ratios": {
+            "controller": ["Flow linearisation"] * 2 + ["PPO"] * 2,
+            "against": "PID",
+            "group": ["all", "equal_weight"] * 2,
+            "value": "",
+            "ratio": [0.7, 0.6, 0.70 - 0.01 * seed, 0.54],
+        },
+        "tables/detection_rates": {
+            "controller": ["PID", "PPO"], "group": "range", "value": "0.1–0.2",
+            "flagged_share": [0.9 + 0.05 * seed, 0.5],
+        },
+        "tables/detection_summary": {
+            "controller": ["PID"], "auroc": 0.99, "false_alarm_rate": 0.01 + 0.001 * seed,
+            "median_size_error_factor": 1.05,
+        },
+        "controllers/PPO/progress": log | {"validation/base_mean_error_mm": 0.12},
+    }  # fmt: skip
+    for name, table in tables.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=name != "tables/ratios")
+        pd.DataFrame(table).to_csv(folder / f"{name}.csv", index=False)
+    (folder / "state.json").write_text(json.dumps(state))
     write_yaml(folder / "study.yaml", {**STUDY.model_dump(mode="json"), "seed": seed})
     (folder / "report.html").write_text("")
 
@@ -74,19 +69,18 @@ def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path)
     file = over_seeds.run_over_seeds(STUDY, tmp_path, range(3))
     assert runs == [(f"seed {seed}", seed, False, False) for seed in range(3)]
     table = pd.read_csv(file).set_index(["of", "figure"])
-    row = table.loc["PPO", "mean error ÷ PID's"]
-    np.testing.assert_allclose(row[["seed 0", "seed 1", "seed 2"]].astype(float), [0.70, 0.69, 0.68])
+    row = table.loc["PPO", "mean error ÷ PID's"].astype(float)
     half = 4.302652729911275 * 0.01 / np.sqrt(3.0)  # Student's t for two degrees of freedom, from a table
-    np.testing.assert_allclose(row[["mean", "low", "high"]].astype(float), [0.69, 0.69 - half, 0.69 + half])
+    expected = [0.70, 0.69, 0.68, 0.69, 0.69 - half, 0.69 + half]
+    np.testing.assert_allclose(row[["seed 0", "seed 1", "seed 2", "mean", "low", "high"]], expected)
     np.testing.assert_allclose(table.loc["PPO", "mean error ÷ that of Flow linearisation"]["mean"], 0.69 / 0.7)
     equal = table.loc["PPO", "mean error, kinds of reference weigh the same ÷ that of Flow linearisation"]
     np.testing.assert_allclose(equal[["mean", "low", "high"]].astype(float), 0.9)
     assert table.loc["PPO", "training, s"]["mean"] == 101.0
-    assert table.loc["leakage head, under PID", "leaks of 0.1–0.2 l/min flagged, %"]["seed 1"] == 95.0
-    assert (
-        table.loc["leakage head, under PID", "leaks of 0.1–0.2 l/min flagged, %"]["high"] == 100.0
-    )  # no more than all
-    np.testing.assert_allclose(table.loc["leakage head, under PID", "false alarms, %"]["mean"], 1.1)
+    head = table.loc["leakage head, under PID"]
+    flagged = head.loc["leaks of 0.1–0.2 l/min flagged, %"]
+    assert (flagged["seed 1"], flagged["high"]) == (95.0, 100.0)  # no more than all
+    np.testing.assert_allclose(head.loc["false alarms, %"]["mean"], 1.1)
 
 
 def test_the_learning_curves_hold_every_validation(runs, tmp_path):

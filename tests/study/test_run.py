@@ -3,10 +3,12 @@
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from published import assert_published
 
 from hydro_agents.commands.evaluate import evaluate
@@ -60,13 +62,6 @@ class Trainer:
 class Broken:
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         return np.full((len(observation), 1), np.nan), None
-
-class LateBroken:
-    """Fails in batches of many only: not when it is tried out, but in the evaluation."""
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        if len(observation) > 100:
-            raise RuntimeError("too many axes")
-        return np.zeros((len(observation), 1)), None
 '''
 CONTROLLERS = {
     "PID": {"kind": "pid"},
@@ -92,18 +87,24 @@ def algorithm(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def plain_report(monkeypatch):
-    """A report of one line: drawing takes longer than everything else here."""
-    monkeypatch.setattr(results, "write_report", lambda path, _, record: path.write_text(record.title))
-
-
-@pytest.fixture
-def settings(algorithm, plain_report):
+def settings(algorithm, monkeypatch):
+    """The study; its report has one line: drawing takes longer than everything else here."""
+    page = lambda title, *_: SimpleNamespace(write=lambda path: path.write_text(title))  # noqa: E731
+    monkeypatch.setattr(results, "render_page", page)
     return StudySettings(**VALUES)
 
 
-def files(folder):
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+def study_file(tmp_path, **changes):
+    """The study as a file, with other values and with other entries of the PID."""
+    pid = {"PID": {"kind": "pid", **changes.pop("pid", {})}}
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump({**VALUES, "controllers": CONTROLLERS | pid, **changes}))
+    return file
+
+
+def stopped(*arguments, **options):
+    with pytest.raises(KeyboardInterrupt):
+        run_study(*arguments, **options)
 
 
 def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, settings, tmp_path, capsys):
@@ -111,14 +112,14 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     result = run_study(settings, folder, seed=5)
     printed = capsys.readouterr().out.splitlines()
     phases = ["train mine", *(f"leakage head, {part}" for part in ("data", "validation", "training"))]
-    phases += ["evaluation", "report"]
-    assert {line.split(":")[0] for line in printed if re.search(r":  ?( ?\d+ %|begun|done)", line)} == set(phases)
+    shown = {line.split(":")[0] for line in printed if re.search(r":  ?( ?\d+ %|begun|done)", line)}
+    assert shown == {*phases, "evaluation", "report"}
     assert printed[-1] == f"report: {folder / 'report.html'}"
     assert [(call["seed"], call["resume"]) for call in algorithm.calls] == [(5, False)]
     assert type(algorithm.calls[0]["base"]).__name__ == "PID"
     assert list(result.cases["controller"].unique()) == ["PID", "mine"]
     for name in ("study.yaml", "state.json", "report.html", "controllers/mine/policy.json", "tables/cases.csv"):
-        assert name in files(folder)
+        assert (folder / name).is_file()
     assert_published("study", folder / "tables")
     state = json.loads((folder / "state.json").read_text())
     assert state["done"] == ["train mine", "train leakage head", "evaluate"]
@@ -126,14 +127,11 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
 
     with pytest.raises(ConfigurationError, match="holds results already"):
         run_study(settings, folder, seed=5)
-    for changed, where in (({"seed": 6}, "seed"), ({"gain": 4.0}, "controllers")):
-        other = settings
-        if "gain" in changed:
-            other = StudySettings(
-                **{**VALUES, "controllers": {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": changed}}}
-            )
-        with pytest.raises(ConfigurationError, match=f"other settings \\('{where}' differs\\)"):
-            run_study(other, folder, seed=changed.get("seed", 5), resume=True)
+    with pytest.raises(ConfigurationError, match=r"other settings \('seed' differs\)"):
+        run_study(settings, folder, seed=6, resume=True)
+    other = {**CONTROLLERS, "mine": {**CONTROLLERS["mine"], "settings": {"gain": 4.0}}}
+    with pytest.raises(ConfigurationError, match=r"other settings \('controllers' differs\)"):
+        run_study(StudySettings(**{**VALUES, "controllers": other}), folder, seed=5, resume=True)
     again = run_study(settings.model_copy(update={"title": "Another"}), folder, seed=5, resume=True)
     assert len(algorithm.calls) == 1
     pd.testing.assert_frame_equal(again.cases, result.cases)
@@ -146,19 +144,21 @@ def test_a_study_trains_compares_and_reports_and_can_be_resumed(algorithm, setti
     assert len(algorithm.calls) == 2
     pd.testing.assert_frame_equal(anew.ratios, result.ratios)
 
+    # The head trained beside a controller differs from the one trained under the PID alone.
+    run_study(StudySettings(**{**VALUES, "controllers": {"PID": {"kind": "pid"}}}), tmp_path / "alone", seed=5)
+    both, one = ((path / "leakage_head.safetensors").read_bytes() for path in (folder, tmp_path / "alone"))
+    assert both != one
+
 
 def test_a_stopped_training_goes_on_from_its_checkpoint_and_never_from_an_older_one(algorithm, settings, tmp_path):
     folder = tmp_path / "out"
     algorithm.fate = "late"
-    with pytest.raises(KeyboardInterrupt):
-        run_study(settings, folder, seed=1)
+    stopped(settings, folder, seed=1)
     assert not (folder / "report.html").exists()
     algorithm.fate = "finish"
     run_study(settings, folder, seed=1, resume=True)
-    assert [call["resume"] for call in algorithm.calls] == [False, True]
     algorithm.fate = "early"
-    with pytest.raises(KeyboardInterrupt):
-        run_study(settings, folder, seed=1, overwrite=True)
+    stopped(settings, folder, seed=1, overwrite=True)
     assert not any(folder.rglob("checkpoint*"))
     assert not any(folder.rglob("policy*"))
     algorithm.fate = "finish"
@@ -170,7 +170,7 @@ def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatc
     resumed = []
     whole = training.train_head
 
-    def stopped(*arguments, folder, resume):
+    def interrupted(*arguments, folder, resume):
         resumed.append(resume)
         if not resume:
             (folder / "head_checkpoint.safetensors").write_bytes(b"")
@@ -178,57 +178,47 @@ def test_the_training_of_the_head_goes_on_as_well(settings, tmp_path, monkeypatc
         (folder / "head_checkpoint.safetensors").unlink()
         return whole(*arguments, folder=folder, resume=False)
 
-    monkeypatch.setattr(training, "train_head", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        run_study(settings, tmp_path / "out", seed=0)
+    monkeypatch.setattr(training, "train_head", interrupted)
+    stopped(settings, tmp_path / "out", seed=0)
     run_study(settings, tmp_path / "out", seed=0, resume=True)
     assert resumed == [False, True]
 
 
-def test_a_controller_that_cannot_act_stops_the_study_before_it_trains(algorithm, tmp_path):
-    broken = {"kind": "my_study_algorithm:Broken"}
-    study = StudySettings(**{**VALUES, "controllers": {**CONTROLLERS, "broken": broken}})
-    with pytest.raises(
-        ConfigurationError, match=r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan"
-    ):
-        run_study(study, tmp_path / "out", seed=0)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"controllers": {**CONTROLLERS, "broken": {"kind": "my_study_algorithm:Broken"}}},
+            r"controllers\.broken: seed 1999998, at 0.000 s: predict returned nan",
+        ),
+        ({"leakage_head": {"lowest_healthy_flow": 5.0}}, "lowest_healthy_flow"),
+    ],
+)
+def test_what_cannot_work_stops_the_study_before_it_trains(algorithm, tmp_path, changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        run_study(StudySettings(**{**VALUES, **changes}), tmp_path / "out", seed=0)
     assert algorithm.calls == []
-    wrong = StudySettings(**{**VALUES, "leakage_head": {"lowest_healthy_flow": 5.0}})
-    with pytest.raises(ConfigurationError, match="lowest_healthy_flow"):
-        run_study(wrong, tmp_path / "other", seed=0)
-    assert algorithm.calls == []
-    assert not (tmp_path / "other").exists()
-
-
-def config_file(tmp_path):
-    import yaml
-
-    file = tmp_path / "study.yaml"
-    file.write_text(yaml.safe_dump({**VALUES, "task": {}, "controllers": {"PID": {"kind": "pid"}}}))
-    return file
+    assert not list(tmp_path.glob("out/controllers/*"))
 
 
 def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
     agents = ["broken=my_study_algorithm:Broken", "PPO=ppo"]
+    file = study_file(tmp_path, task={}, controllers={"PID": {"kind": "pid"}})
     with pytest.raises(ConfigurationError, match=r"broken failed; .*out holds the results of the others"):
-        evaluate(tmp_path / "out", config_file(tmp_path), agents, plants=3)
+        evaluate(tmp_path / "out", file, agents, plants=3)
     errors = capsys.readouterr().err
     assert "broken: seed 2000000, reference step, leak 0.01 l/min, at 0.000 s: predict returned nan" in errors
     cases = pd.read_csv(tmp_path / "out" / "tables" / "cases.csv")
     assert list(cases["controller"].unique()) == ["PID", "PPO"]
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
     with pytest.raises(ConfigurationError, match="holds results already"):
-        evaluate(tmp_path / "out", config_file(tmp_path), agents)
+        evaluate(tmp_path / "out", file, agents)
 
 
 def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
-    import yaml
-
-    file = tmp_path / "study.yaml"
-    file.write_text(yaml.safe_dump(VALUES))
+    file = study_file(tmp_path)
     train("MINE", tmp_path / "out", file, steps=7, seed=3)
-    assert algorithm.calls[-1]["steps"] == 7
-    assert algorithm.calls[-1]["seed"] == 3
+    assert (algorithm.calls[-1]["steps"], algorithm.calls[-1]["seed"]) == (7, 3)
     assert (tmp_path / "out" / "policy.json").exists()
     for what, options, message in (
         ("nothing", {}, "train 'nothing': unknown; this study trains: mine, head, pid, "),
@@ -255,54 +245,39 @@ def test_agents_of_the_command_line():
             named_agents(texts)
 
 
-def test_head_data_comes_from_every_controller(algorithm, settings, tmp_path):
-    """The head trained beside a controller differs from the one trained under the PID alone."""
-    run_study(settings, tmp_path / "both", seed=0)
-    alone = StudySettings(**{**VALUES, "controllers": {"PID": {"kind": "pid"}}})
-    run_study(alone, tmp_path / "alone", seed=0)
-    both, one = ((tmp_path / name / "leakage_head.safetensors").read_bytes() for name in ("both", "alone"))
-    assert both != one
-    assert np.isfinite(pd.read_csv(tmp_path / "alone" / "tables" / "levels.csv")["mean"].dropna()).all()
-
-
-def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, plain_report, tmp_path, capsys):
-    import yaml
-
-    tuned = {**CONTROLLERS, "PID": {"kind": "pid", "tune": {"evaluations": 28, "cases": 2}}}
-    file = tmp_path / "study.yaml"
-    file.write_text(yaml.safe_dump({**VALUES, "controllers": tuned}))
-    study = default_study(file, rig="symmetric_eha")
+def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settings, tmp_path, capsys):
+    file = study_file(tmp_path, pid={"tune": {"evaluations": 28, "cases": 2}})
+    study, folder = default_study(file, rig="symmetric_eha"), tmp_path / "out"
     algorithm.fate = "late"
-    with pytest.raises(KeyboardInterrupt):
-        run_study(study, tmp_path / "out", seed=2)
-    gains = (tmp_path / "out" / "controllers" / "PID" / "gains.yaml").read_text()
-    assert algorithm.calls[0]["base"].config.plant == study.task.plant
-    assert algorithm.calls[0]["base"].gains.model_dump() == yaml.safe_load(gains)
-    assert yaml.safe_load(gains) != study.make("PID").gains.model_dump()
+    stopped(study, folder, seed=2)
+    gains = (folder / "controllers" / "PID" / "gains.yaml").read_text()
+    base = algorithm.calls[0]["base"]
+    assert base.config.plant == study.task.plant
+    assert base.gains.model_dump() == yaml.safe_load(gains) != study.make("PID").gains.model_dump()
     algorithm.fate = "finish"
-    result = run_study(study, tmp_path / "out", seed=2, resume=True)
-    assert (tmp_path / "out" / "controllers" / "PID" / "gains.yaml").read_text() == gains
-    assert algorithm.calls[1]["base"].gains == algorithm.calls[0]["base"].gains
+    result = run_study(study, folder, seed=2, resume=True)
+    assert (folder / "controllers" / "PID" / "gains.yaml").read_text() == gains
+    assert algorithm.calls[1]["base"].gains == base.gains
 
     # The study with the gains, which needs no tuning; and the same rig with the gains that ship for it.
     capsys.readouterr()
-    weights = [f"mine={tmp_path / 'out' / 'controllers' / 'mine' / 'policy'}", "PPO=ppo"]
-    evaluate(tmp_path / "again", tmp_path / "out" / "tuned_study.yaml", weights, head=tmp_path / "out" / "leakage_head")
+    weights = [f"mine={folder / 'controllers' / 'mine' / 'policy'}", "PPO=ppo"]
+    evaluate(tmp_path / "again", folder / "tuned_study.yaml", weights, head=folder / "leakage_head")
     assert "PPO" not in capsys.readouterr().err  # weights that ship for this rig
     again = pd.read_csv(tmp_path / "again" / "tables" / "cases.csv")
     both = again["controller"] != "PPO"
     np.testing.assert_array_equal(again[both]["mean_error_mm"], result.cases["mean_error_mm"])
-    evaluate(tmp_path / "untuned", file, weights[:1], rig="symmetric_eha", head=tmp_path / "out" / "leakage_head")
+    evaluate(tmp_path / "untuned", file, weights[:1], rig="symmetric_eha", head=folder / "leakage_head")
     assert "not tuned" not in capsys.readouterr().err
 
 
 def test_train_tunes_what_is_to_be_corrected(algorithm, tmp_path):
-    import yaml
-
-    tuned = {**CONTROLLERS, "PID": {"kind": "pid", "tune": {"evaluations": 14, "cases": 2}}}
-    file = tmp_path / "study.yaml"
-    file.write_text(yaml.safe_dump({**VALUES, "controllers": tuned}))
-    train("mine", tmp_path / "out", file, rig="symmetric_eha")
+    train(
+        "mine",
+        tmp_path / "out",
+        study_file(tmp_path, pid={"tune": {"evaluations": 14, "cases": 2}}),
+        rig="symmetric_eha",
+    )
     gains = yaml.safe_load((tmp_path / "out" / "gains.yaml").read_text())
     assert algorithm.calls[0]["base"].gains.model_dump() == gains
     assert (tmp_path / "out" / "policy.json").exists()

@@ -22,9 +22,9 @@ from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.pages import with_traces
 from hydro_agents.report.robustness import PAGE_FILE, ROBUSTNESS
 from hydro_agents.report.sections import render_page, sections_named
+from hydro_agents.report.traces import with_traces
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs

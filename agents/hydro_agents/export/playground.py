@@ -31,8 +31,7 @@ from hydro_agents.export.leakage_head import head_code
 from hydro_agents.export.plant import plant_code
 from hydro_agents.export.translator import Translator
 from hydro_agents.learning.opponents import shipped
-from hydro_agents.report.canvas import LEAK_LOOKS
-from hydro_agents.report.palette import css_rules
+from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
 from hydro_env import ConfigurationError, HydroError, TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits

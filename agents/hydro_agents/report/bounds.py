@@ -15,7 +15,8 @@ from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows
 from hydro_agents.estimation.move_design import Design, Move
 from hydro_agents.evaluation.leak_bound import ALL_SENSORS
 from hydro_agents.evaluation.robustness_protocol import DRAWN_FAMILIES
-from hydro_agents.report.canvas import COLOURS, GREY, WIDE, looks_of, render, row_axis, ticks
+from hydro_agents.report.canvas import GREY, WIDE, render, row_axis, ticks
+from hydro_agents.report.palette import COLOURS, looks_of
 from hydro_agents.running.text import frame_markdown, number, setting
 
 ORDINARY = next(iter(MOTIONS))

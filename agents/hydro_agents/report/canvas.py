@@ -23,7 +23,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from hydro_agents.report.hover import name_categories, with_values
-from hydro_agents.report.palette import LEAKS, NEUTRALS, SERIES, themed
+from hydro_agents.report.palette import NEUTRALS, Look, themed
 from hydro_agents.running.text import number, setting
 
 Array = NDArray[np.floating[Any]]
@@ -86,41 +86,6 @@ class Plot:
     svg: str  # element of the page, in the colours of the reader's theme
     file: bytes  # SVG in light colours
     wide: bool = False  # as wide as the page
-
-
-@dataclass(frozen=True)
-class Look:
-    """Colour, marker and line of a controller or a leak in all figures."""
-
-    colour: str
-    marker: str
-    line: Any  # a linestyle of matplotlib
-
-    @property
-    def stroke(self) -> dict[str, Any]:
-        """Options of a line."""
-        return {"color": self.colour, "linestyle": self.line}
-
-
-COLOURS = tuple(colour.light for colour in SERIES)
-
-MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
-
-_DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.5, 1)), "-")
-
-LEAK_LOOKS = {
-    leak: Look(colour.light, marker, line)
-    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
-}
-"""By leak, from a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
-
-
-def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
-    """The look of each controller, by its position in the list."""
-    return {
-        name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
-        for i, name in enumerate(names)
-    }
 
 
 def render(paint: Callable[[Figure], None], size: tuple[float, float], *kinds: str) -> list[bytes]:
@@ -225,7 +190,7 @@ def curve_plot(
         for index, (name, frame) in enumerate(frames.items()):
             at = np.array([places[float(x)] for x in frame.index]) + dodge(len(frames), index, apart)
             if "low" in frame:
-                bars(axes, at, frame, "value", looks[name], name)
+                bars(axes, at, frame, looks[name], name)
             else:
                 axes.plot(at, frame["value"], marker=looks[name].marker, label=name, **looks[name].stroke)
         if levels:
@@ -234,6 +199,42 @@ def curve_plot(
 
     rows = {name: [(f"{setting(x)}{per}", y) for x, y in frame["value"].items()] for name, frame in frames.items()}
     return one_panel(key, title, note, description(title, rows, unit), paint)
+
+
+def rows_plot(
+    key: str,
+    title: str,
+    note: str,
+    parts: Mapping[str, pd.DataFrame],
+    looks: Mapping[Any, Look],
+    unit: str,
+    finish: Callable[[Axes], None],
+) -> Plot:
+    """A figure of one panel: rows from top to bottom, in each a point with its interval for every participant.
+
+    Args:
+        key: name of its file.
+        title: of the figure.
+        note: how to read it.
+        parts: by participant: columns ``value``, ``low`` and ``high``, NaN where there is none; the index holds the
+            labels of the rows, the same for all participants.
+        looks: of the participants.
+        unit: of the values, after a space.
+        finish: sets scale and label of the axis when the points are drawn.
+    """
+    labels = [str(label) for label in next(iter(parts.values())).index]
+
+    def paint(axes: Axes) -> None:
+        apart = min(0.24, 0.7 / len(parts))
+        for index, (name, part) in enumerate(parts.items()):
+            if part["value"].notna().any():
+                bars(axes, np.arange(len(labels)) + dodge(len(parts), index, apart), part, looks[name], name, "rows")
+        row_axis(axes, labels)
+        finish(axes)
+
+    rows = {name: list(part["value"].dropna().items()) for name, part in parts.items()}
+    height = max(HEIGHT, 0.9 + 0.25 * len(labels) * max(1.2, 0.6 * len(parts)))
+    return one_panel(key, title, note, description(title, rows, unit), paint, height)
 
 
 def description(title: str, rows: Mapping[str, Iterable[tuple[str, float]]], unit: str) -> str:
@@ -291,32 +292,15 @@ def row_axis(axes: Axes, labels: Sequence[str]) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def bars(axes: Axes, places: Any, frame: pd.DataFrame, column: str, look: Look, label: str, kind: str = "line") -> None:
-    """Values with their intervals (columns ``low`` and ``high``): as a line, as points, or as points in rows."""
-    value, low, high = (frame[name].to_numpy(dtype=np.float64) for name in (column, "low", "high"))
+def bars(axes: Axes, places: Any, frame: pd.DataFrame, look: Look, label: str, kind: str = "line") -> None:
+    """Draw values with their intervals (columns value, low, high): as a line, as points, or as points in rows."""
+    value, low, high = (frame[name].to_numpy(dtype=np.float64) for name in ("value", "low", "high"))
     lengths = np.maximum(np.nan_to_num(np.array([value - low, high - value])), 0.0)
-    style: dict[str, Any] = {"color": look.colour, "marker": look.marker, "label": label}
-    style["linestyle"] = look.line if kind == "line" else "none"
-    if kind == "rows":
-        axes.errorbar(value, places, xerr=lengths, **style)
-    else:
-        axes.errorbar(places, value, yerr=lengths, **style)
-
-
-def bars_by(
-    axes: Axes,
-    parts: Mapping[str, pd.DataFrame],
-    by: str,
-    values: Sequence[str],
-    column: str,
-    looks: Mapping[str, Look],
-    kind: str,
-) -> None:
-    """Draw bars of every controller for each value of the column ``by``; the bars of one value stand side by side."""
-    width = min(0.2, 0.7 / len(parts)) if kind == "rows" else 0.16
-    for index, (name, part) in enumerate(parts.items()):
-        places = np.array([values.index(str(value)) for value in part[by]]) + dodge(len(parts), index, width)
-        bars(axes, places, part, column, looks[name], name, kind)
+    at: dict[str, Any] = {"x": value, "y": places, "xerr": lengths}
+    if kind != "rows":
+        at = {"x": places, "y": value, "yerr": lengths}
+    line = look.line if kind == "line" else "none"
+    axes.errorbar(**at, color=look.colour, marker=look.marker, label=label, linestyle=line)
 
 
 def dodge(count: int, index: int, width: float) -> float:

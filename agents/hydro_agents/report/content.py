@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import pandas as pd
 
-from hydro_agents.report.canvas import Look, looks_of
+from hydro_agents.report.palette import Look, looks_of
 from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import correction_name, decimals_for, number
 from hydro_env import TaskConfig
@@ -152,11 +152,16 @@ class Content:
 
     # Rows -------------------------------------------------------------------------------------------------------------
 
-    def row(self, table: str, **wanted: Any) -> dict[str, Any]:
-        """The first row of a table with some values; empty if there is none."""
+    def rows(self, table: str, **wanted: Any) -> pd.DataFrame:
+        """The rows of a table with some values in its columns."""
         rows = self.table(table)
         for column, value in wanted.items():
             rows = rows[rows[column] == value] if len(rows) else rows
+        return rows
+
+    def row(self, table: str, **wanted: Any) -> dict[str, Any]:
+        """The first of :meth:`rows`; empty if there is none."""
+        rows = self.rows(table, **wanted)
         return {str(key): value for key, value in rows.iloc[0].to_dict().items()} if len(rows) else {}
 
     def against(self, controller: str, condition: str = ALL) -> dict[str, Any]:
@@ -173,8 +178,23 @@ class Content:
 
 
 def interval(row: Mapping[Any, Any], column: str, factor: float = 1.0) -> Interval:
-    """A column with its interval (``_low``, ``_high``); NaN if there is none."""
-    return Interval(*(factor * float(row.get(column + end, np.nan)) for end in ("", "_low", "_high")))
+    """A column with its interval (``COLUMN_low``, ``COLUMN_high``; else ``low``, ``high``); NaN if there is none."""
+    ends = (f"{column}_{end}" if f"{column}_{end}" in row else end for end in ("low", "high"))
+    return Interval(*(factor * float(row.get(name, np.nan)) for name in (column, *ends)))
+
+
+def intervals(table: pd.DataFrame, column: str, by: str | None = None, factor: float = 1.0) -> pd.DataFrame:
+    """A column with its intervals, see :func:`interval`, as ``value``, ``low``, ``high``, over the column ``by``."""
+    ends = (f"{column}_{end}" if f"{column}_{end}" in table else end for end in ("low", "high"))
+    found = (table if by is None else table.set_index(by))[[column, *ends]].astype(np.float64)
+    return factor * found.set_axis(["value", "low", "high"], axis=1)
+
+
+def verdict(value: Interval) -> str:
+    """'better' or 'worse' if the whole interval of a ratio is on one side of 1, else 'same'."""
+    if value.high < 1.0:
+        return "better"
+    return "worse" if value.low > 1.0 else "same"
 
 
 def interval_text(value: Interval, unit: str = "", decimals: int | None = None) -> str:

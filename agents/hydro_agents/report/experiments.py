@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hydro_agents.evaluation.experiments import bandwidths
-from hydro_agents.report.canvas import (
-    INK,
-    Look,
-    Plot,
-    add_legend,
-    curve_plot,
-    description,
-    make_plot,
-    ticks,
-)
+from hydro_agents.report.canvas import INK, Plot, add_legend, curve_plot, description, make_plot, ticks
 from hydro_agents.report.content import Content
 from hydro_agents.report.sections import Block, Fold, Text, section
 from hydro_agents.running.text import Table, number, setting
@@ -49,31 +37,40 @@ def frequency(content: Content) -> list[Block]:
     ]
 
 
+def leaks_of(table: pd.DataFrame) -> list[float]:
+    """The leaks of a table, l/min at 100 bar, from small to large."""
+    return sorted(float(leak) for leak in table["leakage_flow_lpm"].unique())
+
+
+def by_controller(content: Content, table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """The rows of each controller that a table contains."""
+    parts = {name: table[table["controller"] == name] for name in content.looks}
+    return {name: part for name, part in parts.items() if len(part)}
+
+
 def bode_plots(content: Content) -> list[Plot]:
     """Gain and phase over frequency for the tightest and the most leaking seal, with and without preview."""
-    table = content.table("frequency")
-    leaks = sorted(float(leak) for leak in table["leakage_flow_lpm"].unique())
-    plots = []
-    for preview in (True, False):
-        for leak in dict.fromkeys((leaks[0], leaks[-1])):
-            part = table[(table["preview"] == preview) & (table["leakage_flow_lpm"] == leak)]
-            if len(part):
-                plots.append(_bode(content, part, preview, leak))
-    return plots
+    leaks = leaks_of(content.table("frequency"))
+    return [
+        _bode(content, part, preview, leak)
+        for preview in (True, False)
+        for leak in dict.fromkeys((leaks[0], leaks[-1]))
+        if len(part := content.rows("frequency", preview=preview, leakage_flow_lpm=leak))
+    ]
 
 
 def _bode(content: Content, table: pd.DataFrame, preview: bool, leak: float) -> Plot:
-    looks = {name: look for name, look in content.looks.items() if (table["controller"] == name).any()}
     curves = {
-        name: table[table["controller"] == name].groupby("frequency_hz")[["gain", "phase_deg"]].median()
-        for name in looks
+        name: own.groupby("frequency_hz")[["gain", "phase_deg"]].median()
+        for name, own in by_controller(content, table).items()
     }
 
     def paint(figure: Figure) -> None:
         above, below = figure.subplots(2, 1, sharex=True)
         for name, curve in curves.items():
-            above.plot(curve.index, 20.0 * np.log10(curve["gain"]), label=name, **looks[name].stroke)
-            below.plot(curve.index, curve["phase_deg"], **looks[name].stroke)
+            stroke = content.looks[name].stroke
+            above.plot(curve.index, 20.0 * np.log10(curve["gain"]), label=name, **stroke)
+            below.plot(curve.index, curve["phase_deg"], **stroke)
         above.axhline(-3.0, color=INK, linewidth=0.8, linestyle=":")
         below.axhline(-90.0, color=INK, linewidth=0.8, linestyle=":")
         above.set(ylabel="gain, dB", ylim=(-21.0, 12.0), yticks=[-20, -10, -3, 0, 10])
@@ -86,10 +83,7 @@ def _bode(content: Content, table: pd.DataFrame, preview: bool, leak: float) -> 
     seal = f"leak of {setting(leak)} l/min"
     title = f"Frequency response, {seal}, {'with preview' if preview else 'preview hidden'}"
     note = "Reference to true position, median of the plants; dotted: −3 dB and −90°."
-    rows = {
-        name: [(f"{setting(f)} Hz", float(curve["gain"].iloc[i])) for i, f in enumerate(curve.index)]
-        for name, curve in curves.items()
-    }
+    rows = {name: [(f"{setting(f)} Hz", gain) for f, gain in curve["gain"].items()] for name, curve in curves.items()}
     alt = description(f"{title}: gain", rows, "")
     key = f"bode-{'preview' if preview else 'hidden'}-{setting(leak)}"
     return make_plot(key, title, note, alt, paint, 4.2)
@@ -103,26 +97,17 @@ def bandwidth_tables(content: Content) -> list[Table]:
     tables = []
     for preview, text in ((True, "with the preview that the controller sees"), (False, "with the preview hidden")):
         part = found[found["preview"] == preview]
-        leaks = sorted(float(leak) for leak in part["leakage_flow_lpm"].unique())
-        rows = []
+        leaks, rows = leaks_of(part), []
         for name, own in part.groupby("controller", sort=False):
             by_leak = own.set_index("leakage_flow_lpm")
-            cells = [
-                _frequency(float(by_leak.loc[leak, key]), highest)
-                for leak in leaks
-                for key in ("minus_3_db_hz", "minus_90_deg_hz")
-            ]
-            cells += [number(float(by_leak.loc[leak, "peak_gain"]), 2) for leak in (leaks[0],)]
-            rows.append((str(name), *cells))
+            ends = by_leak.loc[leaks, ["minus_3_db_hz", "minus_90_deg_hz"]].to_numpy().ravel()
+            cells = (f"> {setting(highest)}" if np.isinf(value) else number(value, 1) for value in ends)
+            rows.append((str(name), *cells, number(float(by_leak.loc[leaks[0], "peak_gain"]), 2)))
         header = ("Controller", *("−3 dB, Hz", "−90°, Hz") * len(leaks), "at the tight seal")
         groups = (*((f"{setting(leak)} l/min", 2) for leak in leaks), ("largest gain", 1))
         if rows:
             tables.append(Table(f"Bandwidth {text}; median of the plants", header, rows, groups))
     return tables
-
-
-def _frequency(value: float, highest: float) -> str:
-    return f"> {setting(highest)}" if np.isinf(value) else number(value, 1)
 
 
 # Stiffness ----------------------------------------------------------------------------------------------------------
@@ -145,42 +130,29 @@ def stiffness(content: Content) -> list[Block]:
 
 def stiffness_plots(content: Content) -> list[Plot]:
     """Peak deviation after a force step by leak, and compliance over frequency healthy and leaking."""
+    note = "Largest and remaining deviation per force, median of the plants; bars: lowest and highest plant."
+    titles = {"dynamic_mm_per_kn": "largest deviation", "static_mm_per_kn": "remaining deviation"}
     plots = []
-    step, sine = content.table("force_step"), content.table("force_sine")
-    looks = content.looks
-    if not step.empty:
-        note = "Largest and remaining deviation per force, median of the plants; bars: lowest and highest plant."
-        for column, title in (
-            ("dynamic_mm_per_kn", "Force step: largest deviation"),
-            ("static_mm_per_kn", "Force step: remaining deviation"),
-        ):
-            plots.append(_by_leak(step, column, title, note, looks))
-    if not sine.empty:
-        leaks = sorted(float(leak) for leak in sine["leakage_flow_lpm"].unique())
-        for leak in dict.fromkeys((leaks[0], leaks[-1])):
-            plots.append(_compliance(sine[sine["leakage_flow_lpm"] == leak], leak, looks))
-    return plots
+    for column, title in titles.items() if content.has("force_step") else ():
+        curves = {
+            name: own.groupby("leakage_flow_lpm")[column].agg(value="median", low="min", high="max")
+            for name, own in by_controller(content, content.table("force_step")).items()
+        }
+
+        def finish(axes: Axes) -> None:
+            axes.set(ylabel="deviation, mm per kN", ylim=(0.0, None))
+
+        named = (f"by-leak-{column}", f"Force step: {title}", note)
+        plots.append(curve_plot(*named, curves, content.looks, " mm/kN", finish, levels=True, apart=0.04))
+    leaks = leaks_of(content.table("force_sine")) if content.has("force_sine") else []
+    return plots + [_compliance(content, leak) for leak in dict.fromkeys((*leaks[:1], *leaks[-1:]))]
 
 
-def _by_leak(table: pd.DataFrame, column: str, title: str, note: str, looks: Mapping[Any, Look]) -> Plot:
-    curves = {
-        name: own.groupby("leakage_flow_lpm")[column].agg(value="median", low="min", high="max")
-        for name in looks
-        if len(own := table[table["controller"] == name])
-    }
-
-    def finish(axes: Axes) -> None:
-        axes.set(ylabel="deviation, mm per kN", ylim=(0.0, None))
-
-    key = f"by-leak-{column}"
-    return curve_plot(key, title, note, curves, looks, " mm/kN", finish, levels=True, apart=0.04)
-
-
-def _compliance(table: pd.DataFrame, leak: float, looks: Mapping[Any, Look]) -> Plot:
+def _compliance(content: Content, leak: float) -> Plot:
+    table = content.rows("force_sine", leakage_flow_lpm=leak)
     curves = {
         name: own.groupby("frequency_hz")["compliance_mm_per_kn"].median()
-        for name in looks
-        if len(own := table[table["controller"] == name])
+        for name, own in by_controller(content, table).items()
     }
 
     def finish(axes: Axes) -> None:
@@ -192,24 +164,20 @@ def _compliance(table: pd.DataFrame, leak: float, looks: Mapping[Any, Look]) -> 
     title = f"Sinusoidal force, leak of {setting(leak)} l/min"
     note = "Amplitude of the position per amplitude of the force, median of the plants; lower is stiffer."
     key = f"compliance-{setting(leak)}"
-    return curve_plot(key, title, note, curves, looks, " mm/kN", finish, " Hz")
+    return curve_plot(key, title, note, curves, content.looks, " mm/kN", finish, " Hz")
 
 
 def stiffness_table(content: Content) -> Table:
     """Static and dynamic stiffness by leak, medians of the plants."""
     table = content.table("force_step")
-    leaks = sorted(float(leak) for leak in table["leakage_flow_lpm"].unique())
-    columns: tuple[tuple[str, Callable[[pd.DataFrame], str]], ...] = (
-        ("static, N/mm", lambda part: _stiffness(part, "remaining_mm")),
-        ("dynamic, N/mm", lambda part: _stiffness(part, "peak_mm")),
-        ("recovered after, ms", _recovery),
-    )
+    leaks = leaks_of(table)
     rows = []
     for name, own in table.groupby("controller", sort=False):
         parts = [own[own["leakage_flow_lpm"] == leak] for leak in leaks]
-        rows.append((str(name), *(text(part) for part in parts for _, text in columns)))
-    header = ("Controller", *[title for title, _ in columns] * len(leaks))
-    groups = tuple((f"{setting(leak)} l/min", len(columns)) for leak in leaks)
+        cells = [(_stiffness(part, "remaining_mm"), _stiffness(part, "peak_mm"), _recovery(part)) for part in parts]
+        rows.append((str(name), *(text for part in cells for text in part)))
+    header = ("Controller", *("static, N/mm", "dynamic, N/mm", "recovered after, ms") * len(leaks))
+    groups = tuple((f"{setting(leak)} l/min", 3) for leak in leaks)
     force = number(float(table["force_n"].iloc[0]), 0)
     caption = f"Stiffness against a force step of {force} N; median of the plants"
     return Table(caption, header, rows, groups, "dense")
@@ -252,7 +220,7 @@ def standstill(content: Content) -> list[Block]:
 def standstill_tables(content: Content) -> list[Table]:
     """Limit cycles by leak, and residual motion, offset and valve travel with noise."""
     table = content.table("standstill")
-    leaks = sorted(float(leak) for leak in table["leakage_flow_lpm"].unique())
+    leaks = leaks_of(table)
     header = ("Controller", *(f"{setting(leak)} l/min" for leak in leaks))
     cycles, rest = [], []
     for name, own in table.groupby("controller", sort=False):

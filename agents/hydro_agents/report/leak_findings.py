@@ -7,7 +7,7 @@ import numpy as np
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.content import Content, interval_text
 from hydro_agents.report.sections import Finding
-from hydro_agents.running.text import listed, number, setting, unbroken
+from hydro_agents.running.text import listed, number, setting
 
 SURE = 95.0
 """Percentage of windows with detection for the sentence "is found"."""
@@ -20,8 +20,7 @@ MOST_NAMED = 5
 
 def findings_of(content: Content) -> list[Finding]:
     """Findings on size, delay, reliability, confusions and windows without an answer."""
-    items = [_small(content), *_early(content), _sure(content), _confused(content), _silent(content)]
-    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
+    return [_small(content), *_early(content), _sure(content), _confused(content), _silent(content)]
 
 
 def _levels(content: Content, detector: str, condition: str) -> list[float]:

@@ -11,37 +11,32 @@ from matplotlib.axes import Axes
 from hydro_agents.evaluation.leak_protocol import HEALTHY
 from hydro_agents.report.canvas import (
     GREY,
-    HEIGHT,
     INK,
     Plot,
+    bars,
     curve_plot,
     description,
-    dodge,
     log_leak_axis,
     one_panel,
-    row_axis,
+    rows_plot,
     ticks,
 )
-from hydro_agents.report.content import Content, interval
+from hydro_agents.report.content import Content, interval, intervals
 from hydro_agents.running.statistics import Interval
 
 Find = Callable[[str, str], Interval]
 """A share in percent with its interval, by detector and condition."""
 
-SPREAD = 0.24
-"""Distance of the detectors within one row."""
-
 
 def detection_plot(content: Content) -> list[Plot]:
     """Share found at 1 % false alarms over the size of the leak."""
-    table = content.table("detection")
-    table = table[(table["condition"] == content.base) & (table["level"] > HEALTHY)].sort_values("level")
-    curves = {}
-    for name in content.detectors:
-        own = table[table["detector"] == name].set_index("level")
-        columns = {"at_1_percent": "value", "at_1_percent_low": "low", "at_1_percent_high": "high"}
-        if len(own):
-            curves[name] = 100.0 * own[list(columns)].rename(columns=columns)
+    table = content.rows("detection", condition=content.base).sort_values("level")
+    table = table[table["level"] > HEALTHY]
+    curves = {
+        name: intervals(own, "at_1_percent", "level", 100.0)
+        for name in content.detectors
+        if len(own := table[table["detector"] == name])
+    }
     if not curves:
         return []
 
@@ -74,37 +69,18 @@ def _rows_plot(
     shown = [where for where in conditions if any(not np.isnan(each[where].value) for each in found.values())]
     if not shown:
         return []
-    texts = {where: (names or {}).get(where, content.label(where)) for where in shown}
+    texts = [(names or {}).get(where, content.label(where)) for where in shown]
+    columns = ["value", "low", "high"]
+    parts = {name: pd.DataFrame([each[where] for where in shown], texts, columns) for name, each in found.items()}
 
-    def paint(axes: Axes) -> None:
+    def finish(axes: Axes) -> None:
         for value, style in lines.items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
-        for index, name in enumerate(content.detectors):
-            look = content.looks[name]
-            values = np.array([found[name][where] for where in shown])
-            places = np.arange(len(shown)) + dodge(len(content.detectors), index, SPREAD)
-            lengths = np.nan_to_num(np.maximum([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]], 0.0))
-            if not np.isnan(values[:, 0]).all():
-                axes.errorbar(
-                    values[:, 0],
-                    places,
-                    xerr=lengths,
-                    linestyle="none",
-                    color=look.colour,
-                    marker=look.marker,
-                    label=name,
-                )
-        row_axis(axes, list(texts.values()))
         axes.set_xlabel(label)
         if limit is not None:
             axes.set_xlim(-0.02 * limit, 1.03 * limit)
 
-    rows = {
-        name: [(texts[where], each[where].value) for where in shown if not np.isnan(each[where].value)]
-        for name, each in found.items()
-    }
-    height = max(HEIGHT, 1.2 + 0.3 * len(shown))
-    return [one_panel(key, title, note, description(title, rows, " %"), paint, height)]
+    return [rows_plot(key, title, note, parts, content.looks, " %", finish)]
 
 
 def motion_plots(content: Content) -> list[Plot]:
@@ -218,12 +194,8 @@ def reliability_plot(content: Content) -> list[Plot]:
     def paint(axes: Axes) -> None:
         axes.plot([0, 100], [0, 100], color=GREY, linewidth=0.9)
         for name, part in parts.items():
-            look = content.looks[name]
-            value, low, high = (100.0 * part[f"frequency{end}"].to_numpy() for end in ("", "_low", "_high"))
-            lengths = np.maximum(np.array([value - low, high - value]), 0.0)
-            axes.errorbar(
-                100.0 * part["probability"], value, yerr=lengths, marker=look.marker, label=name, **look.stroke
-            )
+            frame = intervals(part, "frequency", factor=100.0)
+            bars(axes, 100.0 * part["probability"], frame, content.looks[name], name)
         ticks(axes.xaxis, (0, 20, 40, 60, 80, 100))
         axes.set(xlabel="probability of the detector, %", ylabel="windows that leak, %")
         axes.set(xlim=(-3, 103), ylim=(-3, 103))

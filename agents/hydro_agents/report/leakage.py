@@ -22,7 +22,7 @@ from hydro_agents.report.leak_plots import (
     size_plot,
 )
 from hydro_agents.report.palette import STRONGEST
-from hydro_agents.report.sections import Block, Cards, Fold, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Points, Text, cards, section
 from hydro_agents.report.shared import problems
 from hydro_agents.running.text import Cell, Table, number, setting
 
@@ -66,7 +66,7 @@ def leak_introduction(content: Content) -> list[Block]:
 def leak_findings(content: Content) -> list[Block]:
     """The findings as cards, their limits, and what did not run."""
     return [
-        Cards(findings_of(content)),
+        cards(findings_of(content)),
         Text(
             Markup(
                 "These sizes are those of faults in service, not of acceptance tests. Makers accept 0.06&nbsp;ml/min "
@@ -214,31 +214,18 @@ def right_verdicts(content: Content, condition: str, level: float) -> tuple[str,
 def detection_tables(content: Content) -> list[Table]:
     """Share of windows reported as a leak, by condition and level; one table per detector."""
     tables = []
-    detection = content.table("detection")
     for detector in content.detectors:
-        mine = detection[detection["detector"] == detector]
+        mine = content.rows("detection", detector=detector)
         levels = sorted(level for level in mine["level"].unique() if level != DRAWN)
         rows = []
         for condition in mine["condition"].unique():
-            cells = [content.cell("detection", detector, condition, level) for level in levels]
-            if not any(cells):
-                continue
-            healthy = content.cell("detection", detector, condition, HEALTHY)
-            shares = [number(interval(cell, "flagged", 100.0).value, 1) for cell in cells]
-            rows.append(
-                (
-                    content.label(str(condition)),
-                    *shares,
-                    number(float(healthy.get("per_hour", np.nan)), 0),
-                    number(100.0 * float(healthy.get("cannot_tell", np.nan)), 1),
-                )
-            )
-        header = (
-            "Condition",
-            *(level_text(level) for level in levels),
-            "false alarms per hour",
-            "cannot tell, healthy",
-        )
+            cells = {level: content.cell("detection", detector, condition, level) for level in levels}
+            if any(cells.values()):
+                shares = [number(interval(cell, "flagged", 100.0).value, 1) for cell in cells.values()]
+                healthy = content.cell("detection", detector, condition, HEALTHY)
+                hourly, silent = (float(healthy.get(key, np.nan)) for key in ("per_hour", "cannot_tell"))
+                rows.append((content.label(str(condition)), *shares, number(hourly, 0), number(100.0 * silent, 1)))
+        header = ("Condition", *map(level_text, levels), "false alarms per hour", "cannot tell, healthy")
         caption = f"{detector}: share of windows reported as a leak past the piston, %"
         tables.append(Table(caption, header, rows, style="dense"))
     return tables
@@ -247,9 +234,9 @@ def detection_tables(content: Content) -> list[Table]:
 def size_tables(content: Content) -> list[Table]:
     """Size error, its ratio to the bound, and coverage of the intervals; one table per detector."""
     tables = []
-    sizes = content.table("sizes")
     for detector in content.detectors:
-        mine = sizes[(sizes["detector"] == detector) & (sizes["level"] != HEALTHY)]
+        mine = content.rows("sizes", detector=detector)
+        mine = mine[mine["level"] != HEALTHY]
         rows = [
             (
                 f"{content.label(str(row['condition']))}, {level_text(row['level'])}",

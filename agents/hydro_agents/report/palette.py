@@ -7,7 +7,9 @@ files beside the page keep the light colours.
 from __future__ import annotations
 
 import re
-from typing import NamedTuple
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 
 class Colour(NamedTuple):
@@ -50,6 +52,47 @@ MEANINGS = {"better": SERIES[0], "worse": SERIES[1], "good": SERIES[2], "doubtfu
 
 STRONGEST = 50
 """Largest percentage of a colour in a table cell; with more, text loses its contrast."""
+
+
+# Participants --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colour, marker and line of a controller or a leak in all figures."""
+
+    colour: str
+    marker: str
+    line: Any  # a linestyle of matplotlib
+
+    @property
+    def stroke(self) -> dict[str, Any]:
+        """Options of a line."""
+        return {"color": self.colour, "linestyle": self.line}
+
+
+COLOURS = tuple(colour.light for colour in SERIES)
+
+MARKERS, LINES = "osD^vP", ("-", "--", "-.", ":")
+
+_DASHES: tuple[Any, ...] = ("-", (0, (7, 1.5)), (0, (4, 1.2)), (0, (5, 1.2, 1, 1.2)), (0, (1.5, 1)), "-")
+
+LEAK_LOOKS = {
+    leak: Look(colour.light, marker, line)
+    for (leak, colour), marker, line in zip(LEAKS.items(), "osD^vP", _DASHES, strict=True)
+}
+"""By leak, from a tight seal (dark) to a severe leak (light); neighbours differ in their dashes too."""
+
+
+def looks_of(names: Iterable[Any]) -> dict[Any, Look]:
+    """The look of each controller, by its position in the list."""
+    return {
+        name: Look(COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)], LINES[i % len(LINES)])
+        for i, name in enumerate(names)
+    }
+
+
+# Themes --------------------------------------------------------------------------------------------------------------
 
 
 def _variables() -> dict[str, Colour]:

@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 
 from hydro_agents.evaluation.metrics import COMPARED, METRICS
 from hydro_agents.report.canvas import HEIGHT, INK, Plot, description, one_panel, row_axis, ticks
-from hydro_agents.report.content import ALL, Content, interval, interval_text
-from hydro_agents.report.heat import heat_map, legend
+from hydro_agents.report.content import ALL, Content, interval, interval_text, verdict
+from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.robustness_findings import findings_of
-from hydro_agents.report.sections import Block, Cards, Fold, Key, Points, Text, section
+from hydro_agents.report.sections import Block, Fold, Key, Points, Text, cards, section
 from hydro_agents.report.shared import problems
 from hydro_agents.report.traces import Trace, example_plot
-from hydro_agents.running.text import Table, number, setting
+from hydro_agents.running.text import Cell, Table, family_name, number, setting
 
 PAGE_FILE = "robustness.html"
 
@@ -37,15 +37,41 @@ ROBUSTNESS = (
 )
 """Sections of the page, in order."""
 
+PROFILE_TICKS = (0.25, 0.5, 0.71, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 COSTS = {column: metric for column, metric in COMPARED.items() if metric.cost}
 """Columns of the ranking: what a small error may cost."""
+
+
+FULL_COLOUR = 2.0
+"""A ratio of 2 or 1/2 has the strongest colour."""
+
+SCALE = (0.5, 0.75, 1.0, 1.4, 2.0)
+"""Ratios of the legend."""
+
+GROUPS = {
+    "leak": "Leak past the piston",
+    "leak_law": "Law of the leak",
+    "schedule": "Leak that changes during the run",
+    "supply_and_load": "Supply and load",
+    "timing": "Timing",
+    "sensors": "Sensors",
+    "force": "External force",
+    "rig": "Other rigs",
+    "parameter": "Assumed parameters, one at a time",
+}
+"""Titles of the groups of conditions, in the order of the map."""
+
+FOLDED = ("parameter",)
+"""Groups that the page folds because they have many conditions."""
+
+Row = tuple[str | Cell, ...]
 
 
 @section("Findings", heading=False)
 def findings(content: Content) -> list[Block]:
     """The findings as cards, and what did not run."""
     return [
-        Cards(findings_of(content)),
+        cards(findings_of(content)),
         Text(
             f"In brackets: 95 % intervals. Ratios are error ÷ error of {content.baseline} on the same cases; below 1 "
             "is better.",
@@ -64,7 +90,7 @@ def comparison(content: Content) -> list[Block]:
             "weight. A cell has a colour only if its whole 95 % interval is on one side of 1. Bold: the best of its "
             f"row. The first column is the mean error of {content.baseline}."
         ),
-        Key(legend()),
+        Key([Cell(setting(r), "better" if r < 1.0 else "worse", colour_share(r)) for r in SCALE]),
         *heat_map(content, "Ratio of errors, equal weights", "equal_weight"),
         Fold("The same with mean errors, which steps dominate", heat_map(content, "Ratio of mean errors", "ratio")),
     ]
@@ -121,6 +147,83 @@ def method(content: Content) -> list[Block]:
     ]
 
 
+# Heat map -----------------------------------------------------------------------------------------------------------
+
+
+def heat_map(content: Content, caption: str, column: str) -> list[Block]:
+    """The map of a column of the table ``comparison``: label, error of the baseline, and a cell per controller."""
+    conditions = content.table("conditions")
+    groups: dict[str, list[Row]] = {"": [_row(content, ALL, "all conditions", column)]}
+    if column == "equal_weight" and content.has("families"):
+        groups["Kind of reference (mean errors, all leaks)"] = _family_rows(content)
+    folded: dict[str, list[Row]] = {}
+    for group in [*GROUPS, *(name for name in conditions["group"].unique() if name not in GROUPS)]:
+        rows = [_row(content, name, content.label(name), column) for name in content.in_groups(group)]
+        if rows:
+            (folded if group in FOLDED else groups)[GROUPS.get(group, str(group))] = rows
+    header = ("Condition", f"{content.baseline}, mm", *content.controllers[1:])
+    breaks: dict[int, str] = {}
+    shown: list[Row] = []
+    for title, rows in groups.items():
+        breaks |= {len(shown): title} if title else {}
+        shown += rows
+    return [
+        Table(caption, header, shown, style="heat", folded=False, breaks=breaks),
+        *(
+            Fold(f"{title} ({len(rows)} condition{'s' * (len(rows) != 1)})", [Table("", header, rows, style="heat")])
+            for title, rows in folded.items()
+        ),
+    ]
+
+
+def _row(content: Content, condition: str, label: str, column: str) -> Row:
+    rows = {name: content.against(name, condition) for name in content.controllers[1:]}
+    missing = {name: _reason(content, name, condition) for name in rows}
+    error = content.row("summary", controller=content.baseline, condition=condition, metric="mean_error_mm")
+    return label, number(float(error.get("mean", np.nan))), *_cells(rows, column, missing)
+
+
+def _family_rows(content: Content) -> list[Row]:
+    found: list[Row] = []
+    for family in [str(name) for name in content.table("families")["family"].unique() if name != ALL]:
+        rows = {name: content.row("families", family=family, controller=name) for name in content.controllers[1:]}
+        found.append((family_name(family), "", *_cells(rows, "ratio", {})))
+    return found
+
+
+def _cells(rows: Mapping[str, Mapping[str, Any]], column: str, missing: Mapping[str, str]) -> list[Cell]:
+    """A cell for each controller; it has a colour only if its whole interval is on one side of 1."""
+    values = {name: interval(row, column) for name, row in rows.items()}
+    least = min((value.value for value in values.values() if np.isfinite(value.value)), default=np.nan)
+    cells = []
+    for name, value in values.items():
+        if not np.isfinite(value.value):
+            reason = missing.get(name, "")
+            text = "failed" if reason.startswith("failed") else "–"
+            cells.append(Cell(text, title=reason or "did not run"))
+            continue
+        meaning = verdict(value).replace("same", "")
+        share = colour_share(value.value) if meaning else 0
+        best = value.value == least < 1.0
+        cells.append(Cell(number(value.value, 2), meaning, share, interval_text(value, decimals=2), best))
+    return cells
+
+
+def _reason(content: Content, controller: str, condition: str) -> str:
+    """The reason for a controller's missing number under a condition, over all its training seeds."""
+    status = content.table("status")
+    if status.empty or condition == ALL:
+        return ""
+    own = status[(status["condition"] == condition) & (status["controller"].str.partition("#")[0] == controller)]
+    return "; ".join(f"{row['status']}: {row['message']}" for row in own.to_dict("records") if row["status"] != "done")
+
+
+def colour_share(ratio: float) -> int:
+    """Percentage of the colour of a ratio: 0 at 1, and symmetric in the logarithm of the ratio."""
+    share = abs(float(np.log(max(ratio, 1e-9)))) / float(np.log(FULL_COLOUR))
+    return round(STRONGEST * min(share, 1.0))
+
+
 # Tables -------------------------------------------------------------------------------------------------------------
 
 
@@ -130,23 +233,17 @@ def ranking_table(content: Content) -> list[Table]:
         return []
     rows = []
     for row in content.table("ranking").to_dict("records"):
-        name = str(row["controller"])
-        own = content.against(name)
+        own = content.against(str(row["controller"]))
         ratios = [interval_text(interval(own, key), decimals=2) for key in ("equal_weight", "ratio", "iqm_ratio")]
+        shares = [_share(own, key) for key in ("share_better", "gap")] if own else ["–", "0 %"]
+        costs = [number(float(own.get(column, 1.0)), 2) for column in ("worst_ratio", *COSTS)]
+        counts = [str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")]
         rows.append(
-            (
-                name,
-                *(ratios if own else ["1.00"] * 3),
-                _two(own.get("worst_ratio", 1.0)),
-                _share(own, "share_better") if own else "–",
-                _share(own, "gap") if own else "0 %",
-                *(_two(own.get(column, 1.0)) for column in COSTS),
-                *(str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")),
-            )
+            (str(row["controller"]), *(ratios if own else ["1.00"] * 3), costs[0], *shares, *costs[1:], *counts)
         )
-    errors = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
+    titles = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
     prices = (metric.ratio for metric in COSTS.values())
-    header = ("Controller", *errors, *prices, "best in", "failed", "limit cycles")
+    header = ("Controller", *titles, *prices, "best in", "failed", "limit cycles")
     groups = [(f"error ÷ error of {content.baseline}", 4), ("shares", 2)]
     groups += [("cost ÷ baseline’s", len(COSTS)), ("count", 3)]
     return [Table("All conditions", header, rows, tuple(groups), "dense")]
@@ -157,13 +254,11 @@ def absolute_table(content: Content) -> Table:
     beside = [metric for metric in METRICS.values() if metric.cost or metric.ratio]
     rows = []
     for name in content.controllers:
-        error = content.row("summary", controller=name, condition=ALL, metric="mean_error_mm")
-        cells = [interval_text(interval(error, key)) for key in ("mean", "iqm")]
-        cells.append(number(float(error.get("worst", np.nan))))
-        for metric in beside:
-            own = content.row("summary", controller=name, condition=ALL, metric=metric.name)
-            cells.append(number(metric.factor * float(own.get("mean", np.nan))))
-        rows.append((name, *cells))
+        own = content.rows("summary", controller=name, condition=ALL).set_index("metric").to_dict("index")
+        error = own.get("mean_error_mm", {})
+        means = (number(metric.factor * float(own.get(metric.name, {}).get("mean", np.nan))) for metric in beside)
+        cells = (interval_text(interval(error, key)) for key in ("mean", "iqm"))
+        rows.append((name, *cells, number(float(error.get("worst", np.nan))), *means))
     errors = ("mean error, mm", "interquartile mean, mm", "worst run, mm")
     header = ("Controller", *errors, *(metric.label for metric in beside))
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
@@ -174,27 +269,17 @@ def _share(row: Mapping[str, Any], column: str) -> str:
     return "–" if np.isnan(value) else f"{number(100.0 * value, 0)} %"
 
 
-def _two(value: Any) -> str:
-    return number(float(value), 2)
-
-
 def worst_table(content: Content) -> list[Table]:
     """The worst cases of every controller, with the seed that replays each of them."""
-    table = content.table("worst_cases")
-    if table.empty:
-        return []
+    figures = ("mean_error_mm", "baseline_error_mm", "ratio", "peak_error_mm")
     rows = []
-    for row in table.to_dict("records"):
+    for row in content.table("worst_cases").to_dict("records"):
+        where = (content.label(str(row["condition"])), str(row["family"]), setting(row["leakage_flow_lpm"]))
         rows.append(
-            (
-                str(row["controller"]),
-                content.label(str(row["condition"])),
-                str(row["family"]),
-                setting(row["leakage_flow_lpm"]),
-                str(int(row["seed"])),
-                *(number(float(row[key])) for key in ("mean_error_mm", "baseline_error_mm", "ratio", "peak_error_mm")),
-            )
+            (str(row["controller"]), *where, str(int(row["seed"])), *(number(float(row[key])) for key in figures))
         )
+    if not rows:
+        return []
     header = ("Controller", "condition", "reference", "leak, l/min", "seed", "error, mm", "baseline, mm", "ratio")
     return [Table("Worst ratios of errors", (*header, "peak, mm"), rows)]
 
@@ -204,41 +289,32 @@ def worst_table(content: Content) -> list[Table]:
 
 def profile_plots(content: Content) -> list[Plot]:
     """Share of cases whose error is at most tau times that of the best controller, and of the baseline."""
-    table = content.table("profiles")
+    base = content.baseline
     notes = {
         "best": "Share of cases in which the error is at most τ times the smallest error of any controller in that "
         "case (Dolan and Moré). Higher is better; at τ = 1: share of cases won.",
-        "baseline": f"The same against {content.baseline}: the curve at τ = 1 is the share of cases with a smaller "
-        "error, and its right end shows the worst cases.",
+        "baseline": f"The same against {base}: the curve at τ = 1 is the share of cases with a smaller error, and its "
+        "right end shows the worst cases.",
     }
-    titles = {
-        "best": "Performance profile against the best",
-        "baseline": f"Performance profile against {content.baseline}",
-    }
-    if table.empty:
-        return []
+    titles = {"best": "the best", "baseline": base}
     return [
-        _profile(content, table[table["against"] == against], against, titles[against], notes[against])
-        for against in ("best", "baseline")
-        if (table["against"] == against).any()
+        _profile(content, table, against, f"Performance profile against {titles[against]}", note)
+        for against, note in notes.items()
+        if len(table := content.rows("profiles", against=against))
     ]
 
 
 def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: str) -> Plot:
-    looks = content.looks
-    parts = {name: table[table["controller"] == name].sort_values("tau") for name in content.controllers}
-    parts = {name: part for name, part in parts.items() if len(part)}
+    parts = {
+        name: own for name in content.controllers if len(own := table[table["controller"] == name].sort_values("tau"))
+    }
+    ends = (float(table["tau"].min()), float(table["tau"].max()))
 
     def paint(axes: Axes) -> None:
-        axes.set_xscale("log")
         for name, part in parts.items():
-            axes.step(part["tau"], 100.0 * part["share"], where="post", label=name, **looks[name].stroke)
-        ends = (float(table["tau"].min()), float(table["tau"].max()))
-        ticks(
-            axes.xaxis,
-            [tick for tick in (0.25, 0.5, 0.71, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0) if ends[0] <= tick <= ends[1]],
-        )
-        axes.set(xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=ends)
+            axes.step(part["tau"], 100.0 * part["share"], where="post", label=name, **content.looks[name].stroke)
+        axes.set(xscale="log", xlabel="τ", ylabel="share of cases, %", ylim=(0.0, 102.0), xlim=ends)
+        ticks(axes.xaxis, [tick for tick in PROFILE_TICKS if ends[0] <= tick <= ends[1]])
         axes.axvline(1.0, color=INK, linewidth=0.8)
 
     places = (1.0, 1.5, 2.0)
@@ -251,17 +327,16 @@ def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: 
 
 def gap_plot(content: Content) -> list[Plot]:
     """Share of the gap between the baseline and the best found that each controller closes."""
-    rows = {name: interval(content.against(name), "gap") for name in content.controllers[1:]}
+    rows = {name: interval(content.against(name), "gap", 100.0) for name in content.controllers[1:]}
     rows = {name: value for name, value in rows.items() if np.isfinite(value.value)}
     if not rows:
         return []
-    looks = content.looks
 
     def paint(axes: Axes) -> None:
         for place, (name, value) in enumerate(rows.items()):
-            axes.barh(place, 100.0 * value.value, height=0.55, color=looks[name].colour)
-            lengths = np.nan_to_num(100.0 * np.array([[value.value - value.low], [value.high - value.value]]))
-            axes.errorbar(100.0 * value.value, place, xerr=np.maximum(lengths, 0.0), color=INK)
+            axes.barh(place, value.value, height=0.55, color=content.looks[name].colour)
+            lengths = np.nan_to_num([[value.value - value.low], [value.high - value.value]])
+            axes.errorbar(value.value, place, xerr=np.maximum(lengths, 0.0), color=INK)
         axes.axvline(0.0, color=INK, linewidth=0.8)
         axes.axvline(100.0, color=INK, linewidth=0.8, linestyle="--")
         row_axis(axes, list(rows))
@@ -269,5 +344,5 @@ def gap_plot(content: Content) -> list[Plot]:
 
     title = "Share of the gap to the best found"
     note = f"(error of {content.baseline} − error) ÷ (error of {content.baseline} − best found); bars: 95 % interval."
-    alt = description(title, {name: [("gap", 100.0 * value.value)] for name, value in rows.items()}, " %")
+    alt = description(title, {name: [("gap", value.value)] for name, value in rows.items()}, " %")
     return [one_panel("gap", title, note, alt, paint, max(HEIGHT - 0.8, 0.9 + 0.35 * len(rows)))]

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import re
-from typing import Any
-
 import numpy as np
 
 from hydro_agents.evaluation.metrics import COMPARED
-from hydro_agents.report.content import ALL, Content, interval, interval_text, percent
+from hydro_agents.report.content import ALL, Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import Interval
-from hydro_agents.running.text import listed, number, setting, unbroken
+from hydro_agents.running.text import listed, number, setting
 
 MOST_NAMED = 6
 """Largest number of conditions that a sentence names."""
@@ -26,19 +23,7 @@ def findings_of(content: Content) -> list[Finding]:
         items.append(_standstill(content))
     if content.has("leak_price"):
         items.append(_price(content))
-    return [Finding(_unbroken(item.lead), _unbroken(item.text)) for item in items]
-
-
-def _unbroken(text: str) -> str:
-    """The text with every number kept on one line with its unit or its ×."""
-    return re.sub(r"(?<=\d) (?=×|µm|Hz|W\b)", "\u00a0", unbroken(text))
-
-
-def verdict(value: Interval) -> str:
-    """'better' or 'worse' if the whole interval of a ratio is on one side of 1, else 'same'."""
-    if value.high < 1.0:
-        return "better"
-    return "worse" if value.low > 1.0 else "same"
+    return items
 
 
 def _ratio(content: Content, name: str) -> Interval:
@@ -107,10 +92,9 @@ def _controller(content: Content, name: str) -> Finding:
 
 def _by_verdict(content: Content, name: str) -> dict[str, list[str]]:
     kinds: dict[str, list[str]] = {"better": [], "worse": [], "same": []}
-    table = content.table("comparison")
-    for row in table[(table["controller"] == name) & (table["condition"] != ALL)].to_dict("records"):
+    for row in content.rows("comparison", controller=name).to_dict("records"):
         value = interval(row, "equal_weight")
-        if np.isfinite(value.value):
+        if row["condition"] != ALL and np.isfinite(value.value):
             kinds[verdict(value)].append(str(row["condition"]))
     return kinds
 
@@ -126,44 +110,29 @@ def _named(content: Content, conditions: list[str], controller: str) -> str:
 
 def _troubles(content: Content, name: str) -> str:
     """Failures and limit cycles of all runs, as a sentence."""
-    ranking = content.table("ranking")
-    own = ranking[ranking["controller"] == name].to_dict("records") if not ranking.empty else []
-    if not own or "failures" not in own[0]:
+    own = content.row("ranking", controller=name)
+    if "failures" not in own:
         return ""
-    failures = int(own[0]["failures"])
-    return f"Failed runs: {failures}." if failures else "No run failed."
-
-
-def cycle_counts(content: Content) -> dict[str, tuple[int, int, dict[str, Any]]]:
-    """Per controller: cases with a limit cycle at standstill, all cases, and the row of the largest."""
-    counts = {}
-    for name, frame in content.table("standstill").groupby("controller", sort=False):
-        cycles = frame[frame["limit_cycle"].astype(bool)]
-        largest = cycles.sort_values("amplitude_um").tail(1).to_dict("records")
-        counts[str(name)] = (len(cycles), len(frame), {str(k): v for k, v in largest[0].items()} if largest else {})
-    return counts
+    return f"Failed runs: {int(own['failures'])}." if own["failures"] else "No run failed."
 
 
 def _standstill(content: Content) -> Finding:
-    counts = cycle_counts(content)
-    without = [name for name, (cycles, _, _) in counts.items() if cycles == 0]
-    lead = "No controller oscillates while it holds a position."
-    if len(without) < len(counts):
-        lead = (
-            f"Only {listed(without)} never oscillates at standstill."
-            if len(without) == 1
-            else (
-                f"{listed(without)} never oscillate at standstill."
-                if without
-                else "Every controller can oscillate at rest."
-            )
-        )
-    parts = []
-    for name, (cycles, total, row) in counts.items():
-        part = f"{name} {cycles} of {total}"
-        if row:
-            part += f" (up to {number(row['amplitude_um'], 0)} µm at {number(row['frequency_hz'], 1)} Hz)"
-        parts.append(part)
+    parts, without = [], []
+    for name, frame in content.table("standstill").groupby("controller", sort=False):
+        cycles = frame[frame["limit_cycle"].astype(bool)].sort_values("amplitude_um")
+        parts.append(f"{name} {len(cycles)} of {len(frame)}")
+        if len(cycles):
+            size, frequency = cycles.iloc[-1][["amplitude_um", "frequency_hz"]]
+            parts[-1] += f" (up to {number(size, 0)} µm at {number(frequency, 1)} Hz)"
+        else:
+            without.append(str(name))
+    lead = "Every controller can oscillate at rest."
+    if len(without) == len(parts):
+        lead = "No controller oscillates while it holds a position."
+    elif len(without) == 1:
+        lead = f"Only {without[0]} never oscillates at standstill."
+    elif without:
+        lead = f"{listed(without)} never oscillate at standstill."
     return Finding(lead, f"Held positions with a limit cycle: {'; '.join(parts)}. The runs are without sensor noise.")
 
 

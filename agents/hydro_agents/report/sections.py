@@ -12,6 +12,7 @@ names the section in lists and files; a section without a title belongs into the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -22,12 +23,15 @@ from hydro_agents.report.canvas import Plot
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import Page, make_page
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Cell, Table
+from hydro_agents.running.text import Cell, Table, unbroken
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
 TEMPLATE = Path(__file__).parent / "page.html.j2"
-MODULES = tuple(f"hydro_agents.report.{name}" for name in ("shared", "robustness", "experiments", "leakage", "study"))
+MODULES = tuple(
+    f"hydro_agents.report.{name}"
+    for name in ("shared", "robustness", "experiments", "leakage", "study", "study_detection", "training_plots")
+)
 """Modules whose sections any list may name."""
 
 
@@ -61,6 +65,15 @@ class Cards:
 
     kind: ClassVar[str] = "cards"
     lines: Sequence[Finding]
+
+
+def cards(findings: Iterable[Finding]) -> Cards:
+    """Findings with every number on one line with its unit or its ×."""
+
+    def unbroken_words(text: str) -> str:
+        return re.sub(r"(?<=\d) (?=×|µm|Hz|W\b)", "\u00a0", unbroken(text))
+
+    return Cards([Finding(*map(unbroken_words, one)) for one in findings])
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import Plot, curve_plot, log_leak_axis, looks_of
+from hydro_agents.report.canvas import Plot, curve_plot, log_leak_axis
 from hydro_agents.report.content import Content
+from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
 from hydro_agents.running.text import Table, duration, listed, number, setting
 

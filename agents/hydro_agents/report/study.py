@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
 
 import pandas as pd
 
-from hydro_agents.report.content import Content
-from hydro_agents.report.detection_plots import detection_plots
-from hydro_agents.report.sections import Block, Cards, Choice, Fold, Points, Text, section
+from hydro_agents.evaluation.evaluate import Evaluation
+from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.report.content import Content, interval, interval_text, verdict
+from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, cards, section
 from hydro_agents.report.shared import price_sentence, problems
-from hydro_agents.report.study_findings import caution, failed_runs, findings_of, plants_of
+from hydro_agents.report.study_findings import caution, failed_runs, findings_of
 from hydro_agents.report.study_plots import tracking_plots
-from hydro_agents.report.study_tables import (
-    definitions,
-    detection_tables,
-    level_tables,
-    metric_table,
-    metric_tables,
-    overview,
-    ratio_tables,
-    terms,
-)
 from hydro_agents.report.traces import Example, example_limits, example_plot
-from hydro_agents.report.training_plots import learning_plots, training_plots
 from hydro_agents.running.resampling import RESAMPLES
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.text import family_name, listed, setting, span
+from hydro_agents.running.statistics import conditional_value_at_risk
+from hydro_agents.running.text import Table, decimals_for, family_name, listed, number, setting, span
 
 STUDY = (
     "introduction",
@@ -42,6 +35,48 @@ STUDY = (
 """Sections of the page, in order."""
 
 
+OVERVIEW = tuple(m for m in METRICS.values() if m.cost or m.name in ("mean_error_mm", "peak_error_mm"))
+"""Metrics side by side: an error is no result without its cost."""
+
+BY = {
+    "levels": ("leakage_flow_lpm", "Leak, l/min", "leak size"),
+    "families": ("family", "Reference", "kind of reference"),
+}
+"""Tables of all metrics: the column of their rows, and its words."""
+
+VERDICTS = {"better": "wins", "worse": "loses", "same": "no clear difference"}
+
+
+def tables_of(evaluation: Evaluation) -> dict[str, pd.DataFrame]:
+    """Every table of an evaluation by the name of its CSV file."""
+    values = {part.name: getattr(evaluation, part.name) for part in fields(evaluation)}
+    return {name: table for name, table in values.items() if isinstance(table, pd.DataFrame)}
+
+
+def content_of(
+    evaluation: Evaluation,
+    facts: Mapping[str, Any] | None = None,
+    tables: Mapping[str, pd.DataFrame] | None = None,
+    **others: Any,
+) -> Content:
+    """The content of the page of an evaluation.
+
+    Args:
+        evaluation: its results.
+        facts: keys and values of the run, such as command, date, seed and versions.
+        tables: further ones: ``leak_price``, ``training_curve`` (see :mod:`hydro_agents.report.training_plots`).
+        others: ``examples`` (the same episodes at every leak), ``timings`` (s, by phase), ``configuration`` (YAML
+            text), ``corrects`` (controller → the one that it corrects) and ``validation_error_mm`` (of the first
+            controller, on the plants of the training curve).
+    """
+    run = pd.DataFrame((facts or {}).items(), columns=["key", "value"])
+    found = {**tables_of(evaluation), **(tables or {}), "protocol": run}
+    return Content(found, others={"bounds": evaluation.bounds, "errors": evaluation.errors, **others})
+
+
+# Sections -----------------------------------------------------------------------------------------------------------
+
+
 @section("Findings", needs=("levels",), heading=False)
 def study_findings(content: Content) -> list[Block]:
     """What failed, a warning about few plants, and the findings as cards."""
@@ -49,7 +84,7 @@ def study_findings(content: Content) -> list[Block]:
     return [
         *problems(content),
         *([Text(few, "caution")] if few else []),
-        Cards(findings_of(content)),
+        cards(findings_of(content)),
         Text(f"In brackets: 95 % intervals. {failed_runs(content)}", "soft"),
     ]
 
@@ -70,7 +105,7 @@ def positioning(content: Content) -> list[Block]:
             "run” is the largest value of all.",
             "soft",
         ),
-        Fold("Mean errors with intervals", [metric_table(content, by, "mean_error_mm") for by in ("level", "family")]),
+        Fold("Mean errors with intervals", [metric_table(content, by, "mean_error_mm") for by in BY]),
     ]
     ratios = ratio_tables(content)
     if ratios:
@@ -80,8 +115,8 @@ def positioning(content: Content) -> list[Block]:
         "The settling time includes only standstills in which the axis settled: read it together with the share of the "
         "others."
     )
-    blocks.append(Fold("All other metrics by leak size", [Text(note), *metric_tables(content, "level")]))
-    blocks.append(Fold("All other metrics by kind of reference", metric_tables(content, "family")))
+    blocks.append(Fold("All other metrics by leak size", [Text(note), *metric_tables(content, "levels")]))
+    blocks.append(Fold("All other metrics by kind of reference", metric_tables(content, "families")))
     return blocks
 
 
@@ -111,32 +146,6 @@ def one_leak(content: Content) -> list[Block]:
     ]
 
 
-@section("Detecting the leak", needs=("detection_summary",))
-def detection(content: Content) -> list[Block]:
-    """The leakage head under every controller."""
-    return [
-        Text(
-            "A neural network, the leakage head, reads the measured signals of one episode (position, both pressures, "
-            "spool position, command) and estimates the probability of a leak and its size. A leak is flagged if the "
-            "probability reaches the threshold. The head never reads the leak itself."
-        ),
-        *detection_plots(content),
-        Fold("Detection in numbers", detection_tables(content)),
-    ]
-
-
-@section("Training", needs=("training_curve",))
-def training(content: Content) -> list[Block]:
-    """Error, reward and updates of the policy while it learned."""
-    curve = content.table("training_curve")
-    learning = learning_plots(
-        curve, content.baseline, content.other("validation_error_mm", float("nan")), content.looks
-    )
-    plots = training_plots(curve, content.looks)
-    more = [Fold("Reward, errors and updates of the policy", plots, not learning)] if plots else []
-    return [*learning, *more]
-
-
 @section("How it was measured", needs=("cases",))
 def study_method(content: Content) -> list[Block]:
     """The method as sentences, with numbers from the tables, and what the terms mean."""
@@ -146,7 +155,7 @@ def study_method(content: Content) -> list[Block]:
     runs = len(cases) // len(content.controllers)
     sentences = [
         f"Tracking: {runs} runs per controller. For each kind of reference ({listed(families)}) there are "
-        f"{plants_of(content)} plants, each run at every leak size ({listed(levels)} l/min at 100 bar across the "
+        f"{cases['plant'].nunique()} plants, each run at every leak size ({listed(levels)} l/min at 100 bar across the "
         "piston).",
         "Every controller runs on the same plants, references and sensor noise: all comparisons are paired.",
         _seeds_sentence(content),
@@ -177,3 +186,114 @@ def _seeds_sentence(content: Content) -> str:
         f"A seed fixes plant, reference and noise. Tracking uses seeds {_span(content.table('cases')['seed'])}; "
         f"training uses {_span(TRAINING_SEEDS)}, validation {_span(VALIDATION_SEEDS)}, {kept if inside else broken}."
     )
+
+
+# Tables -------------------------------------------------------------------------------------------------------------
+
+
+def overview(content: Content) -> Table:
+    """One row per controller over all runs: error, ratio to the first one, worst cases, and costs."""
+    rows = []
+    for name in content.controllers:
+        own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
+        mean, *costs = _means(own)
+        tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
+        rows.append((name, mean, interval_text(interval(ratio, "ratio"), decimals=3), tail, *costs))
+    error, *others = _overview_header()
+    header = ("Controller", error, f"÷ {content.baseline}'s", "worst 5 %, mm", *others)
+    return Table("Errors and costs, mean over all runs", header, rows, style="dense")
+
+
+def level_tables(content: Content) -> dict[float, Table]:
+    """The same for each leak level, without the ratio."""
+    tables = {}
+    for leak, cases in content.table("cases").groupby("leakage_flow_lpm"):
+        rows = [(name, *_means(cases[cases["controller"] == name])) for name in content.controllers]
+        caption = f"Leak of {setting(float(leak))} l/min"
+        tables[float(leak)] = Table(caption, ("Controller", *_overview_header()), rows, style="dense")
+    return tables
+
+
+def _overview_header() -> tuple[str, ...]:
+    return tuple(metric.label[0].lower() + metric.label[1:] for metric in OVERVIEW)
+
+
+def _means(cases: pd.DataFrame) -> tuple[str, ...]:
+    return tuple(number(metric.factor * float(cases[metric.name].mean())) for metric in OVERVIEW)
+
+
+def metric_table(content: Content, by: str, metric: str) -> Table:
+    """Mean with interval, worst 5 % and worst run of every controller, by the rows of a table of BY."""
+    column, first, words = BY[by]
+    table, shown, names = content.rows(by, metric=metric), METRICS[metric], content.controllers
+    means = shown.factor * table["mean"].abs()
+    decimals = decimals_for(float(means[means > 0.0].median()))
+    rows = []
+    for value in table[table["mean"].notna()][column].unique():
+        cells = [setting(value) if by == "levels" else family_name(str(value))]
+        for name in names:
+            row = content.row(by, metric=metric, controller=name, **{column: value})
+            cells.append(interval_text(interval(row, "mean", shown.factor), decimals=decimals))
+            cells += [number(shown.factor * float(row[key]), decimals) for key in ("cvar_5_percent", "worst")]
+        rows.append(tuple(cells))
+    header = (first, *("mean (95 % interval)", "worst 5 %", "worst run") * len(names))
+    return Table(f"{shown.label}, by {words}", header, rows, tuple((name, 3) for name in names))
+
+
+def metric_tables(content: Content, by: str) -> list[Table]:
+    """All other metrics that have a value, and the failures if there are any."""
+    table = content.table(by)
+    shown = table["mean"].notna() & ((table["metric"] != "failed") | (table["mean"] > 0.0))
+    valued = set(table[shown]["metric"]) - {"mean_error_mm"}
+    return [metric_table(content, by, metric) for metric in METRICS if metric in valued]
+
+
+def ratio_tables(content: Content) -> list[Table]:
+    """Ratios of errors to the first controller, with verdicts; none with one controller."""
+    tables = []
+    for name in content.controllers[1:]:
+        rows, against = [], content.row("ratios", controller=name)["against"]
+        for row in content.rows("ratios", controller=name).to_dict("records"):
+            value, ratio = str(row["value"]), interval(row, "ratio")
+            label = family_name(value) or "all runs"
+            label = f"leak of {setting(float(value))} l/min" if row["group"] == "level" else label
+            better = number(100.0 * float(row["share_of_cases_better"]), 0)
+            text = interval_text(ratio, decimals=3)
+            rows.append((label, text, VERDICTS[verdict(ratio)], better if better == "–" else f"{better} %"))
+        header = ("Runs", "ratio (95 % interval)", f"{name} …", "better in")
+        tables.append(Table(f"Mean error of {name} over mean error of {against}", header, rows))
+    return tables
+
+
+def definitions() -> Table:
+    """Definitions of the metrics."""
+    rows = []
+    for metric in METRICS.values():
+        meaning = metric.meaning if metric.unit == "1" else f"{metric.meaning}; {metric.unit}"
+        rows.append((metric.word, meaning, metric.name))
+    return Table("Metrics of a run", ("Name", "meaning", "in the CSV files"), rows, style="words")
+
+
+def terms(content: Content) -> Table:
+    """What the words of the page mean."""
+    rows = [
+        (
+            "Ratio",
+            "mean error of one controller divided by that of another, on the same runs; below 1 is better",
+        ),
+        ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
+    ]
+    if content.has("detection_summary"):
+        healthy = setting(content.bounds.healthy_up_to)
+        rows += [
+            ("False alarm", f"an episode with a healthy seal (up to {healthy} l/min) that is flagged"),
+            ("Detection rate", "share of leaking episodes that are flagged; also called recall"),
+            ("Precision", "share of flagged episodes that leak; depends on how common leaks are"),
+            (
+                "ROC, area under it",
+                "detection rate over false-alarm rate for all thresholds; the area (AUROC) is the probability that a "
+                "leaking episode gets a higher score than a healthy one: 1 is perfect, 0.5 is chance",
+            ),
+            ("Average precision", "precision averaged over recall; chance gives the share of leaking episodes"),
+        ]
+    return Table("Terms", ("Term", "Meaning"), rows, style="words")

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from hydro_agents.report.content import Content, interval_text, percent
+from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.resampling import ratio_interval
-from hydro_agents.running.statistics import Interval, conditional_value_at_risk, share_interval
-from hydro_agents.running.text import family_name, listed, number, unbroken
-
-FEWEST_PLANTS = 3
-"""Smallest number of plants for intervals and verdicts."""
+from hydro_agents.running.statistics import LEAST_SAMPLES, Interval, conditional_value_at_risk, share_interval
+from hydro_agents.running.text import family_name, listed, number, setting
 
 FEW_PLANTS = 12
 """With fewer plants the intervals are rough; the report says so."""
@@ -22,57 +18,19 @@ FEW_PLANTS = 12
 FALSE_ALARM_TARGET = 0.01
 """Target false-alarm rate of the leakage head's threshold."""
 
-NEITHER = "no clear difference"
-
-
-def row_interval(row: Any, column: str) -> Interval:
-    """Interval in a row of a table."""
-    return Interval(float(row[column]), float(row["low"]), float(row["high"]))
-
-
-# Judging ------------------------------------------------------------------------------------------------------------
-
-
-def plants_of(content: Content) -> int:
-    """Plants per leak size and family."""
-    return int(content.table("cases")["plant"].nunique())
-
-
-def verdict(interval: Interval, plants: int) -> str:
-    """'wins' if the whole interval of a ratio of errors lies below 1, 'loses' if above, else 'no clear difference'."""
-    if plants < FEWEST_PLANTS or not np.isfinite([interval.low, interval.high]).all():
-        return NEITHER
-    if interval.high < 1.0:
-        return "wins"
-    return "loses" if interval.low > 1.0 else NEITHER
-
-
-def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> Interval:
-    """Mean error at the largest leak over the mean error at the smallest, on the same plants."""
-    own = cases[cases["controller"] == controller]
-    own = own if family is None else own[own["family"] == family]
-    level = own["leakage_flow_lpm"]
-    most, least = (
-        own[level == end].groupby("plant")["mean_error_mm"].mean().to_numpy() for end in (level.max(), level.min())
-    )
-    return ratio_interval(most, least)
-
 
 def findings_of(content: Content) -> list[Finding]:
     """The findings, in the order of a user's questions."""
-    items = [_leak(content)]
-    items += [_comparison(content, name) for name in content.controllers[1:]]
-    if content.has("detection_summary"):
-        items += [_detection(content), _size(content)]
-    return [Finding(unbroken(item.lead), unbroken(item.text)) for item in items]
+    items = [_leak(content), *(_comparison(content, name) for name in content.controllers[1:])]
+    return [*items, _detection(content), _size(content)] if content.has("detection_summary") else items
 
 
 def caution(content: Content) -> str:
     """A warning if there are few plants, else an empty text."""
-    plants = plants_of(content)
+    plants = content.table("cases")["plant"].nunique()
     if plants >= FEW_PLANTS:
         return ""
-    what = "without intervals" if plants < FEWEST_PLANTS else "with rough intervals"
+    what = "without intervals" if plants < LEAST_SAMPLES else "with rough intervals"
     return f"A small run, {what}: {plants} plants per leak size and kind of reference are too few for a decision."
 
 
@@ -88,6 +46,14 @@ def failed_runs(content: Content) -> str:
 # What a leak does ---------------------------------------------------------------------------------------------------
 
 
+def growth(cases: pd.DataFrame, controller: str, family: str | None = None) -> Interval:
+    """Mean error at the largest leak over the mean error at the smallest, on the same plants."""
+    own = cases[cases["controller"] == controller]
+    own = own if family is None else own[own["family"] == family]
+    errors = own.pivot_table("mean_error_mm", "plant", "leakage_flow_lpm").to_numpy()
+    return ratio_interval(errors[:, -1], errors[:, 0])
+
+
 def _change(ratio: float) -> str:
     """A ratio of errors as a phrase."""
     if ratio >= 2.0:
@@ -95,48 +61,41 @@ def _change(ratio: float) -> str:
     return f"{number(100.0 * abs(ratio - 1.0), 0)} % {'more' if ratio > 1.0 else 'less'} error"
 
 
-def _level_mean(content: Content, controller: str, level: float) -> Interval:
-    table = content.table("levels")
-    own = (table["controller"] == controller) & (table["metric"] == "mean_error_mm")
-    return row_interval(table[own & (table["leakage_flow_lpm"] == level)].iloc[0], "mean")
-
-
-def _seal(content: Content, level: float) -> str:
-    healthy = level <= content.bounds.healthy_up_to
-    return f"a healthy seal ({level:g} l/min)" if healthy else f"a leak of {level:g} l/min"
-
-
 def _leak(content: Content) -> Finding:
-    cases, names = content.table("cases"), content.controllers
-    base, plants = names[0], plants_of(content)
-    first, last = float(cases["leakage_flow_lpm"].min()), float(cases["leakage_flow_lpm"].max())
-    least, most = _level_mean(content, base, first), _level_mean(content, base, last)
+    cases, base = content.table("cases"), content.baseline
+    first, last = (float(cases["leakage_flow_lpm"].agg(end)) for end in ("min", "max"))
+    least, most = (
+        interval(content.row("levels", controller=base, metric="mean_error_mm", leakage_flow_lpm=leak), "mean")
+        for leak in (first, last)
+    )
     if first == last:
-        return Finding(
-            f"One leak size was tried: {first:g} l/min.", f"Mean error of {base}: {interval_text(least, 'mm')}."
-        )
+        lead = f"One leak size was tried: {setting(first)} l/min."
+        return Finding(lead, f"Mean error of {base}: {interval_text(least, 'mm')}.")
+    healthy = content.bounds.healthy_up_to
+    best, worst = (
+        f"a healthy seal ({setting(leak)} l/min)" if leak <= healthy else f"a leak of {setting(leak)} l/min"
+        for leak in (first, last)
+    )
     whole = growth(cases, base)
-    kind = verdict(whole, plants)
-    best, worst = _seal(content, first), _seal(content, last)
-    lead = f"A leak of {last:g} l/min makes no clear difference to the mean error of {base}."
-    if kind != NEITHER:
+    lead = f"A leak of {setting(last)} l/min makes no clear difference to the mean error of {base}."
+    if verdict(whole) != "same":
         than = "that it makes" if whole.value >= 2.0 else "than"
-        lead = f"With a leak of {last:g} l/min, {base} makes {_change(whole.value)} {than} with {best}."
+        lead = f"With a leak of {setting(last)} l/min, {base} makes {_change(whole.value)} {than} with {best}."
     text = (
         f"{base}: {interval_text(least, 'mm')} mean error with {best}, {interval_text(most, 'mm')} with "
-        f"{worst}: × {interval_text(whole)}. {_growth_by_family(cases, base, plants)}"
+        f"{worst}: × {interval_text(whole)}. {_growth_by_family(cases, base)}"
     )
-    others = [f"{name} × {interval_text(growth(cases, name))}" for name in names[1:]]
+    others = [f"{name} × {interval_text(growth(cases, name))}" for name in content.controllers[1:]]
     return Finding(lead, text + (f" For comparison: {listed(others)}." if others else ""))
 
 
-def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
+def _growth_by_family(cases: pd.DataFrame, base: str) -> str:
     """References with more error, less error and no clear difference due to the leak, in one sentence."""
-    parts: dict[str, list[str]] = {"loses": [], "wins": [], NEITHER: []}
+    words = {"worse": "more error in", "better": "less error in", "same": "no clear difference in"}
+    parts: dict[str, list[str]] = {kind: [] for kind in words}
     for family in map(str, cases["family"].unique()):
-        interval = growth(cases, base, family)
-        parts[verdict(interval, plants)].append(f"{family_name(family)} (× {number(interval.value)})")
-    words = {"loses": "more error in", "wins": "less error in", NEITHER: "no clear difference in"}
+        value = growth(cases, base, family)
+        parts[verdict(value)].append(f"{family_name(family)} (× {number(value.value)})")
     sentence = "; ".join(f"{words[kind]} {listed(names)}" for kind, names in parts.items() if names)
     return f"{sentence[0].upper()}{sentence[1:]}."
 
@@ -145,36 +104,37 @@ def _growth_by_family(cases: pd.DataFrame, base: str, plants: int) -> str:
 
 
 def _comparison(content: Content, name: str) -> Finding:
-    frame = content.table("ratios")[content.table("ratios")["controller"] == name]
-    base, plants = str(frame["against"].iloc[0]), plants_of(content)
-    row = frame[frame["group"] == "all"].iloc[0]
-    whole = row_interval(row, "ratio")
+    row, equal = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
+    whole, base = interval(row, "ratio"), row["against"]
     lead = {
-        "wins": f"{name} positions better than {base}: {_change(whole.value)}.",
-        "loses": f"{name} loses to {base}: {_change(whole.value)}.",
-    }.get(verdict(whole, plants), f"No clear difference between {name} and {base} over all runs.")
-    errors = content.table("cases").groupby("controller")["mean_error_mm"]
-    mine, theirs = (conditional_value_at_risk(errors.get_group(who).to_numpy()) for who in (name, base))
-    equal = row_interval(frame[frame["group"] == "equal_weight"].iloc[0], "ratio")
+        "better": f"{name} positions better than {base}: {_change(whole.value)}.",
+        "worse": f"{name} loses to {base}: {_change(whole.value)}.",
+        "same": f"No clear difference between {name} and {base} over all runs.",
+    }[verdict(whole)]
+    mine, theirs = (
+        number(conditional_value_at_risk(content.rows("cases", controller=who)["mean_error_mm"].to_numpy()))
+        for who in (name, base)
+    )
     text = (
         f"Over all runs the mean error of {name} is {interval_text(whole)} times that of {base}; {name} is "
         f"better in {100.0 * float(row['share_of_cases_better']):.0f} % of the runs. "
         f"Steps have by far the largest errors and dominate this mean. With equal weights for all kinds of reference "
-        f"(geometric mean of the ratios) the ratio is {interval_text(equal)}. "
-        f"{_breakdown(frame, 'level', plants)} {_breakdown(frame, 'family', plants)} "
-        f"Worst 5 % of the runs: {number(mine)} mm on average, against {number(theirs)} mm with {base}."
+        f"(geometric mean of the ratios) the ratio is {interval_text(interval(equal, 'ratio'))}. "
+        f"{_breakdown(content, name, 'level')} {_breakdown(content, name, 'family')} "
+        f"Worst 5 % of the runs: {mine} mm on average, against {theirs} mm with {base}."
     )
     return Finding(lead, text)
 
 
-def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
+def _breakdown(content: Content, name: str, group: str) -> str:
     """The levels or families at which a controller wins, loses, or does neither, as a sentence."""
-    labels: dict[str, list[str]] = {"wins": [], "loses": [], NEITHER: []}
-    for row in frame[frame["group"] == group].to_dict("records"):
+    words = {"better": "wins", "worse": "loses", "same": "shows no clear difference"}
+    labels: dict[str, list[str]] = {kind: [] for kind in words}
+    for row in content.rows("ratios", controller=name, group=group).to_dict("records"):
         value = str(row["value"])
-        label = f"{float(value):g}" if group == "level" else family_name(value)
-        labels[verdict(row_interval(row, "ratio"), plants)].append(label)
-    words = {"wins": "wins", "loses": "loses", NEITHER: "shows no clear difference"}
+        labels[verdict(interval(row, "ratio"))].append(
+            setting(float(value)) if group == "level" else family_name(value)
+        )
     kinds = [kind for kind, values in labels.items() if values]
     if len(kinds) == 1 and len(labels[kinds[0]]) > 1:
         return f"It {words[kinds[0]]} {'at every leak size' if group == 'level' else 'on every kind of reference'}."
@@ -186,9 +146,7 @@ def _breakdown(frame: pd.DataFrame, group: str, plants: int) -> str:
 
 
 def _flagged(content: Content, controller: str, value: str) -> Interval:
-    rates = content.table("detection_rates")
-    chosen = rates[(rates["controller"] == controller) & (rates["value"] == value)]
-    return row_interval(chosen.iloc[0], "flagged_share")
+    return interval(content.row("detection_rates", controller=controller, value=value), "flagged_share")
 
 
 def _false_alarms(row: Any) -> Interval:
@@ -197,8 +155,7 @@ def _false_alarms(row: Any) -> Interval:
 
 
 def _detection(content: Content) -> Finding:
-    rates = content.table("detection_rates")
-    smallest = next(str(value) for value in rates[rates["group"] == "range"]["value"])
+    smallest = str(content.row("detection_rates", group="range")["value"])
     moderate = f"{content.bounds.moderate_from:g} l/min"
     summary = {str(row["controller"]): row for row in content.table("detection_summary").to_dict("records")}
     rate = {name: _flagged(content, name, content.bounds.moderate_label) for name in summary}

@@ -11,7 +11,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hydro_agents.report.canvas import INK, PALE, Array, Look, Plot, add_legend, make_plot
+from hydro_agents.report.canvas import INK, PALE, Array, Plot, add_legend, make_plot
+from hydro_agents.report.content import Content
+from hydro_agents.report.palette import Look
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.text import family_name, number, setting
 
@@ -137,6 +139,15 @@ def worst_traces(
         )
         traces.append(Trace(name, rival, float(case["ratio"]), example))
     return traces
+
+
+def with_traces(content: Content, replay: Replay) -> Content:
+    """The content with the worst cases of every controller, run again (see :func:`worst_traces`)."""
+    if len(content.controllers) < 2:
+        return content
+    preview = max(content.task.references.preview_times, default=0.0)
+    traces = worst_traces(replay, content.table("cases"), content.baseline, content.label, preview)
+    return replace(content, others={**content.others, "traces": traces})
 
 
 def example_limits(examples: Sequence[Example]) -> tuple[float, float]:

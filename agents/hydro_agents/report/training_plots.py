@@ -1,4 +1,4 @@
-"""The figures of the report about training: reward, error on validation plants, measures of the policy's updates."""
+"""The section and the figures about training: reward, error on validation plants, measures of the policy's updates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hydro_agents.report.canvas import GREY, INK, Look, Plot, add_legend, description, looks_of, make_plot, one_panel
+from hydro_agents.report.canvas import GREY, INK, Plot, add_legend, description, make_plot, one_panel
+from hydro_agents.report.content import Content
+from hydro_agents.report.palette import Look, looks_of
+from hydro_agents.report.sections import Block, Fold, section
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.text import number
 
@@ -32,6 +35,16 @@ CLOSE = 1.3
 
 DISCARDED = 0.05
 """First share of the training, which does not set the scale: values of the untrained policy would flatten the rest."""
+
+
+@section("Training", needs=("training_curve",))
+def training(content: Content) -> list[Block]:
+    """Error, reward and updates of the policy while it learned."""
+    curve, error = content.table("training_curve"), content.other("validation_error_mm", float("nan"))
+    learning = learning_plots(curve, content.baseline, error, content.looks)
+    plots = training_plots(curve, content.looks)
+    more = [Fold("Reward, errors and updates of the policy", plots, not learning)] if plots else []
+    return [*learning, *more]
 
 
 def _checked(curve: pd.DataFrame) -> pd.DataFrame:

@@ -15,21 +15,10 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Reading
 from hydro_agents.recordings.findings import Finding, Weight
-from hydro_agents.report.canvas import (
-    GREY,
-    INK,
-    PAPER,
-    WIDE,
-    Plot,
-    looks_of,
-    make_plot,
-    render,
-    thinned,
-    with_gaps,
-)
+from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, render, thinned, with_gaps
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
-from hydro_agents.report.palette import MEANINGS
+from hydro_agents.report.palette import MEANINGS, looks_of
 from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
 from hydro_agents.rigs.diagnose import Diagnosis, findings_table, leak_table

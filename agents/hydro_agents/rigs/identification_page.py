@@ -13,9 +13,10 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
-from hydro_agents.report.canvas import COLOURS, GREY, WIDE, make_plot, row_axis, thinned
+from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
+from hydro_agents.report.palette import COLOURS
 from hydro_agents.report.sections import Block, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
 from hydro_agents.rigs.found_rig import hull, path_of, rig_yaml, share_in_words, shown

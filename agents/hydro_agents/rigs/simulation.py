@@ -13,7 +13,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hydro_agents.report.canvas import WIDE, looks_of, render
+from hydro_agents.report.canvas import WIDE, render
+from hydro_agents.report.palette import looks_of
 from hydro_agents.rigs.check import resting_place
 from hydro_agents.running.folders import output_folder
 from hydro_env import ConfigurationError, PlantParameters, Trajectory, equilibrium, simulate

@@ -4,27 +4,31 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 from pydantic import Field, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.evaluate import ProtocolSettings, StudyProtocol
+from hydro_agents.evaluation.metrics import ERROR, METRICS
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedCondition
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.trainers import Trainer, trainer
 from hydro_agents.learning.validation import validation_errors
-from hydro_agents.report.training_plots import ERROR, learning_plots
+from hydro_agents.report.training_plots import ERROR as VALIDATION_ERROR
+from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, Columns, Job, run_jobs
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.study.ladder_table import ladder_table, rung_scores
+from hydro_agents.running.text import markdown
 from hydro_agents.study.settings import ControllerEntry, Name
 from hydro_agents.study.training import CHECKPOINTS, TRAINING_FILES, WEIGHTS, read_curve
 from hydro_env import ConfigurationError, TaskConfig
@@ -223,7 +227,7 @@ def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
         read_curve(file).assign(controller=f"{rung}{SEED_MARK}{file.name}") for file in sorted(own.glob("seed *"))
     ]
     curve = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame()
-    if ERROR in curve:  # the training has validations
+    if VALIDATION_ERROR in curve:  # the training has validations
         base = next(iter(ladder.controllers))
         error, _, _ = validation_errors(ladder.task, ladder.make(base))
         for plot in learning_plots(curve, base, error):
@@ -278,3 +282,81 @@ def write_tables(ladder: LadderSettings, folder: Path, results: Results) -> None
     write_whole(folder / TABLES[0], f"# {ladder.title}\n\n{text}".encode())
     write_whole(folder / TABLES[1], table.to_csv(index=False).encode())
     write_whole(folder / TABLES[2], scores.to_csv(index=False).encode())
+
+
+# The table ----------------------------------------------------------------------------------------------------------
+
+
+def rung_scores(
+    name: str, seed: int, corrects: str | None, cases: pd.DataFrame, classical: Mapping[str, pd.DataFrame]
+) -> pd.DataFrame:
+    """One row: a training's figures as ratios to the first controller's on the same cases.
+
+    Args:
+        name: name of the rung.
+        seed: seed of the training; −1 for a controller that is not trained.
+        corrects: name of the controller that it corrects.
+        cases: its metrics, one row per case.
+        classical: the metrics of the classical controllers, by name.
+    """
+    reference = next(iter(classical.values()))
+    row: dict[str, float | str] = {"rung": name, "seed": seed}
+    row["mean"], row["geo"] = ratios(cases, reference)
+    corrected = ratios(cases, classical[corrects]) if corrects is not None else (math.nan, math.nan)
+    row["mean to corrected"], row["geo to corrected"] = corrected
+    for group in ("family", "leakage_flow_lpm"):
+        for value, errors in cases.groupby(group, sort=False)[ERROR]:
+            label = f"{value:g} l/min" if group != "family" else str(value)
+            row[label] = errors.mean() / reference.loc[reference[group] == value, ERROR].mean()
+    row["worst case"] = float(np.max(cases[ERROR].to_numpy() / reference[ERROR].to_numpy()))
+    for metric in METRICS.values():
+        if metric.ratio and metric.name in cases and metric.name in reference:
+            there = float(reference[metric.name].mean())
+            row[metric.ratio] = float(cases[metric.name].mean()) / there if there > 0.0 else math.nan
+    row["failed"] = cases["failed"].sum()
+    row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else float("nan")
+    return pd.DataFrame([row])
+
+
+def ratios(cases: pd.DataFrame, reference: pd.DataFrame) -> tuple[float, float]:
+    """Ratio of the mean errors over all cases, and the geometric mean of the families' ratios."""
+    families = cases.groupby("family")[ERROR].mean() / reference.groupby("family")[ERROR].mean()
+    return float(cases[ERROR].mean() / reference[ERROR].mean()), float(np.exp(np.log(families).mean()))
+
+
+def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> tuple[str, pd.DataFrame]:
+    """The ladder as Markdown, and as a table of means and standard deviations over seeds.
+
+    Args:
+        scores: rows of :func:`rung_scores`.
+        order: names of the rungs from top to bottom; those without scores are left out.
+        reference: name of the controller for all comparisons.
+    """
+    figures = [name for name in scores.columns if name not in ("rung", "seed")]
+    rows, lines = [], []
+    for name in order:
+        own = scores[scores["rung"] == name]
+        if own.empty:
+            continue
+        means, spread = own[figures].mean(), own[figures].std(ddof=1)
+        seeds = int((own["seed"] >= 0).sum())
+        rows.append(
+            {"rung": name, "seeds": seeds, **means.to_dict(), **{f"{k} sd": v for k, v in spread.to_dict().items()}}
+        )
+        cells = [name, str(seeds or "–"), *(_cell(means[figure], spread[figure], figure) for figure in figures)]
+        lines.append(cells)
+    costs = ", ".join(metric.word.lower() for metric in METRICS.values() if metric.cost and metric.ratio)
+    note = (
+        f"Ratios to {reference} on the same cases: mean error over all cases; geo, the geometric mean of the families' "
+        "ratios; then each family and each leak. Worst case: largest ratio of a single case. Offset at standstill, "
+        f"{costs}: ratios of means. ±: standard deviation over training seeds.\n\n"
+    )
+    return f"{note}{markdown(['rung', 'seeds', *figures], lines)}\n", pd.DataFrame(rows)
+
+
+def _cell(mean: float, spread: float, figure: str) -> str:
+    if np.isnan(mean):
+        return "–"
+    if figure in ("seconds", "failed"):
+        return f"{mean:.0f}" if mean == round(mean) or figure == "seconds" else f"{mean:.1f}"
+    return f"{mean:.2f}" if np.isnan(spread) or figure not in ("mean", "geo") else f"{mean:.3f} ± {spread:.3f}"

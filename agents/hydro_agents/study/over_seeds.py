@@ -15,7 +15,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_agents.running.seeds import SEED_MARK
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.running.text import Table, number
-from hydro_agents.study.phases import Phases
+from hydro_agents.study.results import Phases
 from hydro_agents.study.run import HEAD_PHASE, TUNED_FILE, is_finished, run_study
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import read_curve

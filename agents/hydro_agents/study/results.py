@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import sys
+import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -17,7 +20,8 @@ from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
-from hydro_agents.report.pages import StudyRecord, write_report, write_tables
+from hydro_agents.report.sections import render_page
+from hydro_agents.report.study import STUDY, content_of, tables_of
 from hydro_agents.report.traces import Example
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay, console_table
@@ -25,10 +29,9 @@ from hydro_agents.running.machine import date_now, machine_description, package_
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_agents.running.text import Table
 from hydro_agents.study.model_cards import card_file, controller_card, head_card
-from hydro_agents.study.phases import Phases
 from hydro_agents.study.settings import StudySettings
-from hydro_env import TaskConfig
-from hydro_env.files import write_text, write_whole
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import read_json, write_text, write_whole
 
 REPORT_FILE = "report.html"
 CARDS = "model_cards"
@@ -37,6 +40,48 @@ MOST_COLUMNS = 4
 """Largest number of controllers side by side in the table of leaks on the console; more have no such table."""
 
 EXAMPLE_FAMILIES = {"step": "steps", "start_stop": "start–stop moves"}
+
+
+STATE_FILE = "state.json"
+STATE_FORMAT = "hydro_env study, state 1"
+Result = TypeVar("Result")
+
+
+class Phases:
+    """Finished phases of a study and their durations, stored in ``state.json``.
+
+    Args:
+        folder: folder of the study; the state of an earlier session is read from it.
+
+    Raises:
+        ConfigurationError: the state is damaged.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.file = folder / STATE_FILE
+        self.seconds: dict[str, float] = {}
+        self.done: list[str] = []
+        if self.file.exists():
+            try:
+                state = read_json(self.file)
+                if state["format"] != STATE_FORMAT:
+                    raise ValueError
+                self.seconds = {str(name): float(value) for name, value in state["seconds"].items()}
+                self.done = [str(name) for name in state["done"]]
+            except (AttributeError, KeyError, TypeError, ValueError):
+                raise ConfigurationError(f"{self.file}: is not the state of a study; --overwrite begins anew") from None
+
+    def run(self, name: str, work: Callable[[], Result]) -> Result:
+        """Run a phase, and add its duration to the time of earlier sessions."""
+        began = time.monotonic()
+        try:
+            result = work()
+            self.done = [*(phase for phase in self.done if phase != name), name]
+            return result
+        finally:
+            self.seconds[name] = round(self.seconds.get(name, 0.0) + time.monotonic() - began, 1)
+            state = {"format": STATE_FORMAT, "done": self.done, "seconds": self.seconds}
+            write_whole(self.file, json.dumps(state, indent=1).encode())
 
 
 def evaluate_study(
@@ -72,24 +117,19 @@ def evaluate_study(
     write_tables(folder / "tables", evaluation)
     write_whole(folder / "tables" / "leak_price.csv", price.to_csv(index=False).encode())
     curve = training_curve if training_curve is not None else pd.DataFrame()
-    first = next(iter(working.values()))
-    record = StudyRecord(
-        title=study.title,
-        configuration=configuration,
-        command=command,
-        versions=package_versions(),
-        machine=machine_description(),
-        seed=seed,
-        timings=dict(phases.seconds) if phases is not None else {},
-        training_curve=curve,
+    corrects = {name: entry.corrects for name, entry in study.controllers.items() if entry.corrects}
+    content = content_of(
+        evaluation,
+        {"command": command, "date": date_now(), "seed": seed, "machine": machine_description(), **package_versions()},
+        {"leak_price": price, "training_curve": curve},
         examples=example_traces(study.task, working, levels),
-        corrects={name: entry.corrects for name, entry in study.controllers.items() if entry.corrects},
-        date=date_now(),
-        leak_price=price,
-        validation_error_mm=validation_errors(study.task, first)[0] if len(curve) else float("nan"),
+        timings=dict(phases.seconds) if phases is not None else {},
+        configuration=configuration,
+        corrects=corrects,
+        validation_error_mm=validation_errors(study.task, next(iter(working.values())))[0] if len(curve) else np.nan,
     )
-    write_report(folder / REPORT_FILE, evaluation, record)
-    paths, ships, corrects = weights or {}, shipped_weights("ppo", study.task).name, record.corrects
+    render_page(study.title, STUDY, content).write(folder / REPORT_FILE)
+    paths, ships = weights or {}, shipped_weights("ppo", study.task).name
     cards = {
         name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
         for name, controller in working.items()
@@ -105,6 +145,18 @@ def evaluate_study(
     return evaluation
 
 
+def write_tables(folder: Path, evaluation: Evaluation) -> list[Path]:
+    """Write every table that is not empty as CSV; returns the files.
+
+    Raises:
+        ConfigurationError: a file cannot be written.
+    """
+    written = {folder / f"{name}.csv": table for name, table in tables_of(evaluation).items() if not table.empty}
+    for file, table in written.items():
+        write_whole(file, table.to_csv(index=False).encode())
+    return list(written)
+
+
 def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], levels: Sequence[float]) -> list[Example]:
     """Time traces of two test episodes under every controller, each at every leak level (l/min at 100 bar)."""
     kinds = [(family, level) for family in EXAMPLE_FAMILIES for level in levels]
@@ -115,20 +167,18 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
     )
     runs = {name: run_cases(config, controller, cases) for name, controller in controllers.items()}
     first = next(iter(runs.values()))
-    examples = []
-    for case, (family, level) in enumerate(kinds):
-        examples.append(
-            Example(
-                title=EXAMPLE_FAMILIES[family],
-                time=first.time,
-                reference=first.reference[case],
-                position={name: run.position[case] for name, run in runs.items()},
-                command={name: run.command[case] for name, run in runs.items()},
-                preview=max(config.references.preview_times, default=0.0),
-                leak=level,
-            )
+    return [
+        Example(
+            title=EXAMPLE_FAMILIES[family],
+            time=first.time,
+            reference=first.reference[case],
+            position={name: run.position[case] for name, run in runs.items()},
+            command={name: run.command[case] for name, run in runs.items()},
+            preview=max(config.references.preview_times, default=0.0),
+            leak=level,
         )
-    return examples
+        for case, (family, level) in enumerate(kinds)
+    ]
 
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:

@@ -22,8 +22,7 @@ from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.seeds import TRIAL_RUN
-from hydro_agents.study.phases import STATE_FILE, Phases
-from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
+from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, STATE_FILE, Phases, evaluate_study, print_summary
 from hydro_agents.study.settings import StudySettings
 from hydro_agents.study.training import (
     CHECKPOINTS,
