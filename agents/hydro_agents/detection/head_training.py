@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
+from hydro_agents.detection.dataset import LEAKS, Windows
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
@@ -27,6 +27,7 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
