@@ -277,10 +277,7 @@ def definitions() -> Table:
 def terms(content: Content) -> Table:
     """What the words of the page mean."""
     rows = [
-        (
-            "Ratio",
-            "mean error of one controller divided by that of another, on the same runs; below 1 is better",
-        ),
+        ("Ratio", "mean error of one controller divided by that of another, on the same runs; below 1 is better"),
         ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
     ]
     if content.has("detection_summary"):

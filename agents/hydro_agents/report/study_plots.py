@@ -137,7 +137,7 @@ def _ratios(content: Content) -> Plot:
 
     title = "Ratio of errors by kind of reference"
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
-    return rows_plot("ratio", title, note, parts, looks, "", finish)
+    return rows_plot("ratio", title, note, parts, looks, f" × {base}", finish)
 
 
 def _ratio_scale(axes: Axes, values: Array) -> None:

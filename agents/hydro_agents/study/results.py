@@ -190,20 +190,14 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
         display.console.lines(console_table(_detection(evaluation)))
 
 
-def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
-    ratios = evaluation.ratios
-    row = ratios[(ratios["controller"] == name) & (ratios["group"] == group)].iloc[0]
-    return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
-
-
 def _errors_in_all(evaluation: Evaluation) -> Table:
     """One row per controller, with its ratio to the first."""
-    first, *others = evaluation.controllers
-    means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
-    rows = [(first, f"{means[first]:.4f}", "", "")]
-    for name in others:
-        whole, equal = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
-        rows.append((name, f"{means[name]:.4f}", whole, equal))
+    first, content = evaluation.controllers[0], content_of(evaluation)
+    rows = []
+    for name, mean in evaluation.cases.groupby("controller", sort=False)["mean_error_mm"].mean().items():
+        found = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
+        ratios = (f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]" if row else "" for row in found)
+        rows.append((str(name), f"{mean:.4f}", *ratios))
     header = ("controller", "mm", f"÷ {first} [95 %]", "references weighted equally")
     return Table("Mean absolute tracking error (test plants)", header, rows)
 

@@ -108,10 +108,7 @@ class StudySettings(Group):
         with kept(errors):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), Path(path))
-        groups: dict[str, type[Group]] = {
-            "leakage_head": HeadTrainingSettings,
-            "evaluation": ProtocolSettings,
-        }
+        groups: dict[str, type[Group]] = {"leakage_head": HeadTrainingSettings, "evaluation": ProtocolSettings}
         for key, group in groups.items():
             if isinstance(values.get(key), str):
                 file = folder / values.pop(key)
