@@ -5,8 +5,7 @@ import pytest
 from hydro_agents.controllers.pid import PID
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import config_folder
-from hydro_agents.study.other_rig import default_study
-from hydro_agents.study.settings import StudySettings
+from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
 from hydro_env.task.configuration import task_config
 

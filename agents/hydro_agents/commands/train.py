@@ -75,7 +75,7 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.study.other_rig import default_study
+    from hydro_agents.study.settings import default_study
 
     study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed
