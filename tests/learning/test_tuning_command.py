@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from hydro_agents.commands.train import Objective, train
+from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
