@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from hydro_agents.running.resampling import (
+from hydro_agents.running.statistics import (
     Weights,
     improvements,
     interquartile_means,

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hydro_agents.running.resampling import mean_interval, ratio_interval
-from hydro_agents.running.statistics import conditional_value_at_risk, share_interval
+from hydro_agents.running.statistics import conditional_value_at_risk, mean_interval, ratio_interval, share_interval
 
 
 def test_mean_interval_is_that_of_the_normal_distribution():

@@ -11,8 +11,8 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model, train_ppo
-from hydro_agents.learning.validation import validation_cases, validation_errors
 from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate

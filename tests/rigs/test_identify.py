@@ -13,8 +13,8 @@ from published import assert_published_page
 from recorded import SEED, recorded_file
 
 from hydro_agents.recordings.recording import read_recording
-from hydro_agents.rigs.advice import advise
 from hydro_agents.rigs.fit import fit_windows
+from hydro_agents.rigs.identify import advise
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig

@@ -6,7 +6,7 @@ import pytest
 
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
-from hydro_agents.rigs.starting_gains import pid_from_figures, stable_start
+from hydro_agents.rigs.check import pid_from_figures, stable_start
 from hydro_agents.study.other_rig import default_study
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config

@@ -5,7 +5,7 @@ import pytest
 
 from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.rigs.verdict import Kind, Limits, combined, judge
+from hydro_agents.rigs.diagnose import Kind, Limits, combined, judge
 
 LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]

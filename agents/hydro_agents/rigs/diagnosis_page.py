@@ -21,8 +21,7 @@ from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, looks_of
 from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
-from hydro_agents.rigs.diagnose import Diagnosis, findings_table, leak_table
-from hydro_agents.rigs.verdict import Kind, combined, named_fault
+from hydro_agents.rigs.diagnose import Diagnosis, Kind, combined, findings_table, leak_table, named_fault
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, number, setting
