@@ -95,11 +95,7 @@ def compiled(
 
 
 def compared(name: str, texts: Mapping[str, str]) -> str:
-    """What the test program ``test_NAME.c`` prints, compiled and run on this machine.
-
-    Args:
-        name: of the code.
-        texts: of ``NAME.c``, ``NAME.h``, ``test_NAME.c`` and ``vectors.csv``, by file name.
+    """What the test program ``test_NAME.c`` prints, compiled with ``NAME.c`` and run on this machine.
 
     Raises:
         HydroError: the code cannot be compiled, or gives other results than Python.

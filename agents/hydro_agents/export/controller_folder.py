@@ -113,12 +113,7 @@ def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
-    """The files of an exported controller by name, and the results of their checks, one line each.
-
-    Args:
-        controller: the controller.
-        config: the task for which it was made.
-        command: the command of the export, for the contract.
+    """The files of a controller for a task by name, and results of their checks; the contract names the command.
 
     Raises:
         TraceError: the controller cannot be exported exactly.

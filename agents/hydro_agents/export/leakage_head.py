@@ -159,10 +159,6 @@ class HeadContract(Sealed):
 def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported leakage head by name, and the results of their checks, one line each.
 
-    Args:
-        head: the leakage head.
-        command: the command of the export, for the contract.
-
     Raises:
         TranslationError, TraceError: the head uses a construct without translation.
         ConfigurationError: the package onnx or onnxruntime is not installed.

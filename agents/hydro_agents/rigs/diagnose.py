@@ -28,9 +28,7 @@ from hydro_env import PlantParameters, TaskConfig
 
 Progress = Callable[[str, int, int], None]
 
-MOST = 0.5
-"""Share of the windows that counts as "most"."""
-
+MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
 """Change of the leak within the recording that the verdict mentions, in standard deviations of a window's reading."""
 

@@ -27,8 +27,7 @@ from hydro_env.task.sensors import SENSORS
 
 Array = NDArray[np.float64]
 
-LEAST_SHARE = 0.9
-"""Smallest share of the position's variance on the held-back part of a model that describes the axis."""
+LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
 
 
 DURATION = 8.0  # s, of each candidate motion
@@ -234,13 +233,7 @@ def _commands(time: Array, can: _Travel) -> dict[str, Array]:
 
 
 def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
-    """For each undetermined unknown, the most informative motion; ``None`` if none helps.
-
-    Args:
-        fit: result of the recording.
-        config: the task.
-        plant: the identified plant.
-    """
+    """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
     wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
     if not wanted:
         return {}
