@@ -39,12 +39,7 @@ SOURCES = Markup(
 )
 
 MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
-PANELS = (
-    ("position, mm", 1e3),
-    ("pressure a, bar", 1e-5),
-    ("pressure b, bar", 1e-5),
-    ("spool, %", 100.0),
-)
+PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 1e-5), ("spool, %", 100.0))
 """Label and factor from SI of each channel."""
 
 

@@ -122,11 +122,7 @@ class Identification(NamedTuple):
 
 
 def identify(
-    path: Path,
-    config: TaskConfig,
-    rig: Rig,
-    columns: ColumnMap | None = None,
-    progress: Progress | None = None,
+    path: Path, config: TaskConfig, rig: Rig, columns: ColumnMap | None = None, progress: Progress | None = None
 ) -> Identification:
     """Read a recording, check it, fit the unknowns of the rig file, and test the fit on the held-back part.
 
