@@ -47,6 +47,13 @@ def hydro(*arguments: object) -> Answer:
     return Answer(code, out.getvalue(), errors.getvalue())
 
 
+def done(*arguments: object) -> Answer:
+    """Run ``hydro`` in this process; it must succeed."""
+    answer = hydro(*arguments)
+    assert answer.returncode == 0, answer.stderr
+    return answer
+
+
 def environment(**variables: str) -> dict[str, str]:
     """Variables of a process that runs this checkout."""
     return {

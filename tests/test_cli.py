@@ -12,7 +12,7 @@ import time
 
 import pytest
 import yaml
-from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydro, hydro_process, own_lines
+from command_line import COMMAND, ROOT, assert_one_clear_line, done, environment, hydro, hydro_process, own_lines
 from matplotlib.figure import Figure
 
 import hydro_env
@@ -60,8 +60,7 @@ def voltages(folder):
 
 
 def test_simulate_writes_all_quantities_and_a_picture(tmp_path):
-    answer = hydro("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
-    assert answer.returncode == 0, answer.stderr
+    done("simulate", "--leakage", "1", "--duration", "0.2", "--output", tmp_path / "run")
     rows = list(csv.reader((tmp_path / "run" / "trajectory.csv").open()))
     assert rows[0][:3] == ["time [s]", "voltage [V]", "position [m]"]
     assert len(rows) == 1 + 201
@@ -84,25 +83,21 @@ def test_simulate_says_which_voltage_acts(tmp_path):
 def test_simulate_reads_a_rig_and_a_csv(tmp_path):
     (tmp_path / "voltage.csv").write_text("time,voltage\n0,0\n0.001,1.5\n0.002,-1.5\n")
     rig = ROOT / "configs" / "rigs" / "kovari_2015.yaml"
-    answer = hydro("simulate", "--rig", rig, "--input-file", tmp_path / "voltage.csv", "--output", tmp_path / "run")
-    assert answer.returncode == 0, answer.stderr
+    done("simulate", "--rig", rig, "--input-file", tmp_path / "voltage.csv", "--output", tmp_path / "run")
     assert voltages(tmp_path / "run") == [0.0, 1.5, -1.5, -1.5]
-    again = hydro("simulate", "--rig", rig, "--input-file", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
-    assert again.returncode == 0, again.stderr
+    done("simulate", "--rig", rig, "--input-file", tmp_path / "run" / "trajectory.csv", "-o", tmp_path / "2")
     assert voltages(tmp_path / "2") == [0.0, 1.5, -1.5, -1.5, -1.5]
 
 
 def test_simulate_starts_where_the_rig_can_rest(tmp_path):
     """At mid-stroke the leak of this rig takes more than the valve feeds; where the spring bears the load it rests."""
     (tmp_path / "rig.yaml").write_text("load: {external_force: 5000}\nleakage: {internal_resistance: 2.0e+10}\n")
-    answer = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--duration", "0.1", "-o", tmp_path / "run")
-    assert answer.returncode == 0, answer.stderr
+    answer = done("simulate", "--rig", tmp_path / "rig.yaml", "--duration", "0.1", "-o", tmp_path / "run")
     place = float(answer.stdout.splitlines()[0].split()[1])
     assert place < 0.0
     at_mid_stroke = hydro("simulate", "--rig", tmp_path / "rig.yaml", "--position", "0", "-o", tmp_path / "2")
     assert_one_clear_line(at_mid_stroke, "position = 0 m cannot be held")
-    checked = hydro("check-rig", "--rig", tmp_path / "rig.yaml")
-    assert checked.returncode == 0, checked.stderr
+    checked = done("check-rig", "--rig", tmp_path / "rig.yaml")
     assert f"x = {place:+.1f} mm" in checked.stdout
 
 
@@ -214,8 +209,7 @@ def test_without_arguments_the_help_is_shown():
 
 def test_a_name_with_brackets_or_a_line_break_is_taken_as_it_is(tmp_path):
     for name in ("results[v2]", "a[/b]c", "a\nb", ":smile:"):
-        answer = hydro("simulate", "--duration", "0.01", "-o", tmp_path / name)
-        assert answer.returncode == 0, answer.stderr
+        answer = done("simulate", "--duration", "0.01", "-o", tmp_path / name)
         assert str(tmp_path / name / "trajectory.csv") in answer.stdout
         assert (tmp_path / name / "trajectory.csv").exists()
         assert_one_clear_line(hydro("simulate", "--duration", "0.01", "-o", tmp_path / name), "holds results already")
@@ -297,7 +291,7 @@ def test_under_nohup_a_command_outlives_its_terminal(tmp_path, monkeypatch):
     monkeypatch.setattr(check_table, "check_to_console", lambda *_: signal.raise_signal(signal.SIGHUP) or [])
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        assert hydro("check-rig").returncode == 0
+        done("check-rig")
     finally:
         signal.signal(signal.SIGHUP, before)
 
@@ -327,8 +321,7 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     assert own_lines(errors) == [f"hydro: stopped; {folder} keeps the finished work, --resume continues it"]
     assert not (folder / "report.html").exists()
     assert_one_clear_line(hydro("study", "--config", study, "--output", folder), "holds results already")
-    resumed = hydro("study", "--config", study, "--output", folder, "--resume")
-    assert resumed.returncode == 0, resumed.stderr
+    done("study", "--config", study, "--output", folder, "--resume")
     report = (folder / "report.html").read_text(encoding="utf-8")
     assert "http://" not in report.replace("http://www.w3.org", "")
     for name in ("cases.csv", "ratios.csv", "detection_summary.csv"):
@@ -340,11 +333,9 @@ def test_a_study_that_was_stopped_is_resumed_and_its_results_can_be_used(tmp_pat
     )
     # Whatever does not concern training may change.
     study.write_text(yaml.safe_dump({**TINY, "title": "Another title"}))
-    again = hydro("study", "--config", study, "--output", folder, "--resume")
-    assert again.returncode == 0, again.stderr
+    again = done("study", "--config", study, "--output", folder, "--resume")
     assert "already trained" in again.stdout
-    judged = hydro("evaluate", *weights, "--output", tmp_path / "judged")
-    assert judged.returncode == 0, judged.stderr
+    done("evaluate", *weights, "--output", tmp_path / "judged")
     into_study = hydro("evaluate", *weights, "--output", folder, "--overwrite")
     assert_one_clear_line(into_study, "was written by hydro study")
     other = hydro("study", "--config", study, "--output", folder, "--resume", "--seed", "7")

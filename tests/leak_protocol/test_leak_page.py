@@ -1,13 +1,16 @@
-"""The page of the leakage protocol: what it says, what it colours, and what it leaves out."""
+"""Tables and page of the leakage protocol on a made-up run whose figures are known."""
 
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 from browser import problems_everywhere
-from made_up_run import tables
 from published import assert_published_page
+from small_leaks import made_up_run, made_up_tables, small
 
+from hydro_agents.detection.detector import VERDICTS
+from hydro_agents.evaluation.runner import Results
 from hydro_agents.report.content import Content
 from hydro_agents.report.leak_findings import findings_of
 from hydro_agents.report.leakage import LEAKAGE, confusion_tables, right_verdicts
@@ -15,8 +18,13 @@ from hydro_agents.report.sections import render_page
 
 
 @pytest.fixture(scope="module")
-def content():
-    return Content(tables(), others={"base": "plain"})
+def made():
+    return made_up_tables()
+
+
+@pytest.fixture(scope="module")
+def content(made):
+    return Content(made, others={"base": "plain"})
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +52,7 @@ def test_the_findings_say_how_small_how_early_how_surely_and_when_nothing_can_be
 
 
 def test_without_confusions_and_silence_the_findings_say_so():
-    made = tables()
+    made = made_up_tables()
     made = {**made, "detection": made["detection"][made["detection"]["condition"] == "plain"], "alarms": pd.DataFrame()}
     leads = [item.lead for item in findings_of(Content(made, others={"base": "plain"}))]
     assert "No other fault looks like a worn seal." in leads
@@ -83,7 +91,7 @@ def test_the_page_stands_alone_and_holds_scale_and_conditions(page):
 
 
 def test_sections_without_figures_are_left_out():
-    made = tables()
+    made = made_up_tables()
     made = {name: table for name, table in made.items() if name not in ("alarms", "masking", "reliability")}
     page = render_page("Leaks", LEAKAGE, Content(made, others={"base": "plain"})).html
     assert 'id="alarm_delay"' not in page
@@ -93,3 +101,74 @@ def test_sections_without_figures_are_left_out():
 def test_nothing_is_cut_off_in_a_browser(browser, content, tmp_path):
     render_page("Leaks", LEAKAGE, content).write(tmp_path / "leakage.html")
     assert problems_everywhere(browser, tmp_path / "leakage.html") == []
+
+
+def row(table, **wanted):
+    for name, value in wanted.items():
+        table = table[table[name] == value]
+    assert len(table) == 1
+    return table.iloc[0]
+
+
+def test_detection_per_window_and_per_hour(made):
+    healthy = row(made["detection"], detector="head", condition="plain", level=0.0)
+    assert healthy["flagged"] == 0.01
+    assert healthy["per_hour"] == pytest.approx(0.01 * 1800)  # windows of 2 s, one after the other
+    assert healthy["flagged_low"] < 0.01 < healthy["flagged_high"]
+    assert row(made["detection"], detector="estimator", condition="null", level=0.0)["cannot_tell"] == 0.8
+
+
+def test_verdicts_are_shares_of_all_windows(made):
+    found = row(made["verdicts"], detector="estimator", condition="null", level=0.0)
+    assert found["valve fault"] == 0.2
+    assert found["cannot tell"] == 0.8
+    np.testing.assert_allclose(made["verdicts"][list(VERDICTS)].sum(axis=1), 1.0)
+
+
+def test_sizes_over_windows_in_which_the_detector_tells(made):
+    plain = row(made["sizes"], detector="head", condition="plain", level=0.3)
+    assert plain["rms_log10"] == pytest.approx(np.log10(1.1))
+    assert plain["coverage"] == 1.0  # 10 % beside the truth, intervals of 20 %
+    assert plain["bound_lpm"] == pytest.approx(0.02)  # the median
+    assert plain["ratio_to_bound"] == pytest.approx(np.log10(1.1) / (0.02 / 0.3 / np.log(10.0)))
+    beside = row(made["sizes"], detector="head", condition="null", level=0.3)
+    assert beside["coverage"] == 0.0
+    assert beside["unnoticed_minimum"] == 1.0  # twice the truth, 16 standard deviations away
+    silent = row(made["sizes"], detector="estimator", condition="null", level=0.3)
+    assert silent["told"] == 0
+    assert np.isnan(silent["rms_log10"])
+
+
+def test_the_calibration_error_is_the_distance_of_probability_and_frequency(made):
+    mine = made["reliability"][made["reliability"]["detector"] == "head"].sort_values("probability")
+    assert mine["probability"].tolist() == pytest.approx([0.2, 0.8])
+    assert mine["frequency"].tolist() == [0.0, 1.0]
+    assert mine["error"].iloc[0] == pytest.approx(0.2)
+
+
+def test_masking_sets_detection_beside_the_position_error(made):
+    mine = made["masking"][(made["masking"]["detector"] == "head") & (made["masking"]["level"] == 0.1)].set_index(
+        "acting"
+    )
+    assert mine.loc["ADRC", "error_mm"] < mine.loc["PID", "error_mm"]
+    assert mine["at_1_percent"].to_dict() == {"PID": 0.7, "ADRC": 0.5}
+
+
+def test_alarms_are_counted_over_axes_and_hours():
+    healthy = pd.DataFrame({"leak_lpm": 0.0, "then": "all", "alarms": [0.0, 3.0], "hours": 10.0})
+    delays = {"delay_s": [2.0, 4.0, 100.0, 1.0], "early": [0.0, 0.0, 0.0, 1.0]}
+    leaking = pd.DataFrame({"leak_lpm": 1.0, "then": "all", **delays})
+    rows = pd.concat([healthy, leaking]).assign(detector="head")
+    table = Results(small(), None, {"alarm": rows}, pd.DataFrame()).table("alarms")
+    first = table.iloc[0]
+    assert (first["alarms"], first["hours"], first["per_100_h"]) == (3, 20.0, 15.0)
+    assert first["per_100_h_low"] < 15.0 < first["per_100_h_high"]
+    one = row(table, leak_lpm=1.0, then="all")
+    assert (one["axes"], one["median_s"]) == (3, 4.0)  # the axis with an alarm before the onset does not count
+    assert one["missed"] == pytest.approx(1 / 3)  # 100 s are longer than a minute
+
+
+def test_every_table_is_written(made, tmp_path):
+    made_up_run().write(tmp_path)
+    assert {file.stem for file in tmp_path.glob("*.csv")} == set(made)
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "masking.csv"), made["masking"].reset_index(drop=True))

@@ -1,15 +1,26 @@
-"""Jobs: side by side as alone, bit for bit; interrupted work goes on; thresholds, verdicts and failures."""
+"""A leakage protocol: its cases, its jobs side by side and again, thresholds, verdicts, alarms, bound and failures."""
 
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
+from command_line import ROOT
 from joblib import parallel_config
 from small_leaks import SMALL, Spread, ran, small
 
-from hydro_agents.detection.detector import Cause
+from hydro_agents.detection.alarm import AlarmSettings
+from hydro_agents.detection.alarm_simulation import Work
+from hydro_agents.detection.detector import Cause, Reading
+from hydro_agents.detection.operations import ACTING, MOTIONS
+from hydro_agents.evaluation import leak_alarm
+from hydro_agents.evaluation.leak_alarm import LEAKS, alarm, at_healthy_axes, at_onsets
+from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY, Detectors, LeakProtocol, Watch
 from hydro_agents.evaluation.leak_tables import judged
+from hydro_agents.running.cases import run_cases
 from hydro_agents.running.jobs import JOBS_FOLDER
+from hydro_agents.running.seeds import LEAKAGE, TEST_SEEDS, VALIDATION_SEEDS
 from hydro_env import ConfigurationError
+from hydro_env.files import validate
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +115,194 @@ def test_a_detector_without_threshold_has_no_figures():
     run = ran(small(conditions=conditions, detectors=detectors), both)
     assert set(run.table("windows")["detector"]) == {"D"}
     assert "no threshold" in run.status.set_index(["detector", "condition"]).loc[("E", "plain"), "message"]
+
+
+SCALE = {"highest_baseline": 0.0, "spread": 1.0, "shift": 1.0}
+SETTINGS = AlarmSettings(
+    interval=0.5,
+    learning=1,
+    scales=dict.fromkeys(("standing", "slow", "moving"), SCALE),
+    sums=[{"method": "mean", "threshold": 1.0}],
+)
+
+
+class Level:
+    """A score that does not depend on the signals."""
+
+    threshold, window = None, 60
+
+    def __init__(self, score):
+        self.score = score
+
+    def refuses(self, task, samples):
+        return "" if samples == self.window else f"reads {self.window} samples"
+
+    def read(self, windows, task):
+        return Reading.of(np.full(len(windows), self.score))
+
+
+@pytest.fixture
+def short(monkeypatch):
+    for name, seconds in {"SHIFT": 4.0, "PAST": 2.0, "AFTER": 2.0}.items():
+        monkeypatch.setattr(leak_alarm, name, seconds)
+
+
+def rows(measure, score, **times):
+    onsets = LEAKS if measure is at_onsets else ()
+    work = Work(2_450_000, 2, **times, interval=SETTINGS.interval, onsets=onsets)
+    return measure(Level(score), small().task, SETTINGS, work)
+
+
+def test_an_alarm_that_never_rises_misses_everything():
+    healthy, leaking = rows(at_healthy_axes, -5.0, duration=4.0), rows(at_onsets, -5.0, duration=2.0, after=2.0)
+    assert healthy["alarms"].tolist() == [0.0, 0.0]
+    assert 0.0 < healthy["hours"][0] <= 4.0 / 3600.0
+    assert len(leaking["delay_s"]) == 2 * len(LEAKS)
+    assert np.isinf(leaking["delay_s"]).all()
+    assert (leaking["early"] == 0.0).all()
+
+
+def test_an_alarm_that_always_rises_counts_as_early():
+    assert rows(at_healthy_axes, 9.0, duration=4.0)["alarms"].tolist() == [1.0, 1.0]
+    assert (rows(at_onsets, 9.0, duration=2.0, after=2.0)["early"] == 1.0).all()
+
+
+def test_hours_are_split_into_jobs_of_their_own_seeds():
+    cells = list(alarm(small(alarm_hours=15.0), Detectors({}, {"D": Watch(Level(0.0), SETTINGS)})))
+    healthy, leaking = ([job.arguments[-1] for job in cell.jobs] for cell in cells)
+    assert sum(each.axes for each in healthy) == sum(each.axes for each in leaking) == 90  # 600 s each
+    seeds = [each.first_seed + axis for each in (*healthy, *leaking) for axis in range(each.axes)]
+    assert len(set(seeds)) == len(seeds)
+    assert len({job.file for cell in cells for job in cell.jobs}) == 4
+
+
+def test_alarms_and_bound_stand_beside_the_windows_and_are_kept(short, tmp_path):
+    protocol = small(
+        bound_conditions=["plain"],
+        bound_windows=2,
+        conditions={"plain": SMALL["conditions"]["plain"]},
+        alarms={"D": "alarm.yaml"},
+        alarm_hours=0.001,
+    )
+    alarms = {"D": Watch(Level(-5.0), SETTINGS)}
+    run = ran(protocol, alarms=alarms, folder=tmp_path)
+    found = run.table("alarms")
+    assert found.iloc[0]["alarms"] == 0
+    assert found.iloc[0]["hours"] > 0.0
+    assert (found["missed"].dropna() == 1.0).all()
+    assert len(found) == 1 + len(LEAKS)
+    bound = run.table("bound")
+    assert set(bound["level"]) == {0.0, 1.0}
+    assert (bound["sigma_lpm"] > 0.0).all()
+    assert bound["sigma_lpm"].max() < 2.0  # far below the prior's: the window tells something
+    again = ran(protocol, alarms=alarms, folder=tmp_path)
+    assert again.reused == len(list((tmp_path / JOBS_FOLDER).iterdir())) > 4
+    for name in ("alarms", "bound"):
+        pd.testing.assert_frame_equal(again.table(name), run.table(name), check_exact=True)
+
+
+def test_the_parts_can_be_chosen():
+    assert small(bound_conditions=["plain"]).measured == ("windows", "leak_bound")
+    assert small(alarms={"D": "alarm.yaml"}, alarm_hours=1.0).measured == ("windows", "alarm")
+    run = ran(small(parts=["leak_bound"], bound_conditions=["null"], bound_windows=1))
+    assert set(run.tables()) == {"bound", "conditions", "status", "protocol"}
+    with pytest.raises(ConfigurationError, match="unknown part 'tracking'; known: windows, alarm, leak_bound"):
+        validate(LeakProtocol, {**SMALL, "parts": ["tracking"]}, "own.yaml")
+
+
+def test_every_level_and_condition_has_the_same_plants():
+    protocol = small()
+    cases = [protocol.cases_in(name, level, 10) for name in ("plain", "null") for level in (HEALTHY, 1.0)]
+    for other in cases[1:]:
+        np.testing.assert_array_equal(cases[0].seeds, other.seeds)
+    assert set(cases[0].seeds) <= set(TEST_SEEDS)
+    assert set(protocol.cases_in("plain", HEALTHY, 10, validation=True).seeds) <= set(VALIDATION_SEEDS)
+    assert min(cases[0].seeds) == LEAKAGE.first
+
+
+def test_leaks_are_fixed_healthy_or_drawn():
+    protocol = small()
+    low, high = protocol.task.leakage.healthy_range
+    healthy, fixed, drawn = (protocol.cases_in("plain", level, 40).leakage_flow_lpm for level in (HEALTHY, 1.0, DRAWN))
+    assert low <= healthy.min() < healthy.max() <= high
+    assert (fixed == 1.0).all()
+    assert ((drawn <= high) == (np.arange(40) % 2 == 0)).all()
+    assert drawn.max() > 1.0
+
+
+def test_the_detector_knows_the_rig_and_nothing_else_of_a_condition():
+    conditions = {
+        **SMALL["conditions"],
+        "loud": {"noise_factor": 2.0, "task": {"leakage": {"law": "orifice"}}, "factors": {"load.mass": 2.0}},
+        "other": {"rig": str(ROOT / "configs" / "rigs" / "symmetric_eha.yaml")},
+    }
+    protocol = small(conditions=conditions)
+    assert protocol.known_task("loud") == protocol.task
+    assert protocol.task_in("loud").sensors.position.noise == 2.0 * protocol.task.sensors.position.noise
+    assert protocol.cases_in("loud", 1.0, 3).parameters["load"]["mass"] == 2.0 * protocol.task.plant.load.mass
+    assert protocol.known_task("other").plant == protocol.task_in("other").plant != protocol.task.plant
+    np.testing.assert_array_equal(protocol.cases_in("null", 1.0, 3).faults["valve_null_shift"], [0.02] * 3)
+
+
+def test_windows_anywhere_are_cut_from_longer_runs():
+    protocol = small(conditions={"plain": {"duration": 0.3}, "late": {"duration": 0.3, "begins": "anywhere"}})
+    assert protocol.task_in("late").steps == 3 * protocol.task_in("plain").steps == 180
+
+
+def test_groups_and_detectors_choose_what_is_read():
+    protocol = small(
+        detectors={"A": {"kind": "head", "groups": ["fault"]}, "B": {"kind": "estimator"}},
+        conditions={**SMALL["conditions"], "mine": {"group": "fault", "detectors": ["B"]}},
+    )
+    read = {(name, who) for name in protocol.conditions for who in "AB" if protocol.reads(name, who)}
+    assert read == {("plain", "B"), ("null", "A"), ("null", "B"), ("mine", "B")}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"base": "absent"}, "base: 'absent' is not a condition"),
+        ({"alarms": {"X": "a.yaml"}}, "alarms: unknown detector 'X'"),
+        ({"bound_conditions": ["absent"]}, "bound_conditions: 'absent' is not a condition"),
+        ({"conditions": {"plain": {"acting": "nobody"}}}, "unknown controller 'nobody'; known: PID"),
+        ({"conditions": {"plain": {"motion": "flying"}}}, "unknown motion 'flying'; known: ordinary"),
+        ({"conditions": {"plain": {"faults": {"rust": 1.0}}}}, "unknown fault 'rust'"),
+        ({"conditions": {"plain": {"faults": {"valve_flow": 3.0}}}}, "must be within -0.9 to 0.9"),
+        ({"conditions": {"plain": {"detectors": ["X"]}}}, "unknown detector 'X'"),
+        ({"conditions": {"plain": {"levels": [99.0]}}}, "levels"),
+        (
+            {"conditions": {"plain": {"begins": "anywhere", "task": {"leakage": {"schedule": "onset"}}}}},
+            "begin at rest",
+        ),
+        ({"conditions": {"plain": {"task": {"unknown": 1}}}}, "conditions.plain: "),
+    ],
+)
+def test_a_wrong_protocol_is_refused_in_one_line(changes, message, tmp_path):
+    path = tmp_path / "wrong.yaml"
+    path.write_text(yaml.safe_dump({**SMALL, "kind": "leakage", **changes}))
+    with pytest.raises(ConfigurationError) as error:
+        LeakProtocol.from_yaml(path)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["leakage", "leakage_quick"])
+def test_the_shipped_protocols_are_valid(name):
+    protocol = LeakProtocol.from_yaml(ROOT / "configs" / "protocols" / f"{name}.yaml")
+    assert protocol.measured[0] == "windows"
+    assert len(protocol.sha256) == 64
+
+
+@pytest.mark.parametrize("name", [name for name, acting in ACTING.items() if not acting.trained])
+def test_operations_that_no_training_holds_move_the_axes_and_keep_their_memory(name):
+    protocol = small()
+    config, cases = protocol.task_in("plain"), protocol.cases_in("plain", HEALTHY, 4)
+    runs = [run_cases(config, ACTING[name].make(config, 4, 3), cases, [0]) for _ in range(2)]
+    assert np.ptp(runs[0].position, axis=1).max() > 1e-3
+    np.testing.assert_array_equal(runs[0].signals, runs[1].signals)
+
+
+def test_motions_change_what_is_asked_alone():
+    task = small().task
+    for motion in MOTIONS.values():
+        assert motion.change(task).plant == task.plant

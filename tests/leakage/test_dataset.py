@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
-from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, HeadTrainingSettings, Windows, draw_faults
+from hydro_agents.detection.dataset import LABEL_OF_FAULT, LEAKS, Chunk, Windows, draw_faults
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS
 from hydro_agents.detection.operations import MANNERS, OPERATIONS, Operation, slow
 from hydro_agents.detection.sheet import sheet_of
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.estimation.known_windows import at_rest
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ServoHydraulicVectorEnv, TaskConfig

@@ -10,7 +10,7 @@ import torch
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
+from hydro_agents.detection.dataset import LEAKS, Windows
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
@@ -25,6 +25,7 @@ from hydro_agents.detection.head_training import (
 )
 from hydro_agents.detection.intervals import quantiles
 from hydro_agents.detection.monitor import MonitoredController
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.detection import area_under_roc
 from hydro_agents.running.seeds import HEAD_TRAINING, TRAINING_SEEDS
 from hydro_agents.running.weights import load_checkpoint, save_checkpoint

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_agents.commands.train import Objective, train
+from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import gain, search_space
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller

@@ -9,9 +9,23 @@ import time
 import pandas as pd
 import pytest
 import yaml
-from command_line import COMMAND, assert_one_clear_line, environment, hydro, own_lines
+from command_line import COMMAND, assert_one_clear_line, done, environment, hydro, own_lines
 from published import assert_published
 from small_protocol import SMALL
+
+OWN_LEAKS = {
+    "kind": "leakage",
+    "levels": [0, 1.0],
+    "detectors": {"head": {"kind": "head", "windows": 6, "validation_windows": 20, "batch": 20}},
+    "base": "plain",
+    "conditions": {
+        "plain": {"group": "levels", "label": "ordinary motion", "levels": [0, 1.0, -1]},
+        "short": {"group": "motion", "label": "0.2 s", "duration": 0.2},
+        "null": {"group": "fault", "label": "valve null", "faults": {"valve_null_shift": 0.01}},
+    },
+}
+LEAKS = ("evaluate", "--protocol", "leaks.yaml", "-j", "1")
+OWN = ("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1")
 
 AGENTS = """
 import numpy as np
@@ -29,7 +43,8 @@ class Wild(Calm):
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A folder with a small protocol and a module of agents."""
+    """A folder with a small protocol of each kind and a module of agents."""
+    (tmp_path / "leaks.yaml").write_text(yaml.safe_dump(OWN_LEAKS, sort_keys=False))
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(SMALL, sort_keys=False))
     (tmp_path / "study.yaml").write_text("controllers:\n  PID: {kind: pid}\n")
     (tmp_path / "robust_agents.py").write_text(AGENTS)
@@ -38,15 +53,10 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-def evaluate(*arguments):
-    return hydro("evaluate", "--protocol", "own.yaml", "-c", "study.yaml", "-j", "1", *arguments)
-
-
 def test_own_agents_and_training_seeds_stand_in_every_table(place):
     whole = {**SMALL, "standstill_plants": 1, "bound_conditions": ["plain"], "bound_plants": 1}
     (place / "own.yaml").write_text(yaml.safe_dump(whole, sort_keys=False))
-    answer = evaluate("--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
-    assert answer.returncode == 0, answer.stderr
+    answer = done(*OWN, "--agent", "calm#0=robust_agents:Calm", "--agent", "calm#1=robust_agents:Calm")
     tables = place / "results" / "own" / "tables"
     assert_published("robustness", tables)
     assert set(pd.read_csv(tables / "ranking.csv")["controller"]) == {"PID", "calm"}
@@ -62,19 +72,37 @@ def test_own_agents_and_training_seeds_stand_in_every_table(place):
 
 
 def test_a_failing_agent_is_named_and_the_others_stay(place):
-    answer = evaluate("-o", "out", "--agent", "wild=robust_agents:Wild")
+    answer = hydro(*OWN, "-o", "out", "--agent", "wild=robust_agents:Wild")
     assert_one_clear_line(answer, "wild under plain", "seed 22", "predict returned nan", "status.csv", "out holds")
     assert set(pd.read_csv("out/tables/cases.csv")["controller"]) == {"PID"}
 
 
 def test_resuming_uses_the_finished_jobs(place):
-    assert evaluate("-o", "out").returncode == 0
+    done(*OWN, "-o", "out")
     first = pd.read_csv("out/tables/cases.csv")
-    assert_one_clear_line(evaluate("-o", "out"), "holds results already", "--resume continues")
-    answer = evaluate("-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
-    assert answer.returncode == 0, answer.stderr
+    assert_one_clear_line(hydro(*OWN, "-o", "out"), "holds results already", "--resume continues")
+    done(*OWN, "-o", "out", "--resume", "--agent", "calm=robust_agents:Calm")
     cases = pd.read_csv("out/tables/cases.csv")
     pd.testing.assert_frame_equal(cases[cases["controller"] == "PID"].reset_index(drop=True), first, check_exact=True)
+
+
+def test_tables_page_and_the_shares_found_on_the_console(place):
+    answer = done(*LEAKS)
+    folder = place / "results" / "leaks"
+    windows = pd.read_csv(folder / "tables" / "windows.csv")
+    assert len(windows) == 6 * (3 + 2)
+    status = pd.read_csv(folder / "tables" / "status.csv").set_index("condition")["status"]
+    assert status["short"] == "not applicable"
+    facts = pd.read_csv(folder / "tables" / "protocol.csv").set_index("key")["value"]
+    assert facts["file_sha256"] in answer.stdout
+    assert facts["sha256"] in (folder / "leakage.html").read_text(encoding="utf-8")
+    table = pd.read_csv(folder / "tables" / "detection.csv")
+    shares = table[(table["condition"] == "plain") & (table["level"] >= 0.0)].sort_values("level")["flagged"]
+    printed = next(line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["head"])
+    assert [float(share) for share in printed[1:]] == pytest.approx(100.0 * shares, abs=0.05)
+    assert hydro(*LEAKS).returncode == 2  # the folder holds results
+    done(*LEAKS, "--resume")
+    pd.testing.assert_frame_equal(pd.read_csv(folder / "tables" / "windows.csv"), windows, check_exact=True)
 
 
 @pytest.mark.parametrize(
@@ -89,6 +117,9 @@ def test_resuming_uses_the_finished_jobs(place):
         (("--resume",), ("--resume: needs --protocol",)),
         (("--jobs", "2"), ("--jobs: needs --protocol",)),
         (("--protocol", "own.yaml", "--jobs", "0"), ("--jobs", "equal to 1")),
+        (("--protocol", "leaks.yaml", "--agent", "x=pid"), ("--agent: a protocol takes it from its file",)),
+        (("--protocol", "leaks.yaml", "--plants", "5"), ("--plants: a protocol takes it from its file",)),
+        (("--protocol", "leaks.yaml", "--head", "absent"), ("absent",)),
     ],
 )
 def test_what_is_wrong_is_one_line_and_writes_nothing(place, arguments, parts):

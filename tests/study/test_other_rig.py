@@ -8,7 +8,7 @@ from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.commands.options import exact_task
 from hydro_agents.controllers.registry import make_controller
-from hydro_agents.detection.dataset import HeadTrainingSettings
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import gains_file, shipped
 from hydro_agents.learning.policy import PolicyController

@@ -13,7 +13,7 @@ from published import assert_published
 
 from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.options import named_agents
-from hydro_agents.commands.train import train
+from hydro_agents.commands.study import train
 from hydro_agents.study import results, training
 from hydro_agents.study.other_rig import default_study
 from hydro_agents.study.run import run_study

@@ -1,4 +1,4 @@
-"""The command ``hydro``: one short file per command."""
+"""The command ``hydro``: commands about the same thing share a file."""
 
 import os
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, command_line, say, show
+from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, Task, Written, command_line, write_results
+
+if TYPE_CHECKING:
+    from hydro_agents.running.console import ProgressDisplay
 
 
 def alarms(
@@ -59,12 +62,10 @@ def alarms(
     from hydro_agents.detection.looks import window_of
     from hydro_agents.detection.monitor import HEAD_FILE
     from hydro_agents.learning.opponents import shipped
-    from hydro_agents.running.console import ProgressDisplay
-    from hydro_agents.running.folders import output_folder
     from hydro_agents.running.jobs import JOBS_FOLDER
     from hydro_agents.running.text import frame_markdown
     from hydro_env import ConfigurationError
-    from hydro_env.files import validate, write_text
+    from hydro_env.files import validate
     from hydro_env.task.configuration import task_config
 
     config = task_config(task, rig=rig)
@@ -80,20 +81,18 @@ def alarms(
     window_of(watching, config)  # refuses a task that it cannot read
     name = f"leakage head {Path(head or HEAD_FILE).name}" if detector == "head" else detector
     controllers = {kind: shipped(kind, config) for kind in ("pid", "flow_linearising")}
-    names = ["alarm.yaml", "alarms.md", "*.csv", f"{JOBS_FOLDER}/*.npz"]
-    with (
-        output_folder(output, "alarms", names, resume=resume, overwrite=overwrite) as folder,
-        ProgressDisplay() as display,
-    ):
+
+    def work(display: ProgressDisplay) -> Written:
         together = 16 if detector == "estimator" else 128
-        bench = Bench(config, controllers, watching, name, folder, together, display.update)
-        settings, tables = run_job(bench, job)
-        settings.save(folder / "alarm.yaml")
-        parts = [f"`{command_line()}`"]
-        for name, table in tables.items():
-            write_text(folder / f"{name}.csv", table.to_csv(index=False))
-            parts.append(f"## {name.replace('_', ' ')}\n\n{frame_markdown(table.set_index(table.columns[0]), 3)}")
-        text = "\n\n".join(parts)
-        write_text(folder / "alarms.md", text + "\n")
-    show(text)
-    say(f"results in {output}")
+        settings, tables = run_job(Bench(config, controllers, watching, name, output, together, display.update), job)
+        settings.save(output / "alarm.yaml")
+        files = {f"{title}.csv": table.to_csv(index=False) for title, table in tables.items()}
+        shown = [
+            f"## {title.replace('_', ' ')}\n\n{frame_markdown(table.set_index(table.columns[0]), 3)}"
+            for title, table in tables.items()
+        ]
+        text = "\n\n".join([f"`{command_line()}`", *shown])
+        return text, {**files, "alarms.md": text + "\n"}
+
+    names = ["alarm.yaml", "alarms.md", "*.csv", f"{JOBS_FOLDER}/*.npz"]
+    write_results(output, "alarms", names, work, resume, overwrite)

@@ -40,30 +40,30 @@ up to 0.03 is healthy, 1 to 4 is severe."""
 
 GROUPS = {
     "A rig": {
-        "new-rig": "new_rig",
-        "check-rig": "check_rig",
-        "identify": "identify",
-        "simulate": "simulate",
-        "record": "record",
+        "new-rig": "rig:new_rig",
+        "check-rig": "rig:check_rig",
+        "identify": "axis:identify",
+        "simulate": "axis:simulate",
+        "record": "axis:record",
     },
     "Controllers": {
-        "study": "study",
-        "train": "train",
-        "evaluate": "evaluate",
-        "render": "render",
-        "export": "export",
-        "bound": "bound",
-        "ladder": "ladder",
+        "study": "study:study",
+        "train": "study:train",
+        "evaluate": "evaluate:evaluate",
+        "render": "axis:render",
+        "export": "export:export",
+        "bound": "bounds:bound",
+        "ladder": "study:ladder",
     },
     "The leak": {
-        "diagnose": "diagnose",
-        "alarms": "alarms",
-        "test-move": "move_design:design_test_move",
-        "leak-bound": "leak_bound",
+        "diagnose": "axis:diagnose",
+        "alarms": "alarms:alarms",
+        "test-move": "bounds:design_test_move",
+        "leak-bound": "bounds:leak_bound",
     },
     "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},
 }
-"""All commands under the headings of the help: by name the module, and its function if that has another name."""
+"""All commands under the headings of the help: by name the module and its function."""
 
 
 def application(only: str = "") -> typer.Typer:
@@ -83,7 +83,7 @@ def application(only: str = "") -> typer.Typer:
         for name, place in commands.items():
             if not only or name == only:
                 module, _, function = place.partition(":")
-                command = getattr(import_module(f"hydro_agents.commands.{module}"), function or module)
+                command = getattr(import_module(f"hydro_agents.commands.{module}"), function)
                 app.command(name, rich_help_panel=heading)(command)
     return app
 

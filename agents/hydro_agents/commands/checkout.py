@@ -12,8 +12,7 @@ import hydro_env
 from hydro_agents.commands.options import Output, Overwrite, Resume, Rig, command_line, say
 from hydro_env import ConfigurationError
 
-FOLDER = Path(hydro_env.__file__).resolve().parents[1]
-"""The root of the checkout, or the folder of installed packages."""
+FOLDER = Path(hydro_env.__file__).resolve().parents[1]  # the root of the checkout, or the folder of installed packages
 
 
 def need_checkout(package: str, what: str) -> None:

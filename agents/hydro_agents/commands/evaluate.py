@@ -74,7 +74,7 @@ def evaluate(
     from hydro_env import ConfigurationError
 
     if protocol is not None:
-        from hydro_agents.commands.robustness import Options, evaluate_protocol
+        from hydro_agents.commands.protocols import Options, evaluate_leak_protocol, evaluate_protocol
         from hydro_env.files import read_yaml
         from hydro_env.folders import config_file
 
@@ -87,11 +87,9 @@ def evaluate(
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
         if about_leaks:
-            from hydro_agents.commands.leak_protocol import evaluate_leak_protocol
-
             evaluate_leak_protocol(file, head, options)
-            return
-        evaluate_protocol(protocol, named_agents(agent), config, options)
+        else:
+            evaluate_protocol(file, named_agents(agent), config, options)
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")

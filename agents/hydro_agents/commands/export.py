@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,41 +70,46 @@ def export(
         _export_controller(what, task, rig, output, overwrite)
 
 
-def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
-    from hydro_agents.export.c_files import write_files
-    from hydro_agents.export.plant import make_fmu, plant_code
-    from hydro_agents.running.folders import output_folder
+Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
 
-    with output_folder(output, JOB, [FMU_FILE, *SOURCES], overwrite=overwrite):
-        write_files(plant_code(config.plant).files, output)
-        (output / FMU_FILE).write_bytes(make_fmu(config))
-    say(*(f"written: {output / name}" for name in (FMU_FILE, *SOURCES)))
+
+def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[], Exported]) -> None:
+    """Make files in a folder that is claimed for them, and say what was written."""
+    from hydro_agents.running.folders import output_folder
+    from hydro_env.files import write_whole
+
+    with output_folder(output, JOB, names, overwrite=overwrite):
+        files, report = make()
+        for name, content in files.items():
+            write_whole(output / name, content if isinstance(content, bytes) else content.encode())
+    say(*report, *(f"written: {output / name}" for name in names))
+
+
+def _export_plant(config: TaskConfig, output: Path, overwrite: bool) -> None:
+    from hydro_agents.export.plant import make_fmu, plant_code
+
+    def make() -> Exported:
+        return {**plant_code(config.plant).files, FMU_FILE: make_fmu(config)}, ()
+
+    _write(output, overwrite, [FMU_FILE, *SOURCES], make)
 
 
 def _export_head(output: Path, overwrite: bool) -> None:
     from hydro_agents.detection.head import LeakageHead
     from hydro_agents.export.leakage_head import FILES, exported_head
     from hydro_agents.export.onnx_writer import onnx_package
-    from hydro_agents.running.folders import output_folder, pretrained_folder
-    from hydro_env.files import write_whole
+    from hydro_agents.running.folders import pretrained_folder
 
     onnx_package()  # report a missing package at the start
-    with output_folder(output, JOB, FILES, overwrite=overwrite):
-        files, report = exported_head(LeakageHead.load(pretrained_folder() / "leakage_head"), command_line())
-        for name, content in files.items():
-            write_whole(output / name, content)
-    say(*report, *(f"written: {output / name}" for name in FILES))
+    head = LeakageHead.load(pretrained_folder() / "leakage_head")
+    _write(output, overwrite, FILES, lambda: exported_head(head, command_line()))
 
 
 def _export_playground(output: Path, overwrite: bool) -> None:
     from hydro_agents.export.playground import PAGE_FILE, playground_page, web_compiler
-    from hydro_agents.running.folders import output_folder
-    from hydro_env.files import write_whole
 
     web_compiler()  # report a missing package at the start
-    with output_folder(output, JOB, [PAGE_FILE], overwrite=overwrite):
-        write_whole(output / PAGE_FILE, playground_page().encode())
-    say(f"written: {output / PAGE_FILE}")
+    _write(output, overwrite, [PAGE_FILE], lambda: ({PAGE_FILE: playground_page()}, ()))
 
 
 def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
@@ -112,9 +118,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
     from hydro_agents.export.exported import ExportedController
     from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.learning.opponents import trained_for
-    from hydro_agents.running.folders import output_folder
     from hydro_env import ConfigurationError, PlantParameters
-    from hydro_env.files import write_whole
 
     onnx_package()  # report a missing package at the start
     controller, config = _controller_and_task(what, task, rig)
@@ -129,11 +133,7 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
             "tunes them; then export results/study/controllers/NAME",
             file=sys.stderr,
         )
-    with output_folder(output, JOB, FILES, overwrite=overwrite):
-        files, report = exported_files(controller, config, command_line())
-        for name, content in files.items():
-            write_whole(output / name, content)
-    say(*report, *(f"written: {output / name}" for name in FILES))
+    _write(output, overwrite, FILES, lambda: exported_files(controller, config, command_line()))
 
 
 def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +14,7 @@ from hydro_env.folders import config_file
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
+    from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.study.settings import StudySettings
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")]
@@ -34,6 +35,8 @@ Agents = Annotated[
         "replaced. Repeat the option for several.",
     ),
 ]
+
+Written = tuple[str, dict[str, str | bytes]]  # text of the results (Markdown), and contents of files by name
 
 
 def _rig_file(given: Path | None) -> Path | None:
@@ -117,6 +120,37 @@ def show(text: str) -> None:
     from hydro_agents.running.console import PlainConsole
 
     PlainConsole().lines(Markdown(text))
+
+
+def write_results(
+    output: Path,
+    command: str,
+    files: Sequence[str],
+    work: Callable[[ProgressDisplay], Written],
+    resume: bool | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Do the work of a command, write its files into a folder, print its text and where the files are.
+
+    ``files`` are names, or patterns of names, of all files that it may write; the other arguments and errors are as in
+    :func:`~hydro_agents.running.folders.output_folder`.
+    """
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+    from hydro_env.files import write_text, write_whole
+
+    with (
+        output_folder(output, command, files, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        text, contents = work(display)
+        for name, content in contents.items():
+            if isinstance(content, bytes):
+                write_whole(output / name, content)
+            else:
+                write_text(output / name, content)
+    show(text)
+    say(f"results in {output}")
 
 
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:

@@ -1,13 +1,35 @@
-"""``hydro study``: training, evaluation and report."""
+"""``hydro study``, ``hydro ladder`` and ``hydro train``: whole studies, ladders of trainings, and one training."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Config, Overwrite, Resume, Rig, Seed, Task, command_line, say
+from hydro_agents.commands.options import (
+    Agents,
+    Config,
+    Output,
+    Overwrite,
+    Resume,
+    Rig,
+    Seed,
+    Task,
+    command_line,
+    named_agents,
+    say,
+    tell_rigs,
+)
+from hydro_env import ConfigurationError
+from hydro_env.mistakes import did_you_mean
+
+if TYPE_CHECKING:
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.study.settings import StudySettings
 
 
 def study(
@@ -49,3 +71,201 @@ def study(
         return
     folder = output or Path("results/seeds")
     say(f"written: {run_over_seeds(settings, folder, range(first, first + seeds), resume, overwrite, command_line())}")
+
+
+def ladder(
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", "-c", metavar="NAME|FILE", help="A ladder: a name in `configs/ladders` or a YAML file."
+        ),
+    ] = None,
+    output: Output = Path("results/ladder"),
+    jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=1024, help="Trainings that run side by side.")] = 1,
+    rung: Annotated[
+        list[str] | None, typer.Option("--rung", help="Train this rung alone; repeat the option for several.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, max=1000, help="Trainings per rung.")] = None,
+    test: Annotated[
+        bool, typer.Option("--test", help="Evaluate on test plants; use it only after every choice is made.")
+    ] = False,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train every rung of a ladder on several seeds, and write one table of the effect of each change.
+
+    A ladder is a list of trainings, its rungs; each rung changes a few settings of an earlier one. The trainings are
+    independent jobs. Ctrl-C keeps finished trainings and checkpoints; `--resume` continues.
+    """
+    from hydro_agents.study.ladder import LadderSettings, run_ladder
+    from hydro_env.folders import config_file
+
+    settings = LadderSettings.from_yaml(config_file("ladders", config or "default"))
+    file = run_ladder(settings, output, jobs, rung, seeds, test, resume, overwrite)
+    say(file.read_text(encoding="utf-8"), f"written: {file}")
+
+
+class Objective(StrEnum):
+    """The figure that tuning minimises; see :class:`hydro_agents.learning.tuning.Score`."""
+
+    MEAN = "mean"
+    EQUAL = "equal"
+
+
+def train(
+    what: Annotated[
+        str,
+        typer.Argument(
+            help="ppo (or another trained controller of the study), head (the leakage head), or a classical controller "
+            "(pid, flow_linearising, ...), whose gains are tuned."
+        ),
+    ],
+    output: Output = Path("results/train"),
+    config: Config = None,
+    agent: Agents = None,
+    task: Task = None,
+    rig: Rig = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="For PPO: control periods, instead of the study's.")] = None,
+    objective: Annotated[
+        Objective | None,
+        typer.Option(
+            help="For gains: mean (mean absolute error) or equal (geometric mean over the families; the default)."
+        ),
+    ] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(min=1, help="For gains: number of sets of gains to try, instead of 2800.")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="For gains: YAML file with the gains where the search starts.")
+    ] = None,
+    seed: Seed = None,
+    resume: Resume = False,
+    overwrite: Overwrite = False,
+) -> None:
+    """Train one part of a study. Ctrl-C keeps the last checkpoint; `--resume` continues from it.
+
+    The command writes the best gains of a classical controller to KIND.yaml after every generation.
+    The head learns from episodes under every controller of the study; trained controllers take the shipped weights
+    unless `--agent` gives others.
+
+    With `--rig` the task is adapted to another rig. If a trained controller corrects a classical one, the command tunes
+    the classical one first.
+    """
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.study.other_rig import default_study
+
+    study = default_study(config, task, rig)
+    seed = study.seed if seed is None else seed
+    part = what.lower()
+    classical = part in CONTROLLERS
+    _refuse("--steps", steps is not None and (classical or part == "head"), part)
+    _refuse("--agent", agent is not None and part != "head", part)
+    for option, value in (("--objective", objective), ("--evaluations", evaluations), ("--start", start)):
+        _refuse(option, value is not None and not classical, part)
+    if part == "head":
+        file = _head(study, output, seed, resume, overwrite, named_agents(agent))
+    elif classical:
+        aim = objective or Objective.EQUAL
+        file = _gains(study, part, output, aim, evaluations, start, seed, resume, overwrite)
+    else:
+        name = next((name for name in study.trained if name.lower() == part), None)
+        if name is None:
+            known = [*(name.lower() for name in study.trained), "head", *CONTROLLERS]
+            guess = did_you_mean(what, known)
+            raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
+        file = _controller(study, name, output, seed, resume, overwrite, steps)
+    say(f"written: {file}")
+
+
+def _refuse(option: str, given: bool, part: str) -> None:
+    if given:
+        raise ConfigurationError(f"{option}: does not apply to hydro train {part}")
+
+
+@contextmanager
+def _training(
+    folder: Path, part: str, files: Sequence[str], kept: Sequence[str], what: str, resume: bool, overwrite: bool
+) -> Iterator[ProgressDisplay]:
+    """Claim a folder for a training; ``kept`` are the files, ``what`` their name, without which none can be resumed."""
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import output_folder
+
+    if resume and not any(file for pattern in kept for file in folder.glob(pattern)):
+        raise ConfigurationError(f"{folder}: nothing to resume, there is no {what}; leave --resume out")
+    with (
+        output_folder(folder, f"train {part}", files, resume=resume, overwrite=overwrite),
+        ProgressDisplay() as display,
+    ):
+        yield display
+
+
+def _controller(
+    study: StudySettings, name: str, folder: Path, seed: int, resume: bool, overwrite: bool, steps: int | None
+) -> Path:
+    from hydro_agents.study.training import (
+        CHECKPOINTS,
+        TRAINING_FILES,
+        TUNING_FILES,
+        WEIGHTS,
+        train_controller,
+        tune_controller,
+    )
+    from hydro_env.files import validate
+
+    settings = study.training_settings(name)
+    if steps is not None:
+        settings = validate(type(settings), {**settings.model_dump(), "total_steps": steps}, "--steps")
+    corrected = study.controllers[name].corrects
+    if corrected in study.trained:
+        raise ConfigurationError(f"{name} corrects {corrected}, which must be trained first; run hydro study")
+    base = study.make(corrected) if corrected is not None else None
+    files = (*TRAINING_FILES, *TUNING_FILES) if corrected in study.tuned else TRAINING_FILES
+    kept = (CHECKPOINTS, *TUNING_FILES)
+    with _training(folder, name, files, kept, "checkpoint", resume, overwrite) as display:
+        if corrected in study.tuned:
+            base = tune_controller(study, corrected, folder, seed, display)
+            resume = any(folder.glob(CHECKPOINTS))
+        train_controller(study, name, folder, seed, resume, base, display, settings)
+    return folder / f"{WEIGHTS}.safetensors"
+
+
+def _head(study: StudySettings, folder: Path, seed: int, resume: bool, overwrite: bool, agents: dict[str, str]) -> Path:
+    from hydro_agents.detection.training_settings import HeadTrainingSettings
+    from hydro_agents.study.training import HEAD_CHECKPOINTS, HEAD_FILES, HEAD_WEIGHTS, train_leakage_head
+
+    (study.leakage_head or HeadTrainingSettings()).check(study.task)
+    named = study.with_weights(agents)
+    tell_rigs(study, named)
+    what = "checkpoint of the head"
+    with _training(folder, "head", HEAD_FILES, [HEAD_CHECKPOINTS], what, resume, overwrite) as display:
+        train_leakage_head(study, folder, seed, resume, list(named.values()), display)
+    return folder / f"{HEAD_WEIGHTS}.safetensors"
+
+
+def _gains(
+    study: StudySettings,
+    kind: str,
+    folder: Path,
+    objective: Objective,
+    evaluations: int | None,
+    start: Path | None,
+    seed: int,
+    resume: bool,
+    overwrite: bool,
+) -> Path:
+    from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.learning.tuning import EVALUATIONS
+    from hydro_agents.study.settings import TuningSettings
+    from hydro_agents.study.training import TUNING_LOG, tune_gains
+    from hydro_env.files import read_yaml, validate
+
+    budget = TuningSettings(objective=objective.value, evaluations=evaluations or EVALUATIONS)
+    path, log = folder / f"{kind}.yaml", folder / TUNING_LOG
+    first = validate(CONTROLLERS[kind][1], read_yaml(start), str(start)) if start is not None else None
+    with _training(folder, kind, [path.name, log.name], [log.name], log.name, resume, overwrite) as display:
+        best = tune_gains(kind, study.task, budget, first, path, log, seed, resume, display, f"tune {kind}")
+        display.say(
+            f"{kind}: on training cases, cost of command changes included: mean {1e3 * best.score.mean:.4f} mm, "
+            f"geometric mean of the families {1e3 * best.score.equal:.4f} mm"
+        )
+    return path

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.detection.dataset import LEAKS, HeadTrainingSettings, Windows
+from hydro_agents.detection.dataset import LEAKS, Windows
 from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
@@ -27,6 +27,7 @@ from hydro_agents.detection.head import (
     tensors_like,
 )
 from hydro_agents.detection.intervals import COVERAGE, FEWEST, GROUPS, WIDTHS, distances, groups, quantiles
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.running.seeds import HEAD_TRAINING, THRESHOLDS
 from hydro_agents.running.weights import load_checkpoint, optimiser_tensors, require, restore_optimiser, save_checkpoint
 from hydro_env import ConfigurationError, TaskConfig
@@ -155,7 +156,6 @@ class _Job:
         self.drivers = [_described(controller) for controller in controllers]
 
     def restore(self) -> None:
-        """Load the checkpoint."""
         if self.checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
         tensors, stored = load_checkpoint(self.checkpoint, KIND)
@@ -185,7 +185,6 @@ class _Job:
             raise ConfigurationError(f"{self.checkpoint}: damaged: its windows do not fit together") from None
 
     def save(self) -> None:
-        """Write the checkpoint."""
         if self.checkpoint is None:
             return
         tensors = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
@@ -198,7 +197,6 @@ class _Job:
         save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        """Simulate the missing windows of a phase."""
         parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
         if not parts:
             self.save()
@@ -222,7 +220,6 @@ class _Job:
         return tensors
 
     def fit(self) -> None:
-        """Run the remaining epochs."""
         data, settings, start = Windows.joined(self.parts["data"]), self.settings, self.tensors()
         inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
         labels, size = torch.from_numpy(data.labels), torch.from_numpy(size_target(data.flow_lpm))
@@ -252,11 +249,7 @@ def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def calibrated(
-    tensors: dict[str, NDArray[Any]],
-    config: TaskConfig,
-    longest: int,
-    windows: Windows,
-    record: dict[str, Any],
+    tensors: dict[str, NDArray[Any]], config: TaskConfig, longest: int, windows: Windows, record: dict[str, Any]
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 

@@ -71,11 +71,8 @@ class BoundSettings(Group):
 EVEN_ERRORS = (20e-6, 200e-6, 2e-3, 1.0)
 """m; one Gauss–Newton step for each of these limits: its cost is quadratic below the limit, linear above."""
 
-STEP_LENGTHS = (1.0, 0.4)
-"""Fractions of each Gauss–Newton step that are tried."""
-
-CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)
-"""Largest random changes of the plan, as a fraction of 10 V."""
+STEP_LENGTHS = (1.0, 0.4)  # fractions of each Gauss–Newton step that are tried
+CHANGE_SIZES = (2.0, 0.5, 0.1, 0.02)  # largest random changes of the plan, as a fraction of 10 V
 
 
 def best_found(

@@ -111,8 +111,7 @@ class Grid:
         }
         row: dict[str, float] = {}
         for name, resampled in found.items():
-            value, low, high = interval(resampled, count)
-            row |= {name: value, f"{name}_low": low, f"{name}_high": high}
+            row |= interval(resampled, count).named(name)
         row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if not absent.all() else np.nan
         for name, metric in COMPARED.items():
             row[name] = _ratio(*(self.values(who, metric.name)[:, part[0], part[1]] for who in (controller, against)))

@@ -16,9 +16,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
+import pandas as pd
 from pydantic import Field, StringConstraints, model_validator
 
-from hydro_agents.running.jobs import Job
+from hydro_agents.running.jobs import Columns, Job
 from hydro_agents.running.tasks import Surroundings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_text, read_yaml, validate
@@ -41,6 +42,12 @@ class Cell:
     refused: str = ""
 
 
+def columns_of(table: pd.DataFrame) -> Columns:
+    """The columns of a table as the result of a job; texts as arrays of fixed width, which a file can hold."""
+    found = {str(name): table[name].to_numpy() for name in table}
+    return {name: values.astype(str) if values.dtype == object else values for name, values in found.items()}
+
+
 class Part(NamedTuple):
     """A part of a protocol: a function of the protocol and its participants that yields cells.
 
@@ -57,7 +64,7 @@ class Part(NamedTuple):
 PARTS = {
     "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
     "episodes": Part("detection", "detection:episodes", ("study",)),
-    "standstill": Part("limit_cycles", "tracking:standstill"),
+    "standstill": Part("limit_cycles", "limit_cycles:standstill"),
     "best_found": Part("bound", "tracking:best"),
     "frequency": Part("frequency", "experiments:frequency"),
     "force_step": Part("force_step", "experiments:force_step"),

@@ -14,11 +14,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
+from hydro_agents.evaluation.leak_price import full_force, full_speed, working_place
 from hydro_agents.evaluation.limit_cycles import limit_cycles
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import Array, Experiment, Run, full_force, full_speed, sine_fit, working_place
+from hydro_agents.evaluation.sweeps import Array, Experiment, Run, sine_fit
 from hydro_agents.running.cases import Rollout
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.tasks import noiseless, own_reference
@@ -31,8 +32,7 @@ from hydro_env.task.configuration import task_config
 FREQUENCIES = (0.5, 1.0, 2.0, 3.0, 4.5, 6.5, 9.0, 12.0, 16.0, 22.0, 30.0, 40.0, 55.0)
 """Hz; frequencies from a third of the sampling frequency upwards are left out."""
 
-AMPLITUDE_SHARE = 0.01
-"""Amplitude of the sines as a share of the range of positions that the supply can hold."""
+AMPLITUDE_SHARE = 0.01  # amplitude of the sines as a share of the range of positions that the supply can hold
 
 SPEED_SHARE = 0.15
 """Largest speed of the sines, as a share of the speed at full command; it keeps the valve far from its limits."""
@@ -56,7 +56,7 @@ def sine_references(
         config: the task.
         frequencies: Hz.
         amplitude: m, of the reference; default: a share of the range, smaller if the speed would be too high.
-        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+        place: m, centre of the sines; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
     centre = working_place(config.plant) if place is None else place
     low, high = reachable_range(config.plant)
@@ -135,20 +135,14 @@ def crossing(frequency: Array, values: NDArray[np.floating], level: float) -> fl
 
 # Stiffness ------------------------------------------------------------------------------------------------------------
 
-FORCE_SHARE = 0.2
-"""Amplitude of the force as a share of the force that the supply of the nominal rig gives."""
+FORCE_SHARE = 0.2  # amplitude of the force as a share of the force that the supply of the nominal rig gives
 
 BEFORE, AFTER, JUDGED = 1.0, 2.0, 0.5
 """s: time before the force step, time after it, and last part of each, over which the position is averaged."""
 
-RECOVERED = 0.1
-"""Recovery band as a share of the peak deviation; at least one step of the position sensor."""
-
-SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)
-"""Hz; force sines."""
-
-SINE_SETTLING, SINE_WATCHED = 0.5, 1.0
-"""s (and two cycles each)."""
+RECOVERED = 0.1  # recovery band as a share of the peak deviation; at least one step of the position sensor
+SINE_FREQUENCIES = (1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 27.0)  # Hz; force sines
+SINE_SETTLING, SINE_WATCHED = 0.5, 1.0  # s (and two cycles each)
 
 
 def sudden_force(config: TaskConfig, force: float | None = None, place: float | None = None) -> Iterator[Run]:
@@ -161,7 +155,7 @@ def sudden_force(config: TaskConfig, force: float | None = None, place: float | 
     Args:
         config: the task.
         force: N; default: a fifth of the force of the supply. Its sign is drawn.
-        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.leak_price.working_place`.
     """
     newtons = FORCE_SHARE * full_force(config.plant) if force is None else force
     task = _with_force(noiseless(config), place, BEFORE + AFTER, "step", newtons, BEFORE / (BEFORE + AFTER))
@@ -235,17 +229,13 @@ def _with_force(
 
 # Standstill under noise -----------------------------------------------------------------------------------------------
 
-STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)
-"""l/min at 100 bar."""
-
-PLACES = (0.0, 0.3, -0.3)
-"""Held positions: shares of the range that the supply can hold."""
+STANDSTILL_LEAKS = (0.01, 0.3, 1.0, 4.0, 8.0)  # l/min at 100 bar
+PLACES = (0.0, 0.3, -0.3)  # held positions: shares of the range that the supply can hold
 
 KICK, KICK_SHARE = 0.5, 0.01
 """s until the reference returns from a first step, and the step's share of the range of references."""
 
-REST, HELD = 1.5, 6.0
-"""s from then until the evaluation, and length of the evaluation."""
+REST, HELD = 1.5, 6.0  # s from then until the evaluation, and length of the evaluation
 
 
 def standstills(config: TaskConfig, places: Sequence[float] = PLACES) -> Iterator[Run]:
@@ -316,5 +306,4 @@ def measured(controller: Controller, experiment: str, config: TaskConfig) -> Col
     Raises:
         ControllerError: the controller raises an exception or returns no finite commands.
     """
-    table = EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller")
-    return {str(name): table[name].to_numpy() for name in table}
+    return columns_of(EXPERIMENTS[experiment](config, {"": controller}).drop(columns="controller"))

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
-from hydro_agents.detection.alarm_calibration import delay_columns, delays, peaks, poisson_interval
+from hydro_agents.detection.alarm_calibration import delays, peaks
 from hydro_agents.detection.alarm_simulation import Onset, Work, simulate
 from hydro_agents.detection.detector import Detector
 from hydro_agents.detection.looks import Activity, Looks
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_protocol import HEALTHY, Detectors, LeakProtocol
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.jobs import Columns, Job, fingerprint
@@ -71,8 +71,7 @@ def at_onsets(detector: Detector, config: TaskConfig, settings: AlarmSettings, w
         delay, early = delays(watching, found)
         columns = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "delay_s": delay}
         rows.append(pd.DataFrame(columns | {"early": early.astype(float)}))
-    table = pd.concat(rows)
-    return {**{str(name): table[name].to_numpy() for name in table}, "then": table["then"].to_numpy().astype(str)}
+    return columns_of(pd.concat(rows))
 
 
 def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:
@@ -80,22 +79,3 @@ def _looks(detector: Detector, config: TaskConfig, work: Work) -> list[Looks]:
         return simulate(config, shipped("pid", config), detector, work)
     except ConfigurationError as error:
         raise ConfigurationError(f"the alarm cannot watch: {error}") from None
-
-
-def alarm_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset.
-
-    Args:
-        rows: of the part, one per axis and onset.
-    """
-    found: list[dict[str, object]] = []
-    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
-        row = {"detector": reader, "leak_lpm": leak, "then": then}
-        if leak == HEALTHY:
-            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
-            rate = poisson_interval(count, hours / 100.0)
-            row |= {"alarms": count, "hours": hours, "per_100_h": rate.value}
-            found.append(row | {"per_100_h_low": rate.low, "per_100_h_high": rate.high, "axes": len(axes)})
-            continue
-        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
-    return pd.DataFrame(found)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from hydro_agents.estimation.information import TASK, WORN_VALVE, UnknownSets, i
 from hydro_agents.estimation.known_windows import MOTIONS, known_windows, leak_cases
 from hydro_agents.estimation.move_design import Move, moved
 from hydro_agents.estimation.unknowns import LEAKAGE, priors_of
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.leak_protocol import LeakProtocol
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.jobs import Columns, Job, Report, fingerprint, run_jobs
@@ -32,8 +33,7 @@ TEST_MOVE = "test move"
 COLUMNS = ("motion", "leakage_flow_lpm", "seed", "window_s", "unknowns", "sensors", "sigma_lpm")
 """Columns of :func:`survey`."""
 
-BEGIN = 1.0
-"""s; windows of other motions than the test move begin this long after the start of their episode."""
+BEGIN = 1.0  # s; windows of other motions than the test move begin this long after the start of their episode
 
 
 def leak_bound(protocol: LeakProtocol, chosen: object) -> Iterator[Cell]:
@@ -141,13 +141,7 @@ def survey(
         ConfigurationError: the settings are impossible.
     """
     checked(settings, config)
-    digest = fingerprint(controller)
-    jobs = {
-        f"{motion}|{leak:g}": Job(surveyed, controller, (config, settings, motion, leak), digest)
-        for motion in MOTIONS
-        for leak in settings.leak_levels
-    }
-    return _joined(jobs, folder, progress)
+    return _rows(surveyed, controller, (config, settings), MOTIONS, settings.leak_levels, folder, progress)
 
 
 def surveyed(controller: Controller, config: TaskConfig, settings: SurveySettings, motion: str, leak: float) -> Columns:
@@ -171,7 +165,7 @@ def surveyed(controller: Controller, config: TaskConfig, settings: SurveySetting
             )
             for place, length in enumerate(known.lengths)
         ]
-    return _columns(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
+    return columns_of(pd.concat(frames, ignore_index=True)[list(COLUMNS)])
 
 
 def trial(
@@ -199,16 +193,10 @@ def trial(
     Raises:
         ConfigurationError: no axis can make the move.
     """
-    digest = fingerprint(controller)
-    jobs = {
-        f"{motion}|{leak:g}": Job(tried, controller, (config, move, motion, leak, plants), digest)
-        for motion in (*MOTIONS, TEST_MOVE)
-        for leak in leaks
-    }
-    return _joined(jobs, None, progress)
+    return _rows(tried, controller, (config, move, plants), (*MOTIONS, TEST_MOVE), leaks, None, progress)
 
 
-def tried(controller: Controller, config: TaskConfig, move: Move, motion: str, leak: float, plants: int) -> Columns:
+def tried(controller: Controller, config: TaskConfig, move: Move, plants: int, motion: str, leak: float) -> Columns:
     """The rows of one motion and leak.
 
     Raises:
@@ -234,22 +222,31 @@ def tried(controller: Controller, config: TaskConfig, move: Move, motion: str, l
             "holds": found.holds,
         }
     )
-    return _columns(table)
+    return columns_of(table)
 
 
-def _joined(jobs: Mapping[str, Job], folder: Path | None, progress: Report | None) -> pd.DataFrame:
-    """The rows of all jobs in their order.
+def _rows(
+    work: Callable[..., Columns],
+    controller: Controller,
+    arguments: tuple[Any, ...],
+    motions: Iterable[str],
+    leaks: Iterable[float],
+    folder: Path | None,
+    progress: Report | None,
+) -> pd.DataFrame:
+    """The rows of one job per motion and leak, in this order.
 
     Raises:
         ConfigurationError: a job failed.
     """
+    digest, leaks = fingerprint(controller), tuple(leaks)
+    jobs = {
+        f"{motion}|{leak:g}": Job(work, controller, (*arguments, motion, leak), digest)
+        for motion in motions
+        for leak in leaks
+    }
     results = run_jobs(jobs, folder, None, progress)[0]
     for key in jobs:
         if results[key].error:
             raise ConfigurationError(results[key].error)
     return pd.concat([pd.DataFrame(results[key].metrics) for key in jobs], ignore_index=True)
-
-
-def _columns(table: pd.DataFrame) -> Columns:
-    kinds = {name: str for name in ("motion", "unknowns", "sensors") if name in table}
-    return {str(name): table[name].to_numpy().astype(kinds.get(name, table[name].dtype)) for name in table}

@@ -1,6 +1,6 @@
-"""The cost of a leak even if the axis holds its position: power from the supply, reserve of speed and force.
+"""The plant at steady state: the cost of a leak even if the axis holds its position, and what the nominal rig can do.
 
-The figures describe the plant at steady state; no controller changes them.
+A leak costs power from the supply, and reserve of speed and force. No controller changes these figures.
 """
 
 from __future__ import annotations
@@ -12,21 +12,42 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.conditions import Cell, columns_of
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
-from hydro_agents.evaluation.sweeps import working_place
 from hydro_agents.running.jobs import Columns, Job
 from hydro_env import PlantParameters, TaskConfig, equilibrium
 from hydro_env.errors import HydroError
-from hydro_env.plant.analysis import full_pressure_forces
+from hydro_env.plant.analysis import force_limits, full_pressure_forces, reachable_range, speed_limits
 from hydro_env.plant.arrays import coefficient_array, derived_array, plant_coefficients
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.states import STATE_NAMES
 from hydro_env.units import FULL_VOLTAGE
 
-PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)
-"""l/min at 100 bar."""
+PRICE_LEAKS = (0.01, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 8.0)  # l/min at 100 bar
+
+
+PLACE = 0.3
+"""Working position: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
+
+There a spring pushes against the piston; its pressure difference drives the leak.
+"""
+
+
+def working_place(plant: PlantParameters, share: float = PLACE) -> float:
+    """Position in m at a share (−1 to 1) of the range that the supply of the nominal rig can hold."""
+    low, high = reachable_range(plant)
+    return share * high if share > 0.0 else -share * low
+
+
+def full_force(plant: PlantParameters) -> float:
+    """The smaller of the two largest steady forces of the nominal rig, N."""
+    return min(force_limits(plant))
+
+
+def full_speed(plant: PlantParameters, position: float) -> float:
+    """The smaller of the two steady speeds of the nominal rig at full command at a position (m), m/s."""
+    return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
 def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: float | None = None) -> pd.DataFrame:
@@ -35,7 +56,7 @@ def leak_price(config: TaskConfig, leaks: Sequence[float] = PRICE_LEAKS, place: 
     Args:
         config: the task.
         leaks: l/min at 100 bar.
-        place: m, where the axis is held; default :func:`~hydro_agents.evaluation.sweeps.working_place`.
+        place: m, where the axis is held; default :func:`working_place`.
 
     Returns:
         Per leak: leakage_flow_lpm, place_mm, holding_power_w (flow through the valve times supply pressure),
@@ -127,5 +148,4 @@ def price(protocol: RobustnessProtocol, chosen: object) -> Iterator[Cell]:
 
 def leak_costs(_: Any, config: TaskConfig) -> Columns:
     """The table of the cost of a leak."""
-    table = leak_price(config)
-    return {str(name): table[name].to_numpy() for name in table}
+    return columns_of(leak_price(config))

@@ -21,6 +21,7 @@ from hydro_agents.evaluation.conditions import Cell, Condition, Name, Protocol
 from hydro_agents.running.cases import Cases, ControllerError
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import LEAK_THRESHOLDS, LEAKAGE
+from hydro_agents.running.tasks import Surroundings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.mistakes import known_name, unknown
 from hydro_env.task.configuration import LEAKAGE_LIMIT, task_config
@@ -147,18 +148,7 @@ class LeakProtocol(Protocol[LeakCondition]):
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, controller of the axes, changes (JSON)."""
-        own = {
-            "group",
-            "label",
-            "description",
-            "acting",
-            "motion",
-            "begins",
-            "duration",
-            "levels",
-            "share",
-            "detectors",
-        }
+        own = set(LeakCondition.model_fields) - set(Surroundings.model_fields) - {"faults"}
         rows: list[dict[str, Any]] = []
         for name, condition in self.conditions.items():
             changes = condition.model_dump(mode="json", exclude_defaults=True, exclude=own)

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from hydro_agents.detection.alarm_calibration import delay_columns, poisson_interval
 from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
-from hydro_agents.evaluation.leak_alarm import alarm_table
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
 from hydro_agents.running.statistics import Interval, share_interval
@@ -20,29 +20,11 @@ from hydro_agents.running.statistics import Interval, share_interval
 KIND = "leakage"
 FALSE_ALARM_RATE = 0.01
 
-BINS = np.linspace(0.0, 1.0, 11)
-"""Edges of the bins of the reliability curve."""
-
-SMALLEST_SIZE = 1e-3
-"""l/min; lower limit of estimates in logarithms."""
-
-FAR = 6.0
-"""Error of an unflagged estimate that counts as a local minimum, in standard deviations."""
+BINS = np.linspace(0.0, 1.0, 11)  # edges of the bins of the reliability curve
+SMALLEST_SIZE = 1e-3  # l/min; lower limit of estimates in logarithms
+FAR = 6.0  # error of an unflagged estimate that counts as a local minimum, in standard deviations
 
 SECONDS_PER_HOUR = 3600.0
-
-
-@table("conditions", KIND)
-def conditions(results: Results) -> pd.DataFrame:
-    """One row per condition, see :meth:`LeakProtocol.table`."""
-    made: pd.DataFrame = results.protocol.table()
-    return made
-
-
-@table("status", KIND)
-def status(results: Results) -> pd.DataFrame:
-    """What became of every detector under every condition."""
-    return results.status
 
 
 @table("protocol", KIND)
@@ -55,8 +37,18 @@ def facts(results: Results) -> pd.DataFrame:
 
 @table("alarms", KIND)
 def alarms(results: Results) -> pd.DataFrame:
-    """False alarms per 100 h, delays and misses of each alarm."""
-    return alarm_table(results.part("alarm"))
+    """By detector: false alarms per 100 h (leak 0), then delay and misses by size and activity after the onset."""
+    rows = results.part("alarm")
+    found: list[dict[str, object]] = []
+    for (reader, leak, then), axes in rows.groupby(["detector", "leak_lpm", "then"], sort=False) if len(rows) else ():
+        row = {"detector": reader, "leak_lpm": leak, "then": then}
+        if leak == HEALTHY:
+            count, hours = int(axes["alarms"].sum()), float(axes["hours"].sum())
+            rate = poisson_interval(count, hours / 100.0).named("per_100_h")
+            found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
+            continue
+        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
+    return pd.DataFrame(found)
 
 
 @table("thresholds", KIND)
@@ -110,10 +102,6 @@ def share(values: Any) -> Interval:
     return share_interval(int(array.sum()), len(array))
 
 
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.value, f"{name}_low": interval.low, f"{name}_high": interval.high}
-
-
 _CELL = ["detector", "condition", "level"]
 
 
@@ -136,8 +124,8 @@ def detection(results: Results) -> pd.DataFrame:
         windows_per_hour = SECONDS_PER_HOUR / results.protocol.conditions[cell["condition"]].duration
         rows.append(
             cell
-            | _columns("flagged", flagged)
-            | _columns("at_1_percent", share(frame["at_1_percent"]))
+            | flagged.named("flagged")
+            | share(frame["at_1_percent"]).named("at_1_percent")
             | {
                 "cannot_tell": float((frame["verdict"] == Cause.UNKNOWN).mean()),
                 "per_hour": flagged.value * windows_per_hour,
@@ -174,7 +162,7 @@ def sizes(results: Results) -> pd.DataFrame:
             decades = np.log10(np.maximum(estimate, SMALLEST_SIZE) / truth)
             row["rms_log10"] = float(np.sqrt(np.mean(decades**2))) if cell["level"] != HEALTHY else np.nan
             row["median_error_lpm"] = float(np.median(np.abs(estimate - truth)))
-        row |= _columns("coverage", share(((low <= truth) & (truth <= high))[has]))
+        row |= share(((low <= truth) & (truth <= high))[has]).named("coverage")
         deviation = (high - low) / (2.0 * 1.645)
         far = np.abs(estimate - truth) > FAR * np.maximum(deviation, 1e-4)
         row["unnoticed_minimum"] = float(far[has].mean()) if has.any() else np.nan
@@ -213,10 +201,9 @@ def reliability(results: Results) -> pd.DataFrame:
         parts = []
         for number in np.unique(place):
             here = place == number
-            frequent = share(leaking[here])
             parts.append(
                 {"detector": detector, "condition": condition, "probability": float(probability[here].mean())}
-                | _columns("frequency", frequent)
+                | share(leaking[here]).named("frequency")
                 | {"windows": int(here.sum())}
             )
         distance = sum(abs(p["probability"] - p["frequency"]) * p["windows"] for p in parts) / len(frame)
@@ -237,7 +224,7 @@ def masking(results: Results) -> pd.DataFrame:
         rows.append(
             {"detector": detector, "condition": condition, "acting": chosen.acting, "level": level}
             | {"error_mm": float(frame["error_mm"].mean())}
-            | _columns("at_1_percent", share(frame["at_1_percent"]))
+            | share(frame["at_1_percent"]).named("at_1_percent")
             | {"bound_lpm": sigma.get((str(condition), float(level)), np.nan), "windows": len(frame)}
         )
     return pd.DataFrame(rows)

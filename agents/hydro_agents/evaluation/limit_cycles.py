@@ -6,23 +6,27 @@ noise: a small step of the reference and back excites it, then it must come to r
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.controllers.base import Controller
+from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.metrics import Metric, by_name
-from hydro_agents.running.cases import Rollout
+from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+from hydro_agents.evaluation.tracking import begun, paired_cells
+from hydro_agents.running.cases import Cases, Rollout, run_cases
+from hydro_agents.running.jobs import Columns
 from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import TaskConfig
 
 Array = NDArray[np.floating[Any]]
 
-LEAST_CYCLES = 3
-"""Smallest number of cycles in the evaluated time; a slower motion is drift."""
-
-LASTING = 0.5
-"""An oscillation whose last third has less than this share of its amplitude is decaying."""
+LEAST_CYCLES = 3  # smallest number of cycles in the evaluated time; a slower motion is drift
+LASTING = 0.5  # an oscillation whose last third has less than this share of its amplitude is decaying
 
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after its return, evaluated time."""
@@ -90,3 +94,16 @@ def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArra
     judged = round(JUDGED / config.control_period)
     found = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
     return {name: values.astype(np.float64) for name, values in found.items()}
+
+
+def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+    """Every controller after a small step of the reference and back, under every condition."""
+    for condition in protocol.conditions:
+        task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
+        yield from paired_cells(protocol, chosen, condition, task, *cases, work=at_rest)
+
+
+def at_rest(controller: Controller, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
+    """Limit cycles of cases whose task is a standstill."""
+    del families
+    return standstill_metrics(begun(run_cases, config, controller, cases), config)

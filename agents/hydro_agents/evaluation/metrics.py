@@ -13,22 +13,16 @@ from hydro_agents.running.cases import Rollout
 
 Array = NDArray[np.floating]
 
-SETTLING_BAND = 0.2e-3
-"""m; an axis is settled while it stays this close to a constant reference."""
-
-STANDSTILL = 0.1
-"""s; a reference that is constant for at least this long is a target on which the axis must settle."""
-
-FINAL_SHARE = 0.05
-"""s; the last part of a standstill, over which the steady-state error is averaged."""
+SETTLING_BAND = 0.2e-3  # m; an axis is settled while it stays this close to a constant reference
+STANDSTILL = 0.1  # s; a reference that is constant for at least this long is a target on which the axis must settle
+FINAL_SHARE = 0.05  # s; the last part of a standstill, over which the steady-state error is averaged
 
 REVERSAL_THRESHOLD = 0.005
 """Swing of the command, as a fraction of 10 V, that counts as a reversal: a servo valve does not respond to smaller
 ones."""
 
 
-ERROR = "mean_error_mm"
-"""The metric by which controllers are compared."""
+ERROR = "mean_error_mm"  # the metric by which controllers are compared
 
 
 class Metric(NamedTuple):

@@ -40,8 +40,7 @@ class Sees(Group):
     note: str = ""
 
 
-NAMES = {"flow_linearising": "Flow linearisation"}
-"""Names of kinds that are not abbreviations."""
+NAMES = {"flow_linearising": "Flow linearisation"}  # names of kinds that are not abbreviations
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:

@@ -44,8 +44,7 @@ POSITION = State._fields.index("position")
 PERTURBATION = 0.01
 """Change of a command, as a fraction of 10 V, for the sensitivities; its effect is far above the integrator's error."""
 
-ROWS_PER_THREAD = 128
-"""Smallest number of rows per thread; with fewer, starting the thread takes longer than its work."""
+ROWS_PER_THREAD = 128  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
 
 class Prediction:
@@ -202,8 +201,7 @@ def _build(sources: int) -> Any:
 _follow = _build(SOURCES)
 
 
-NEWTON_STEPS = 6
-"""Steps of the projected Newton method; each decides which commands stay at a limit."""
+NEWTON_STEPS = 6  # steps of the projected Newton method; each decides which commands stay at a limit
 
 
 def bounded_least_squares(
@@ -256,8 +254,7 @@ def random_changes(generator: np.random.Generator, count: int, horizon: int, siz
     return changes
 
 
-BENDING = 5
-"""Periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed."""
+BENDING = 5  # periods for which the reference beyond the preview keeps its acceleration; then it keeps its speed
 
 
 def continued(reference: Array, step: int, known: int, horizon: int, order: int) -> Array:

@@ -17,23 +17,10 @@ LEAK_GROUP = "leak"
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
-@table("conditions", KIND)
-def conditions(results: Results) -> pd.DataFrame:
-    """One row per condition, see :meth:`RobustnessProtocol.table`."""
-    made: pd.DataFrame = results.protocol.table()
-    return made
-
-
 @table("sees", KIND)
 def inputs(results: Results) -> pd.DataFrame:
     """The inputs of every controller."""
     return sees_table(results.participants, results.protocol.task)
-
-
-@table("status", KIND)
-def status(results: Results) -> pd.DataFrame:
-    """What became of every controller under every condition."""
-    return results.status
 
 
 @table("protocol", KIND)
@@ -75,8 +62,8 @@ def summary(results: Results) -> pd.DataFrame:
                         "condition": condition,
                         "metric": metric,
                         "unit": about.unit,
-                        **dict(zip(("mean", "mean_low", "mean_high"), mean, strict=True)),
-                        **dict(zip(("iqm", "iqm_low", "iqm_high"), middle, strict=True)),
+                        **mean.named("mean"),
+                        **middle.named("iqm"),
                         "worst": float(worst[metric]),
                         "worst_seed": int(worst["seed"]),
                         "worst_family": worst["family"],
@@ -189,7 +176,7 @@ def profiles(results: Results) -> pd.DataFrame:
                         "controller": name,
                         "against": against,
                         "tau": float(tau),
-                        **dict(zip(("share", "low", "high"), share, strict=True)),
+                        **share.columns("share"),
                     }
                 )
     return pd.DataFrame(rows)
@@ -203,17 +190,8 @@ def worst_cases(results: Results) -> pd.DataFrame:
     base = cases[cases["controller"] == baseline].groupby(where, sort=False)[ERROR].mean().rename("baseline_error_mm")
     joined = cases.join(base, on=where)
     joined["ratio"] = joined[ERROR] / joined["baseline_error_mm"]
-    shown = [
-        "controller",
-        "training_seed",
-        "rank",
-        *where,
-        ERROR,
-        "baseline_error_mm",
-        "ratio",
-        "peak_error_mm",
-        "failed",
-    ]
+    shown = ["controller", "training_seed", "rank", *where, ERROR]
+    shown += ["baseline_error_mm", "ratio", "peak_error_mm", "failed"]
     frames = []
     for name in cases["controller"].unique():
         own = joined[joined["controller"] == name]

@@ -101,6 +101,19 @@ def table(name: str, *kinds: str) -> Callable[[TableFunction], TableFunction]:
     return register
 
 
+@table("conditions", "robustness", "leakage")
+def conditions(results: Results) -> pd.DataFrame:
+    """One row per condition: its changes of the task, and how it is shown."""
+    made: pd.DataFrame = results.protocol.table()
+    return made
+
+
+@table("status", "robustness", "leakage")
+def status(results: Results) -> pd.DataFrame:
+    """What became of every participant under every condition."""
+    return results.status
+
+
 def tables_of(kind: str) -> dict[str, TableFunction]:
     """Tables of a kind of protocol by name: the rows of its parts, then those that are made of them."""
     import_module(f"hydro_agents.evaluation.{_MODULES[kind]}")

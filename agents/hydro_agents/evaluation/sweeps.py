@@ -13,20 +13,11 @@ from hydro_agents.controllers.base import Controller, Floats
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import EXPERIMENT_AXES
 from hydro_env import TaskConfig
-from hydro_env.plant.analysis import force_limits, reachable_range, speed_limits
-from hydro_env.plant.parameters import PlantParameters
 from hydro_env.task.signals import observation_layout
 
 Array = NDArray[np.float64]
 
-LEAKS = (0.01, 1.0, 4.0)
-"""l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak."""
-
-PLACE = 0.3
-"""Working position: share of the range that the supply of the nominal rig can hold, outwards from mid-stroke.
-
-There a spring pushes against the piston; its pressure difference drives the leak.
-"""
+LEAKS = (0.01, 1.0, 4.0)  # l/min at 100 bar: a tight seal, the bound between moderate and severe, a severe leak
 
 
 class Run(NamedTuple):
@@ -82,22 +73,6 @@ class Experiment(NamedTuple):
                 tables.append(pd.DataFrame({"controller": name, **known, **found}))
         table = pd.concat(tables, ignore_index=True)
         return table if self.finish is None else self.finish(table)
-
-
-def working_place(plant: PlantParameters, share: float = PLACE) -> float:
-    """Position in m at a share (−1 to 1) of the range that the supply of the nominal rig can hold."""
-    low, high = reachable_range(plant)
-    return share * high if share > 0.0 else -share * low
-
-
-def full_force(plant: PlantParameters) -> float:
-    """The smaller of the two largest steady forces of the nominal rig, N."""
-    return min(force_limits(plant))
-
-
-def full_speed(plant: PlantParameters, position: float) -> float:
-    """The smaller of the two steady speeds of the nominal rig at full command at a position (m), m/s."""
-    return min(speed_limits(plant, plant.load.spring_stiffness * position + plant.load.external_force))
 
 
 def sine_fit(values: Floats, time: Array, frequency: float) -> tuple[NDArray[np.complex128], Array]:

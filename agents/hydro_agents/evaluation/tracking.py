@@ -1,4 +1,4 @@
-"""Parts that run controllers on paired cases: tracking, the search for limit cycles, and the best found."""
+"""Parts that run controllers, and the search for the best commands, on paired cases."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell
-from hydro_agents.evaluation.limit_cycles import standstill_metrics, standstill_task
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedProtocol, RobustnessProtocol
@@ -22,21 +21,13 @@ from hydro_env import ConfigurationError, TaskConfig
 
 BEST_FOUND = "best found"
 
-BestFound = Callable[[TaskConfig, Cases], Rollout]
-"""Runs cases under the best commands that a search finds."""
+BestFound = Callable[[TaskConfig, Cases], Rollout]  # runs cases under the best commands that a search finds
 
 
 def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller on the cases of every condition."""
     for condition in protocol.conditions:
-        yield from _cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
-
-
-def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
-    """Every controller after a small step of the reference and back, under every condition."""
-    for condition in protocol.conditions:
-        task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
-        yield from _cells(protocol, chosen, condition, task, *cases, work=at_rest)
+        yield from paired_cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
 
 
 def best(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
@@ -52,7 +43,7 @@ def best(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
             yield _cell(protocol, name, condition, search, *arguments, work=searched)
 
 
-def _cells(
+def paired_cells(
     protocol: PairedProtocol,
     chosen: Participants,
     condition: str,
@@ -61,6 +52,7 @@ def _cells(
     table: pd.DataFrame,
     work: Callable[..., Columns] | None = None,
 ) -> Iterator[Cell]:
+    """Every controller on some cases of a condition; ``work`` measures them (default: :func:`tracked`)."""
     for name in chosen.controllers:
         controller = chosen.of(name, condition, protocol)
         if isinstance(controller, str):
@@ -104,21 +96,16 @@ def tracked(controller: Controller, config: TaskConfig, cases: Cases, families: 
         ControllerError: the controller failed.
         ConfigurationError: an episode cannot begin.
     """
-    return _metrics(_begun(run_cases, config, controller, cases), config, families)
+    return _metrics(begun(run_cases, config, controller, cases), config, families)
 
 
 def searched(search: BestFound, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
     """The same under the best commands that a search finds."""
-    return _metrics(_begun(search, config, cases), config, families)
+    return _metrics(begun(search, config, cases), config, families)
 
 
-def at_rest(controller: Controller, config: TaskConfig, cases: Cases, families: NDArray[np.str_]) -> Columns:
-    """Limit cycles of cases whose task is a standstill."""
-    del families
-    return standstill_metrics(_begun(run_cases, config, controller, cases), config)
-
-
-def _begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
+def begun(run: Callable[..., Rollout], *arguments: Any) -> Rollout:
+    """What a function runs; an error at its start names the condition."""
     try:
         return run(*arguments)
     except ControllerError:

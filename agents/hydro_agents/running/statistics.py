@@ -33,6 +33,10 @@ class Interval(NamedTuple):
         """Columns of a table: the value under its name, ``low`` and ``high``."""
         return {name: self.value, "low": self.low, "high": self.high}
 
+    def named(self, name: str) -> dict[str, float]:
+        """Columns of a table with several intervals: ``low`` and ``high`` follow the name of the value."""
+        return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+
 
 def seeds_interval(per_seed: Array) -> Interval:
     """Mean over training seeds with a 95 % interval of Student's t: too few values for a bootstrap."""

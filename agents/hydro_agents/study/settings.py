@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
-from hydro_agents.detection.dataset import HeadTrainingSettings
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer

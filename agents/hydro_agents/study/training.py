@@ -10,9 +10,9 @@ import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_text, make_controller
-from hydro_agents.detection.dataset import HeadTrainingSettings
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import train_head
+from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.check import stable_start

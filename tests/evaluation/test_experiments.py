@@ -1,4 +1,4 @@
-"""Experiments: against the linearised sampled loop and known loops on the real plant; as parts of a protocol."""
+"""Experiments, limit cycles and the cost of a leak: against formulas and known loops; as parts of a protocol."""
 
 from functools import partial
 
@@ -9,16 +9,28 @@ from joblib import parallel_config
 from proportional import Proportional, Relay, exact_task
 from published import TABLES, assert_published
 
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_agents.evaluation.experiments import EXPERIMENTS, bandwidths, crossing
+from hydro_agents.evaluation.leak_price import full_command_speed, leak_price, stall_force
+from hydro_agents.evaluation.limit_cycles import (
+    LIMIT_CYCLE,
+    find_limit_cycle,
+    standstill_metrics,
+    standstill_task,
+)
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import EXPERIMENTS as PARTS
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import run
 from hydro_agents.evaluation.sweeps import HiddenPreview, sine_fit
 from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig, resistance_from_flow
+from hydro_env.plant.analysis import full_pressure_forces, speed_limits
+from hydro_env.plant.arrays import plant_coefficients
+from hydro_env.task.configuration import task_config
 
 frequency, force_step, force_sine, hold = EXPERIMENTS.values()
 
@@ -193,3 +205,111 @@ def test_a_broken_controller_loses_its_own_rows_only(monkeypatch):
         alone = run(protocol, Participants({"P": good}))
     for name, table in tables.items():
         pd.testing.assert_frame_equal(alone.table(name), table, check_exact=True)
+
+
+# Limit cycles --------------------------------------------------------------------------------------------------------
+
+PERIOD = 0.005
+TIME = PERIOD * np.arange(300)
+FLOOR = 15e-6
+WAVE = np.sin(2.0 * np.pi * 12.0 * TIME)
+
+
+def test_a_lasting_sine_is_found_with_amplitude_and_frequency():
+    noise = np.random.default_rng(0).normal(scale=5e-6, size=len(TIME))
+    cycle = find_limit_cycle(0.03 + 50e-6 * WAVE + noise + 1e-4 * TIME, PERIOD, FLOOR)
+    assert cycle.sustained
+    assert cycle.amplitude == pytest.approx(50e-6, rel=0.05)
+    assert cycle.frequency == pytest.approx(12.0, abs=0.4)
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [
+        np.zeros(len(TIME)),
+        10e-6 * WAVE,  # below the floor
+        100e-6 * WAVE * np.exp(-4.0 * TIME),  # dying out
+        200e-6 * TIME,  # drift
+        100e-6 * np.sin(2.0 * np.pi * 0.5 * TIME),  # slower than three cycles
+        np.random.default_rng(1).normal(scale=5e-6, size=len(TIME)),
+    ],
+)
+def test_what_comes_to_rest_is_none(motion):
+    assert not find_limit_cycle(motion, PERIOD, FLOOR).sustained
+
+
+def test_the_task_of_a_standstill_is_the_task_without_noise():
+    config = TaskConfig(disturbance={"kind": "step"}, leakage={"schedule": "growth"}, command_latency=0.004)
+    still = standstill_task(config)
+    assert still.sensors.position.noise == still.sensors.pressure_a.noise == 0.0
+    assert still.sensors.position.resolution == config.sensors.position.resolution
+    assert still.sensors.position.bias == config.sensors.position.bias
+    assert (still.disturbance.kind, still.leakage.schedule) == ("none", "constant")
+    assert (still.command_latency, still.randomisation) == (0.004, config.randomisation)
+    assert still.references.user[0] == still.references.user[-1] == 0.0
+    assert max(still.references.user) == config.references.step_range[0]
+
+
+def test_a_relay_on_the_plant_oscillates_and_a_weak_loop_does_not():
+    config = TaskConfig()
+    first = VALIDATION_SEEDS.start
+    cases = Cases(np.arange(first, first + 3), np.array([0.03, 1.0, 4.0]), None)
+    still = standstill_task(config)
+    weak = make_controller("pid", config, {"proportional": 10.0, "integral": 1.0})
+    found = {}
+    for name, controller in {"relay": Relay(0.3, config), "weak": weak}.items():
+        found[name] = standstill_metrics(run_cases(still, controller, cases), still)
+        assert set(found[name]) == set(LIMIT_CYCLE)
+    assert found["relay"]["limit_cycle"].tolist() == [1.0] * 3
+    assert np.all(found["relay"]["frequency_hz"] > 3.0)
+    assert np.all(found["relay"]["amplitude_um"] > 100.0)
+    assert found["weak"]["limit_cycle"].tolist() == [0.0] * 3
+    assert np.isnan(found["weak"]["frequency_hz"]).all()
+    assert np.all(found["weak"]["failed"] == 0.0)
+
+
+# Cost of a leak ------------------------------------------------------------------------------------------------------
+
+
+def without_a_leak():
+    """The paper's rig without leak and underlap."""
+    return TaskConfig().plant.replace(leakage={"internal_resistance": np.inf}, valve={"underlap": 0.0})
+
+
+@pytest.mark.parametrize("force", [-2000.0, 0.0, 3000.0])
+def test_a_tight_seal_gives_the_speed_of_the_flow_law(force):
+    plant = without_a_leak()
+    limits = speed_limits(plant, force)
+    assert full_command_speed(plant, 1.0, force) == pytest.approx(limits.extending, rel=5e-3)
+    assert -full_command_speed(plant, -1.0, force) == pytest.approx(limits.retracting, rel=5e-3)
+
+
+def test_a_tight_seal_stalls_at_the_force_of_full_pressure():
+    limits = full_pressure_forces(without_a_leak())
+    assert stall_force(without_a_leak(), 1.0) == pytest.approx(limits.extending, rel=1e-3)
+    assert stall_force(without_a_leak(), -1.0) == pytest.approx(limits.retracting, rel=1e-3)
+
+
+def test_the_speed_lost_is_about_the_leak_over_the_area():
+    """Against a load, v falls by less than the largest leak over the smaller area; helped by one, it rises."""
+    leaking = without_a_leak().replace(leakage={"internal_resistance": resistance_from_flow(4.0)})
+    lost, gained = (
+        full_command_speed(without_a_leak(), 1.0, force) - full_command_speed(leaking, 1.0, force)
+        for force in (3000.0, -3000.0)
+    )
+    assert gained < 0.0 < lost < 70e5 / resistance_from_flow(4.0) / plant_coefficients(leaking).area_b
+
+
+@pytest.mark.parametrize("law", ["laminar", "orifice"])
+def test_every_price_rises_with_the_leak(law):
+    table = leak_price(task_config(None, leakage={"law": law}), [0.01, 1.0, 4.0, 8.0])
+    assert (np.diff(table["holding_power_w"]) > 0.0).all()
+    assert (np.diff(table["holding_command"]) > 0.0).all()
+    for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
+        assert (np.diff(table[name]) < 0.0).all(), name
+
+
+def test_a_place_that_a_leak_makes_impossible_has_no_price():
+    row = leak_price(TaskConfig(), [20.0], place=0.097).iloc[0]
+    assert np.isnan(row["holding_power_w"])
+    assert row["speed_out_mm_s"] == 0.0

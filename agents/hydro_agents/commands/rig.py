@@ -1,4 +1,4 @@
-"""``hydro new-rig``: the file of a rig from its nameplates."""
+"""``hydro new-rig`` and ``hydro check-rig``: the file of a rig from its nameplates, and the figures of a rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import OverwriteFile, check_new_file, say
+from hydro_agents.commands.options import Overwrite, OverwriteFile, Rig, check_new_file, say
 from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 
@@ -118,3 +118,22 @@ def _answer(question: Question) -> str:
             continue
         if text or not question.required:
             return text
+
+
+def check_rig(
+    rig: Rig = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
+
+    The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
+    gain of the sampled position loop with a tight and a leaking seal, and the inner steps of the integrator.
+    """
+    from hydro_agents.rigs.check_table import check_to_console
+
+    files = check_to_console(rig, output, overwrite)
+    if files:
+        say(*files)

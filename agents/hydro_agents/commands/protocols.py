@@ -1,12 +1,10 @@
-"""``hydro evaluate --protocol``: every controller under every condition of a protocol."""
+"""``hydro evaluate --protocol``: controllers, or leak detectors, under every condition of a protocol."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
-
-import pandas as pd
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Protocol, file_sha256
@@ -17,7 +15,7 @@ from hydro_agents.evaluation.participants import (
     shipped_controllers,
     split_name,
 )
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
+from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.runner import NOT_APPLICABLE, Results, run
 from hydro_agents.evaluation.tracking import replay
 from hydro_agents.report.content import Content
@@ -30,7 +28,7 @@ from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, default_jobs
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import SEED_MARK
-from hydro_agents.running.text import Table
+from hydro_agents.running.text import Table, number
 from hydro_env import ConfigurationError
 from hydro_env.files import write_yaml
 from hydro_env.folders import config_file
@@ -57,18 +55,20 @@ class Options(NamedTuple):
 
 
 class PageOf(NamedTuple):
-    """The page of a kind of protocol."""
+    """What a kind of protocol shows of its results."""
 
     file: str
     sections: Sequence[str]  # unless the protocol names its own
     content: Callable[[Results], Content]
+    summary: Callable[[Results], Table]  # the main figures, for the terminal
+    remarks: Callable[[Results], Iterable[str]] = lambda _: ()  # lines after the summary
 
 
-def evaluate_protocol(name: str, agents: Mapping[str, str], study_file: Path | None, options: Options) -> None:
+def evaluate_protocol(file: Path, agents: Mapping[str, str], study_file: Path | None, options: Options) -> None:
     """Run a robustness protocol, write its tables and its page.
 
     Args:
-        name: of the protocol in ``configs/protocols``, or the path of a YAML file.
+        file: of the protocol.
         agents: more controllers, by NAME, NAME#SEED or NAME@CONDITION, as texts of ``opponent``.
         study_file: a study whose controllers take part; default: all shipped controllers.
         options: how it runs.
@@ -77,14 +77,13 @@ def evaluate_protocol(name: str, agents: Mapping[str, str], study_file: Path | N
         ConfigurationError: protocol, study or agents are wrong, the folder cannot be used, or a controller failed (the
             results of the others are written first).
     """
-    shipped, file = protocol_named(name)
-    protocol = options.moved(shipped)
+    protocol = options.moved(RobustnessProtocol.from_yaml(file))
     chosen = _participants(protocol, agents, study_file)
 
     def content(results: Results) -> Content:
         return with_traces(Content(results.tables(), protocol.task), lambda row: replay(protocol, chosen, row))
 
-    run_protocol(protocol, file, chosen, options, PageOf(PAGE_FILE, ROBUSTNESS, content), _print_ranking)
+    run_protocol(protocol, file, chosen, options, PageOf(PAGE_FILE, ROBUSTNESS, content, _ranking, _absences))
 
 
 def run_protocol(
@@ -93,7 +92,6 @@ def run_protocol(
     chosen: Any,
     options: Options,
     page: PageOf,
-    print_summary: Callable[[Results, ProgressDisplay], None],
     notes: Sequence[str] = (),
 ) -> None:
     """Run a protocol of any kind, and write its tables and its page.
@@ -103,8 +101,7 @@ def run_protocol(
         file: of the protocol.
         chosen: the participants.
         options: how it runs.
-        page: its page.
-        print_summary: prints the main figures.
+        page: its page, and the figures for the terminal.
         notes: lines to print before the protocol runs.
 
     Raises:
@@ -136,7 +133,9 @@ def run_protocol(
         sections = protocol.sections or page.sections
         render_page(protocol.title, sections, page.content(results)).write(output / page.file)
         display.update("page", 1, 1)
-    print_summary(results, display)
+    display.console.lines(console_table(page.summary(results), whole=True))
+    for remark in page.remarks(results):
+        display.console.lines(remark)
     display.say(f"SHA-256 of the protocol: {facts['file_sha256']}")
     display.say(f"tables: {(output / 'tables').resolve()}")
     display.say(f"page: {(output / page.file).resolve()}")
@@ -161,8 +160,8 @@ def _participants(protocol: RobustnessProtocol, agents: Mapping[str, str], study
     return participants(controllers, protocol, special)
 
 
-def _print_ranking(results: Results, display: ProgressDisplay) -> None:
-    """Print a table: error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
+def _ranking(results: Results) -> Table:
+    """Error, worst case and costs as ratios; failed episodes; standstills with a limit cycle."""
     title = f"Ratios to {results.grid.controllers[0]}; conditions and families weighted equally"
     header = ("controller", "error", "[95 %]", "worst", "travel", "rev.", "fails", "cycles")
     rows = [
@@ -176,13 +175,58 @@ def _print_ranking(results: Results, display: ProgressDisplay) -> None:
         )
         for _, row in results.table("ranking").iterrows()
     ]
-    display.console.lines(console_table(Table(title, header, rows), whole=True))
+    return Table(title, header, rows)
+
+
+def _absences(results: Results) -> Iterator[str]:
+    """One line per condition that does not apply to some controllers."""
     absent = results.status[results.status["status"] == NOT_APPLICABLE]
     for condition, rows in absent.groupby("condition", sort=False):
-        display.console.lines(
-            f"{condition}: not applicable to {', '.join(map(str, rows['controller']))}: {_reason(rows)}"
-        )
+        yield f"{condition}: not applicable to {', '.join(rows['controller'])}: {rows['message'].iloc[0]}"
 
 
-def _reason(rows: pd.DataFrame) -> str:
-    return str(rows["message"].iloc[0])
+def evaluate_leak_protocol(file: Path, head: Path | None, options: Options) -> None:
+    """Run a leakage protocol, write its tables and its page.
+
+    Args:
+        file: of the protocol.
+        head: weights of a leakage head that replaces that of the protocol.
+        options: how it runs.
+
+    Raises:
+        ConfigurationError: the protocol or the weights are wrong, the folder cannot be used, or a detector failed (the
+            results of the others are written first).
+    """
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_agents.detection.detectors import make_detector
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.evaluation.leak_protocol import DRAWN, Detectors, LeakProtocol, Watch
+    from hydro_agents.report.leakage import LEAKAGE, PAGE_FILE, level_text
+
+    protocol = options.moved(LeakProtocol.from_yaml(file))
+    own = LeakageHead.load(head) if head is not None else None
+    alarms, notes = {}, []
+    for name, settings in protocol.alarms.items() if protocol.alarm_hours > 0.0 else ():
+        if Path(settings).exists():
+            watching = make_detector(protocol.detectors[name], own, following=True)
+            alarms[name] = Watch(watching, AlarmSettings.load(settings))
+        else:
+            notes.append(f"{name}: no alarm: {settings} does not exist; hydro alarms writes it")
+    detectors = {name: make_detector(choice, own) for name, choice in protocol.detectors.items()}
+
+    def content(results: Results) -> Content:
+        return Content(results.tables(), protocol.task, {"base": protocol.base})
+
+    def shares(results: Results) -> Table:
+        """Share of windows that each detector reports under the base condition, by size of the leak."""
+        found = content(results)
+        levels = sorted(level for level in protocol.levels_in(protocol.base) if level != DRAWN)
+        rows = [
+            (name, *(number(found.share(name, protocol.base, level).value, 1) for level in levels))
+            for name in found.detectors
+        ]
+        title = f"Windows reported as a leak, %: {found.label(protocol.base)}"
+        return Table(title, ("detector", *map(level_text, levels)), rows)
+
+    page = PageOf(PAGE_FILE, LEAKAGE, content, shares)
+    run_protocol(protocol, file, Detectors(detectors, alarms), options, page, notes)

@@ -1,0 +1,309 @@
+"""``hydro simulate``, ``record``, ``render``, ``identify`` and ``diagnose``: runs, films and recordings of axes."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hydro_agents.commands.options import (
+    Agents,
+    Columns,
+    Faults,
+    Output,
+    Overwrite,
+    OverwriteFile,
+    OwnTask,
+    PlantSeed,
+    Recording,
+    Rig,
+    Task,
+    check_new_file,
+    command_line,
+    exact_task,
+    named_agents,
+    say,
+)
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+    from hydro_env import TaskConfig
+
+
+class InputSignal(StrEnum):
+    """Built-in shapes of the voltage."""
+
+    STEP = "step"
+    SINE = "sine"
+    SWEEP = "sweep"
+    STOP = "stop"
+
+
+def simulate(
+    output: Output = Path("results/simulate"),
+    rig: Rig = None,
+    signal: Annotated[InputSignal, typer.Option("--input", help="Shape of the voltage.")] = InputSignal.STOP,
+    voltage: Annotated[
+        float, typer.Option(help="Amplitude in V, −10 to 10, added to the voltage that holds the initial position.")
+    ] = 3.0,
+    input_file: Annotated[
+        Path | None,
+        typer.Option(help="CSV with one voltage per sample (column `voltage`, or the last), instead of --input."),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 1.0,
+    sample_time: Annotated[float, typer.Option(help="Time in s for which each voltage is held.")] = 1e-3,
+    leakage: Annotated[float | None, typer.Option(help="Leak in l/min at 100 bar, instead of the rig's own.")] = None,
+    position: Annotated[
+        float | None,
+        typer.Option(help="Start at rest, in m from mid-stroke; default: mid-stroke if it can be held."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Run the rig open loop: states, flows and forces as CSV and as a picture.
+
+    `--input stop` moves at constant voltage and then closes the valve: the quick stop of the paper. Compare
+    `--leakage 0.01` with `--leakage 4`: the leak damps the oscillation.
+    """
+    from hydro_agents.rigs.simulation import simulate_to_folder
+
+    say(
+        *simulate_to_folder(
+            output, rig, signal.value, voltage, input_file, duration, sample_time, leakage, position, overwrite
+        )
+    )
+
+
+def record(
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="CSV file to write.")] = None,
+    minari: Annotated[
+        str | None,
+        typer.Option(metavar="NAME-v0", help="Minari data set to write instead of a CSV file, for offline learning."),
+    ] = None,
+    episodes: Annotated[int, typer.Option(help="Number of episodes of the data set.")] = 100,
+    task: OwnTask = None,
+    rig: Rig = None,
+    controller: Annotated[
+        str,
+        typer.Option("--controller", help="A kind (pid, ppo, …), module:attribute, or the path of weights or gains."),
+    ] = "pid",
+    leakage: Annotated[
+        float | None, typer.Option(help="Leak in l/min at 100 bar; default: drawn from the task's ranges.")
+    ] = None,
+    fault: Faults = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Length in s; default: 20, or the task's for a data set.")
+    ] = None,
+    family: Annotated[
+        str | None,
+        typer.Option(
+            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop; default: drawn."
+        ),
+    ] = None,
+    seed: PlantSeed = 0,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Record a simulated axis: time, position, pressures, spool and command as its sensors measure them.
+
+    `hydro diagnose` reads the file. The first line is a comment with this command and the true leak. `--minari` writes
+    a data set of episodes instead, with observations, actions, rewards and the hidden leak.
+
+    With `--rig` alone the axis has the parameters of its file. With `--task`, for `--minari`, and without `--rig`, the
+    task draws the parameters that are not known exactly.
+    """
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.simulated import named_faults, record_axis
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+    from hydro_env.task.reference_signals import FAMILIES
+
+    if family is not None and family not in FAMILIES:
+        raise ConfigurationError(f"--family '{family}': must be one of {', '.join(FAMILIES)}")
+    if (output is None) == (minari is None):
+        raise ConfigurationError("record: needs either --output FILE or --minari NAME")
+    faults = named_faults(fault or [])
+    if output is None:
+        given = {"leakage_flow_lpm": leakage, "reference": family, "faults": faults or None}
+        length = duration if duration is not None else task_config(task, rig=rig).episode_duration
+        config = task_config(task, rig=rig, episode_duration=length)
+        _record_dataset(str(minari), config, controller, episodes, seed, given)
+        return
+    check_new_file(output, overwrite)
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
+    mover = opponent(controller, config, "--controller")
+    done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
+    end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
+    drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
+    leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
+    say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
+
+
+def _record_dataset(
+    name: str, config: TaskConfig, controller: str, episodes: int, seed: int, given: Mapping[str, Any]
+) -> None:
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.simulated import check_dataset, record_dataset
+    from hydro_agents.running.console import ProgressDisplay
+
+    check_dataset(name)
+    mover = opponent(controller, config, "--controller")
+    options = {option: value for option, value in given.items() if value is not None}
+    with ProgressDisplay() as display:
+
+        def progress(finished: int) -> None:
+            display.update("episodes", finished, episodes)
+
+        data = record_dataset(name, config, mover, controller, episodes, seed, options, command_line(), progress)
+    say(f"{name}: {data.episodes} episodes, {data.steps} steps, in {data.folder}")
+
+
+def identify(
+    recording: Recording,
+    rig: Annotated[
+        Path,
+        typer.Option(
+            "--rig", metavar="NAME|FILE", help="The rig file; its `randomisation` holds a range for each unknown."
+        ),
+    ],
+    columns: Columns = None,
+    task: OwnTask = None,
+    output: Output = Path("results/identify"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Estimate the unknowns of a rig file: fit its ranges, the leak and the sensors' offsets to a recording.
+
+    Writes `rig.yaml` (estimated values, ranges narrowed to their 95 % intervals; ready for `hydro check-rig` and `hydro
+    study --rig`), a page (`identification.html`: measured and simulated signals, each interval, the unknowns that the
+    recording cannot determine, and motions that would), and all numbers (`identification.json`). If the recording
+    contradicts the rig, the command ends with one line. See `docs/identify.md`.
+    """
+    from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.identification_page import identify_to_folder
+    from hydro_agents.rigs.identify import identify as identify_recording
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_env.task.configuration import task_config
+    from hydro_env.task.rig import read_rig
+
+    known = read_rig(rig)
+    config = task_config(task, rig=known.source)
+    mapped = read_map(columns) if columns is not None else None
+    with ProgressDisplay() as display:
+        found = identify_recording(recording, config, known, mapped, display.update)
+    say(*identify_to_folder(output, found, overwrite, command_line()))
+
+
+def diagnose(
+    recording: Recording,
+    columns: Columns = None,
+    task: OwnTask = None,
+    rig: Rig = None,
+    head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
+    alarm: Annotated[
+        Path | None, typer.Option(help="Settings of an alarm, from `hydro alarms`, that watches the recording.")
+    ] = None,
+    window: Annotated[float, typer.Option(min=0.2, max=60.0, help="Length of one reading in s.")] = 2.0,
+    output: Output = Path("results/diagnose"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Judge a recording: healthy, internal leak (with its size), another fault (which), or undecided (why).
+
+    First it checks the recording: gaps, jitter, units, signs, exchanged chambers, stuck and saturated sensors. Then two
+    detectors read the leak window by window: an estimator with the simulator as model, and the leakage head. Writes a
+    page (`diagnosis.html`), a picture, the leak over time and the findings as CSV; the last line is the verdict.
+    Columns need the names that `hydro record` writes, or a map; `docs/diagnose.md` shows one.
+    """
+    from hydro_agents.detection.alarm import AlarmSettings
+    from hydro_agents.detection.head import LeakageHead
+    from hydro_agents.recordings.columns import read_map
+    from hydro_agents.rigs.diagnose import diagnose as diagnose_recording
+    from hydro_agents.rigs.diagnosis_page import diagnose_to_folder
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_agents.running.folders import pretrained_folder
+    from hydro_env.task.configuration import task_config
+
+    config = task_config(task, rig=rig)
+    weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
+    mapped = read_map(columns) if columns is not None else None
+    settings = AlarmSettings.load(alarm) if alarm is not None else None
+    with ProgressDisplay() as display:
+        found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
+    say(*diagnose_to_folder(output, found, overwrite, command_line()))
+
+
+MOST_PANELS = 6
+
+
+def render(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The film: .mp4, .gif or .webp.")],
+    task: Task = None,
+    rig: Rig = None,
+    agent: Agents = None,
+    leakage: Annotated[
+        list[float] | None,
+        typer.Option(help="Leak in l/min at 100 bar; repeat it for panels side by side. Default: drawn."),
+    ] = None,
+    fault: Faults = None,
+    family: Annotated[str, typer.Option(help="Family of references.")] = "point_to_point",
+    duration: Annotated[float, typer.Option(min=0.1, max=60.0, help="Length in s.")] = 4.0,
+    seed: PlantSeed = 0,
+    speed: Annotated[float, typer.Option(min=0.01, max=100.0, help="1 is real time, 0.1 ten times slower.")] = 1.0,
+    frames_per_second: Annotated[float, typer.Option(min=1.0, max=200.0, help="Approximate rate.")] = 25.0,
+    width: Annotated[int, typer.Option(min=160, max=7680, help="Width in pixels.")] = 1280,
+    columns: Annotated[int | None, typer.Option(min=1, help="Panels side by side; default: nearly square.")] = None,
+    overwrite: OverwriteFile = False,
+) -> None:
+    """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
+
+    Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows a
+    healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
+    `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
+    """
+    from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.simulated import named_faults
+    from hydro_agents.report.film import FORMATS, check_mp4, film, film_size, frame_rate, panels, write_film
+    from hydro_agents.running.console import ProgressDisplay
+    from hydro_env import ConfigurationError
+    from hydro_env.task.configuration import task_config
+
+    if output.suffix.lower() not in FORMATS:
+        raise ConfigurationError(f"--output {output}: must end in {', '.join(FORMATS)}")
+    if output.is_dir() or not output.parent.is_dir():
+        raise ConfigurationError(f"--output {output}: must be a file in a folder that exists")
+    check_new_file(output, overwrite)
+    if output.suffix.lower() == ".mp4":
+        check_mp4()
+    config = task_config(exact_task(task, rig), rig=rig, episode_duration=duration)
+    controllers = {name: opponent(what, config, name) for name, what in named_agents(agent).items()}
+    if not controllers:
+        controllers["PID"] = opponent("pid", config, "PID")
+        try:
+            controllers["PPO on flow linearisation"] = opponent("ppo", config, "PPO")
+        except ConfigurationError as error:  # the shipped weights belong to another rig or task
+            print(f"hydro: left out: {error}", file=sys.stderr)
+    shown = panels(controllers, leakage or [])
+    if len(shown) > MOST_PANELS:
+        raise ConfigurationError(f"{len(shown)} panels: must be at most {MOST_PANELS}; give fewer --agent or --leakage")
+    rate = frame_rate(output, config.control_period, frames_per_second, speed)
+    side_by_side = min(columns or math.ceil(math.sqrt(len(shown))), len(shown))
+    options = {"reference": family, "faults": named_faults(fault or [])}
+    count = config.steps // rate.periods_per_frame + 1
+    frames = film(config, shown, seed, options, rate.periods_per_frame, width, side_by_side)
+    with ProgressDisplay() as progress:
+
+        def counted() -> Iterator[Image]:
+            for number, frame in enumerate(frames):
+                progress.update("film", number, count)
+                yield frame
+            progress.update("film", count, count)
+
+        write_film(output, counted(), rate.milliseconds)
+    pixels = film_size(len(shown), width, side_by_side)
+    say(
+        f"{output}: {count} frames of {pixels[0]} × {pixels[1]} pixels, {1e3 / rate.milliseconds:.3g} per second, "
+        f"{output.stat().st_size / 1e6:.2g} MB"
+    )

@@ -1,0 +1,96 @@
+"""Settings of the leakage head's training, apart from its windows: a study reads them also where it trains none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from pydantic import ConfigDict, Field
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.head import LARGEST_WIDTH, SHORTEST_WINDOW
+from hydro_agents.running.seeds import THRESHOLDS
+from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.files import Group
+from hydro_env.task.configuration import LEAKAGE_LIMIT
+from hydro_env.task.sensors import SENSORS
+
+if TYPE_CHECKING:
+    from hydro_agents.detection.dataset import Plan
+
+RISE = 0.05  # part of the training during which the learning rate rises
+
+
+class HeadTrainingSettings(Group):
+    """Settings of the training; ``configs/agents/leakage_head.yaml`` holds those of the studies."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    episodes: int = Field(6_000, ge=20, le=250_000, description="training runs, over all kinds of operation")
+    validation_episodes: int = Field(2_000, ge=20, le=THRESHOLDS.count, description="for thresholds and intervals")
+    windows: int = Field(3, ge=1, le=100, description="windows from each run")
+    longest: float = Field(4.0, ge=1.0, le=100.0, description="longest window, in episodes of the task")
+    healthy_share: float = Field(0.5, gt=0.0, lt=1.0)
+    fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
+    changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
+    orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
+    lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
+    epochs: int = Field(20, ge=1, le=100_000)
+    batch: int = Field(256, ge=1, le=1_000_000)
+    learning_rate: float = Field(3e-3, gt=0.0, le=1.0)
+    weight_decay: float = Field(1e-3, ge=0.0, le=1.0)
+    size_weight: float = Field(4.0, ge=0.0, le=1e3, description="weight of the size's error relative to the classes")
+    width: int = Field(128, ge=2, le=LARGEST_WIDTH)
+    torch_threads: int = Field(2, ge=1, le=256)
+
+    def check(self, config: TaskConfig) -> None:
+        """Check that the training leaks and the window suit a task.
+
+        Raises:
+            ConfigurationError: a bound lies on the wrong side of the task's bound, an episode is too short, or the rig
+                lacks a sensor.
+        """
+        absent = [name for name in SENSORS if not getattr(config.sensors, name).fitted]
+        if absent:
+            raise ConfigurationError(
+                f"leakage_head: reads {', '.join(absent)}, but this rig has no such sensor; hydro diagnose reads the "
+                "leak without it"
+            )
+        if config.steps < SHORTEST_WINDOW:
+            raise ConfigurationError(
+                f"leakage_head: an episode of {config.steps} control periods is its shortest window: must have at "
+                f"least {SHORTEST_WINDOW}"
+            )
+        healthy, faulty = config.leakage.class_bounds[0], config.leakage.faulty_range[0]
+        if self.lowest_healthy_flow >= healthy:
+            raise ConfigurationError(
+                f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
+                f"leakage.class_bounds[0] = {healthy:g} l/min"
+            )
+        if self.changing_share + self.orifice_share > 1.0:
+            raise ConfigurationError(
+                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
+                "must be at most 1 together"
+            )
+        if self.highest_flow <= faulty:
+            raise ConfigurationError(
+                f"leakage_head: highest_flow = {self.highest_flow:g}: must be above the task's "
+                f"leakage.faulty_range[0] = {faulty:g} l/min"
+            )
+
+    def learning_rate_at(self, share: float) -> float:
+        """Learning rate when a share (0 to 1) of the training is done: a rise, then a cosine down to nearly zero."""
+        factor = min(share / RISE, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share))
+        return self.learning_rate * max(factor, 1e-3)
+
+    def longest_window(self, config: TaskConfig) -> int:
+        """Samples of the longest window."""
+        return round(self.longest * config.steps)
+
+    def plan(self, config: TaskConfig, controllers: Sequence[Controller]) -> Plan:
+        """What the windows are made of."""
+        from hydro_agents.detection.dataset import Plan
+
+        return Plan(config, controllers, self)
