@@ -4,13 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from hydro_agents.controllers.registry import make_controller
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import TaskConfig
-from hydro_env.files import read_yaml
 from hydro_env.task.configuration import task_config
 
 SEED = VALIDATION_SEEDS.start + 5
@@ -19,8 +17,7 @@ SEED = VALIDATION_SEEDS.start + 5
 def recorded_file(path, config=None, leakage=0.01, family="sine", faults=None, seed=SEED, duration=6.0):
     """Record an axis under the shipped PID."""
     config = task_config(config, episode_duration=duration)
-    controller = make_controller("pid", config, read_yaml(config_folder() / "agents" / "pid.yaml"))
-    return record_axis(path, config, controller, seed, leakage, family, faults, note="a test")
+    return record_axis(path, config, shipped("pid", config), seed, leakage, family, faults, note="a test")
 
 
 @cache

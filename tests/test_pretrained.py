@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers import ObservationLayout
-from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.evaluation.detection import area_under_roc, detection_rate
 from hydro_agents.evaluation.evaluate import ProtocolSettings
@@ -14,7 +13,6 @@ from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_agents.study.other_rig import default_study
 
 STUDY = default_study()
-LAYOUT = ObservationLayout.of(STUDY.task)
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +45,7 @@ def test_head_flags_leaks_under_either_controller(policy, controller):
     flow = np.where(np.arange(count) % 2 == 0, 0.02, np.geomspace(0.3, 4.0, count))
     seeds = np.arange(count) + VALIDATION_SEEDS.start + 800_000
     acting = policy if controller == "PPO" else opponent("pid", STUDY.task, "PID")
-    columns = [LAYOUT.index(name) for name in SIGNALS]
-    run = run_cases(STUDY.task, acting, Cases(seeds, flow), columns, states=False)
-    assert run.signals is not None
-    found = head.estimate_signals(run.signals)
+    found = head.estimate_windows(measured_run(STUDY.task, acting, Cases(seeds, flow))[0])
     leaking = flow >= 0.3
     assert area_under_roc(found.probability, leaking) > 0.99
     assert detection_rate(found.probability[leaking], head.settings.threshold) > 0.95

@@ -10,13 +10,14 @@ from untrained import untrained_head
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import scale_of
 from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job
-from hydro_agents.detection.detector import Cause, Windows
+from hydro_agents.detection.detector import Cause, Windows, measured_run
 from hydro_agents.detection.estimator import FollowingDetector
 from hydro_agents.detection.features import SIGNALS
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
-from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
-from hydro_env.task.sensors import SENSOR_COLUMNS
+from hydro_agents.learning.opponents import shipped
+from hydro_agents.running.cases import Cases
+from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig()
 JOB = AlarmJob(hours=5.0, shift=300.0, past=300.0, after=60.0, axes=20, interval=1.0, learning=20)
@@ -111,13 +112,9 @@ def test_the_head_is_a_detector_that_stands_lost_samples():
 
 
 def test_an_estimator_is_a_detector_and_a_misfit_counts_for_nothing():
-    env = ServoHydraulicVectorEnv(2, TaskConfig(episode_duration=1.0), info=False)
-    env.reset(seed=[1_930_000, 1_930_001], options={"leakage_flow_lpm": 0.3, "reference": "sine"})
-    columns = []
-    for step in range(162):
-        columns.append(np.column_stack([env.axes.column("measured")[:, SENSOR_COLUMNS], env.axes.column("command")]))
-        env.step(np.full((2, 1), 0.2 * np.sin(0.15 * step), dtype=np.float32))
-    signals = np.stack(columns, axis=-1)
+    task = TaskConfig(episode_duration=0.81)
+    cases = Cases(np.array([1_930_000, 1_930_001]), np.full(2, 0.3), np.full(2, "sine"))
+    signals, _ = measured_run(task, shipped("pid", task), cases)
     signals[1, 0] = signals[1, 0, ::-1]  # no axis moves against its command
     detector = FollowingDetector(threads=1)
     fresh = deepcopy(detector)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers.registry import make_controller
 from hydro_agents.estimation.estimate import EstimationSettings, estimate, usable_readings
 from hydro_agents.estimation.information import (
     EVERYTHING,
@@ -22,10 +21,9 @@ from hydro_agents.estimation.information import (
 from hydro_agents.estimation.known_windows import MOTIONS, SMALLEST_STEP, known_windows, leak_cases
 from hydro_agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 from hydro_agents.evaluation.leak_bound import sensor_choices
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import read_yaml
-from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 
@@ -34,13 +32,9 @@ LEAK, LENGTHS = 0.3, (0.25, 0.5, 1.0)
 FEW = (LEAKAGE, "valve.rated_flow", *(name for name in default_unknowns(CONFIG) if name in STARTS))
 
 
-def make_pid(config):
-    return make_controller("pid", config, read_yaml(config_file("agents", "pid")))
-
-
 @pytest.fixture(scope="module")
 def pid():
-    return make_pid(CONFIG)
+    return shipped("pid", CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +130,8 @@ def test_the_estimate_attains_the_bound(windows):
     bound = sigma(information(CONFIG, one, priors))[0, -1]
     error = found.value(LEAKAGE) - LEAK
     assert found.holds.mean() > 0.9
+    spread = ((found.values - found.values.mean(axis=0)) / found.deviations).std(axis=0)
+    np.testing.assert_allclose(spread, 1.0, atol=0.35)  # the deviation that the estimate gives, of every unknown
     # 48 errors: their spread is within 0.66 to 1.38 of the bound with probability 99.9 %, their mean within 0.48.
     assert 0.66 < error.std() / bound < 1.38
     assert abs(error.mean()) < 0.48 * bound
@@ -166,7 +162,7 @@ def test_a_rig_without_pressure_transducers_knows_less(pid, windows, known):
         "position alone",
         "spool position alone",
     ]
-    seen = known_windows(poor, make_pid(poor), leak_cases(VALIDATION_SEEDS, 3, LEAK), 0.4, LENGTHS[-1])
+    seen = known_windows(poor, shipped("pid", poor), leak_cases(VALIDATION_SEEDS, 3, LEAK), 0.4, LENGTHS[-1])
     assert np.isnan(seen.signals[:, 1:3]).all()
     leak = sigma(information(poor, seen, priors_of(poor)))[:, 0]
     np.testing.assert_allclose(leak, sigma(known, sensors=("position", "spool_position"))[:, -1], rtol=0.05)

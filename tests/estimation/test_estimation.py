@@ -157,20 +157,6 @@ def test_interval_and_probability_follow_from_value_and_deviation(found):
     np.testing.assert_allclose(np.sqrt(np.einsum("bii->bi", found.covariance)), found.deviations)
 
 
-def test_the_deviation_is_the_spread_over_noise():
-    signals, physical, _ = driven(quiet(), [0.3], [21], start_moving=True)
-    noise = np.random.default_rng(3).standard_normal((48, len(SENSORS), SAMPLES))
-    sigma = np.array([getattr(CONFIG.sensors, name).noise for name in SENSORS])
-    noisy = np.repeat(signals, 48, axis=0)
-    noisy[:, : len(SENSORS)] += noise * sigma[:, None]
-    unknowns = (*FEW[:3], *FEW[4:], "start.velocity")  # no bias: what is the same in every window cannot spread
-    spread = estimate(noisy, CONFIG, unknowns, physical=physical[0], settings=QUICK)
-    error = (spread.values - spread.values.mean(axis=0)) / spread.deviations
-    assert spread.holds.mean() > 0.9
-    np.testing.assert_allclose(error.std(axis=0), 1.0, atol=0.35)
-    assert abs((spread.value(LEAKAGE).mean() - 0.3) / spread.deviation(LEAKAGE).mean()) < 0.6
-
-
 def test_a_narrow_prior_is_respected_and_a_wide_one_overruled(moving):
     leak, signals, physical, _ = moving
     narrow = {LEAKAGE: Prior(0.2, 1e-5)}

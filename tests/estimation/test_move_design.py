@@ -3,14 +3,12 @@
 import numpy as np
 import pytest
 
-from hydro_agents.controllers.registry import make_controller
 from hydro_agents.estimation.information import WORN_VALVE, information, sigma, unknown_sets
 from hydro_agents.estimation.known_windows import at_rest, known_windows, leak_cases
 from hydro_agents.estimation.move_design import NUMBERS, Limits, MoveSettings, design, limits_of, move_from
+from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
-from hydro_env.files import read_yaml
-from hydro_env.folders import config_file
 
 CONFIG = TaskConfig()
 LIMITS = Limits(low=-0.03, high=0.05, travel=0.02, speed=0.08, acceleration=4.0, duration=2.0)
@@ -41,7 +39,7 @@ def test_a_move_that_does_not_fit_is_none():
 
 
 def test_the_designed_move_is_better_than_rest():
-    pid = make_controller("pid", CONFIG, read_yaml(config_file("agents", "pid")))
+    pid = shipped("pid", CONFIG)
     settings = MoveSettings(duration=1.0, travel=0.01, plants=2, evaluations=13)
     best = design(CONFIG, pid, settings)
     limits = limits_of(CONFIG, settings)

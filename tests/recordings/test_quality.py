@@ -65,10 +65,7 @@ CASES = {
     "parts as %": (scaled(1, 1, 1, 0.01, 1), [(SEVERE, "0.01 times as far as the command")]),
     "zero at the end": (edited(0, slice(None), lambda v: v + 0.25), [(SEVERE, "an offset of -200 mm would fit")]),
     "constant": (edited(1, slice(None), 30 * BAR), [(SEVERE, "pressure_a is constant at 30 bar")]),
-    "stuck": (
-        edited(2, slice(400, 600), 51 * BAR),
-        [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")],
-    ),
+    "stuck": (edited(2, slice(400, 600), 51 * BAR), [(FAULT, "stuck at one value, first at 2.000 to 2.995 s")]),
     "cut off": (edited(2, slice(None), lambda v: np.minimum(v, np.median(v))), [(FAULT, "pressure_b is cut off")]),
     "lost": (edited(0, slice(7, None, 31), -0.2), [(FAULT, "position loses readings: it falls 39 times to -200 mm")]),
     "spikes": (edited(1, slice(50, None, 100), 9e8), [(NOTE, "pressure_a has single values")]),
@@ -76,10 +73,7 @@ CASES = {
     "many NaN": (edited(3, slice(100, 900), np.nan), [(SEVERE, "spool_position lacks readings")]),
     "gap": (rows(lambda n: np.r_[0:400, 440:n]), [(NOTE, "time has a gap of 200 ms, first at 1.995 to 2.200 s")]),
     "twice": (rows(lambda n: np.r_[0:400, 399:n]), [(NOTE, "time has duplicate stamps")]),
-    "backward": (
-        restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]),
-        [(SEVERE, "runs backward 1 times, by up to")],
-    ),
+    "backward": (restamped(lambda t: np.r_[t[:400], t[400:] - 1.0]), [(SEVERE, "runs backward 1 times, by up to")]),
     "jitter": (
         restamped(lambda t: t + np.random.default_rng(0).uniform(-3e-4, 3e-4, len(t))),
         [(NOTE, "time has stamps that jitter")],

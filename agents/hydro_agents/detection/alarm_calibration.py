@@ -49,7 +49,7 @@ CANDIDATES: tuple[tuple[Sum, ...], ...] = (
 )
 
 
-def poisson_interval(count: int, exposure: float, confidence: float = CONFIDENCE) -> Interval:
+def poisson_interval(count: int, exposure: float) -> Interval:
     """Rate of events per unit of exposure, with its exact interval (Garwood 1936).
 
     Raises:
@@ -57,7 +57,7 @@ def poisson_interval(count: int, exposure: float, confidence: float = CONFIDENCE
     """
     if not exposure > 0.0 or count < 0:
         raise ConfigurationError(f"rate: {count} events in {exposure:g}: exposure must be positive, count not negative")
-    outside = 0.5 * (1.0 - confidence)
+    outside = 0.5 * (1.0 - CONFIDENCE)
     low = 0.5 * float(chi2.ppf(outside, 2 * count)) if count else 0.0
     return Interval(count / exposure, low / exposure, 0.5 * float(chi2.ppf(1.0 - outside, 2 * count + 2)) / exposure)
 
@@ -124,15 +124,13 @@ def fit_tail(values: Floats, hours: float, highest: int = 100) -> Tail:
     return Tail(start, kept / hours, mean * float(np.exp(best.x[0])), float(best.x[1]))
 
 
-def rate_with_interval(
-    per_axis: list[Floats], hours: float, threshold: float, highest: int = 100, seed: int = 0
-) -> Interval:
+def rate_with_interval(per_axis: list[Floats], hours: float, threshold: float) -> Interval:
     """Alarms per 100 h at a threshold, from the tail, with a 95 % interval from resampled axes."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     rates = []
     for number in range(RESAMPLES + 1):
         chosen = np.arange(len(per_axis)) if number == 0 else generator.integers(0, len(per_axis), len(per_axis))
-        tail = fit_tail(np.concatenate([per_axis[axis] for axis in chosen]), hours, highest)
+        tail = fit_tail(np.concatenate([per_axis[axis] for axis in chosen]), hours)
         rates.append(100.0 * tail.rate_above(threshold))
     low, high = np.quantile(rates[1:], [0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE)])
     return Interval(rates[0], float(low), float(high))
@@ -256,9 +254,8 @@ def calibrate(
     rate: float,
     learning: int,
     detector: str,
-    candidates: Sequence[tuple[Sum, ...]] = CANDIDATES,
 ) -> list[Candidate]:
-    """All candidates with their thresholds, the best first.
+    """All :data:`CANDIDATES` with their thresholds, the best first.
 
     Args:
         healthy: looks at healthy axes.
@@ -267,7 +264,6 @@ def calibrate(
         rate: wanted false alarms per 100 h.
         learning: looks in each activity until an axis's own baseline is known.
         detector: name of the detector.
-        candidates: ways to sum up evidence.
 
     Raises:
         ConfigurationError: too few looks.
@@ -277,13 +273,13 @@ def calibrate(
         interval=round(float(healthy.time[1] - healthy.time[0]), 6),
         learning=learning,
         scales={each.name.lower(): scale_of(healthy, design, each, learning) for each in Activity},
-        sums=candidates[0],
+        sums=CANDIDATES[0],
     )
     if not base.table("shift").any():
         raise ConfigurationError(f"alarms: the score of '{detector}' does not rise with the leak in any activity")
     tried: list[Candidate] = []
     refused: ConfigurationError | None = None
-    for sums in candidates:
+    for sums in CANDIDATES:
         try:
             settings = thresholds(base.model_copy(update={"sums": sums}), healthy, rate)
         except ConfigurationError as error:  # too few peaks for its tail

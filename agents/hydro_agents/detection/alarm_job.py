@@ -57,7 +57,7 @@ FAULTS = (
 LIMIT_LPM = 1.0  # the size to which growing leaks are extrapolated
 
 
-LEAST_BLOCKS = 5  # fewest blocks of looks for the trend of a growing leak
+BLOCK, LEAST_BLOCKS = 10.0, 5  # s, length of the blocks of looks for the trend of a growing leak; fewest of them
 
 
 class AlarmJob(Group):
@@ -226,14 +226,7 @@ class Growth(NamedTuple):
     hours_to_limit: Interval  # from the last look on; 0: reached already
 
 
-def growth(
-    time: NDArray[Any],
-    flow_lpm: NDArray[Any],
-    limit_lpm: float,
-    least_lpm: float = 0.0,
-    block: float = 10.0,
-    confidence: float = CONFIDENCE,
-) -> Growth:
+def growth(time: NDArray[Any], flow_lpm: NDArray[Any], limit_lpm: float, least_lpm: float = 0.0) -> Growth:
     """Growth of the leak of one axis.
 
     Args:
@@ -241,8 +234,6 @@ def growth(
         flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
         limit_lpm: the limit, l/min at 100 bar.
         least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
-        block: s, over which looks are averaged.
-        confidence: of the intervals.
     """
     unknown = Interval(np.nan, np.nan, np.nan)
     flow = np.asarray(flow_lpm, dtype=np.float64)
@@ -250,7 +241,7 @@ def growth(
     hours, size = np.asarray(time, dtype=np.float64)[known] / 3600.0, np.log10(flow[known])
     if not len(hours):
         return Growth(unknown, unknown)
-    which = np.unique(((hours - hours[0]) * 3600.0 / block).astype(np.int64), return_inverse=True)[1]
+    which = np.unique(((hours - hours[0]) * 3600.0 / BLOCK).astype(np.int64), return_inverse=True)[1]
     counts = np.bincount(which)
     x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
     below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
@@ -262,7 +253,7 @@ def growth(
     level = float(y.mean())
     freedom = len(x) - 2
     variance = float(((y - level - slope * (x - centre)) ** 2).sum()) / freedom
-    factor = float(student.ppf(0.5 * (1.0 + confidence), freedom))
+    factor = float(student.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
     half = factor * np.sqrt(variance / spread)
     missing = float(np.log10(limit_lpm)) - level
     end = float(hours[-1] - centre)

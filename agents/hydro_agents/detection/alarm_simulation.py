@@ -141,12 +141,10 @@ class _Running:
         return np.array([np.exp(np.random.default_rng([int(seed), 2]).uniform(low, high)) for seed in self.seeds])
 
     def memory(self) -> tuple[Any, ...]:
-        """The complete state."""
         numbers = self.observation.copy(), self.window.copy(), self.alive.copy()
         return self.env.get_state(), *numbers, self.controller_memory, self.step, deepcopy(self.detector)
 
     def recall(self, memory: tuple[Any, ...]) -> None:
-        """Return to a state of :meth:`memory`."""
         state, observation, window, alive, self.controller_memory, self.step, detector = memory
         self.env.set_state(state)
         self.detector = deepcopy(detector)
@@ -172,7 +170,6 @@ class _Running:
             row["fault_target"][:, FAULTS.index(name)] = magnitude
 
     def looks(self, end: int) -> Looks:
-        """Simulate until a step, and return the looks."""
         length, measured, rows = self.length, self.measured, []
         while self.step < end:
             seen = self.observation[:, measured.columns] * measured.scale

@@ -38,6 +38,7 @@ UPDATES_PER_WINDOW = 16
 SMALLEST_FLOW, LARGEST_FLOW = 0.01, 100.0
 """l/min at 100 bar; smaller leaks count as none: an interval that begins there begins at 0. No answer is larger."""
 
+BATCH = 512  # windows that are read together
 FARTHEST = 8.0  # limit of a feature, in standard deviations from its mean in training
 
 
@@ -94,14 +95,9 @@ class HeadSettings:
 class HeadState(NamedTuple):
     """Memory of the head; no call changes its argument."""
 
-    history: tuple[NDArray[np.float32], ...]
-    """SIGNALS (N, 5) of the last observations, at most a window of them, newest last."""
-
-    seen: NDArray[np.int64]
-    """Observations since the start of each axis' episode, (N,)."""
-
-    answer: NDArray[np.float64]
-    """The last estimate (N, fields of LeakageEstimate)."""
+    history: tuple[NDArray[np.float32], ...]  # SIGNALS (N, 5), at most a window of them, newest last
+    seen: NDArray[np.int64]  # observations since the start of each axis's episode, (N,)
+    answer: NDArray[np.float64]  # the last estimate, (N, fields of LeakageEstimate)
 
 
 class _StoredHead(Group):
@@ -256,7 +252,7 @@ class LeakageHead:
         """Estimate from SIGNALS, (N, 5, T), in the scales of the observation."""
         return self.estimate_windows(np.asarray(signals, dtype=np.float64) * self.scale[:, None])
 
-    def estimate_windows(self, signals: NDArray[Any], batch: int = 512) -> LeakageEstimate:
+    def estimate_windows(self, signals: NDArray[Any]) -> LeakageEstimate:
         """Estimate from SIGNALS, (N, 5, T), in SI units; NaN where a sample is lost or a sensor absent.
 
         If the windows are longer than those of the training, the head reads their end.
@@ -272,8 +268,8 @@ class LeakageHead:
             )
         signals = signals[:, :, -self.settings.longest :]
         parts = [
-            self._judged(np.asarray(signals[first : first + batch], dtype=np.float64))
-            for first in range(0, len(signals), batch)
+            self._judged(np.asarray(signals[first : first + BATCH], dtype=np.float64))
+            for first in range(0, len(signals), BATCH)
         ]
         return LeakageEstimate(*np.concatenate(parts).T) if parts else LeakageEstimate(*np.empty((9, 0)))
 

@@ -156,7 +156,6 @@ class _Job:
         self.drivers = [_described(controller) for controller in controllers]
 
     def restore(self) -> None:
-        """Load the checkpoint."""
         if self.checkpoint is None:
             raise ConfigurationError("resume: a folder with a checkpoint is needed")
         tensors, stored = load_checkpoint(self.checkpoint, KIND)
@@ -186,7 +185,6 @@ class _Job:
             raise ConfigurationError(f"{self.checkpoint}: damaged: its windows do not fit together") from None
 
     def save(self) -> None:
-        """Write the checkpoint."""
         if self.checkpoint is None:
             return
         tensors = {f"network.{name}": value.numpy() for name, value in self.network.state_dict().items()}
@@ -199,7 +197,6 @@ class _Job:
         save_checkpoint(self.checkpoint, KIND, tensors, more | self.description)
 
     def simulate(self, phase: str, episodes: int, first_seed: int) -> None:
-        """Simulate the missing windows of a phase."""
         parts, sizes = self.parts[phase], [chunk.axes for chunk in self.plan.chunks(episodes)]
         if not parts:
             self.save()
@@ -223,7 +220,6 @@ class _Job:
         return tensors
 
     def fit(self) -> None:
-        """Run the remaining epochs."""
         data, settings, start = Windows.joined(self.parts["data"]), self.settings, self.tensors()
         inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
         labels, size = torch.from_numpy(data.labels), torch.from_numpy(size_target(data.flow_lpm))
@@ -253,11 +249,7 @@ def size_target(flow_lpm: NDArray[np.float64]) -> NDArray[np.float32]:
 
 
 def calibrated(
-    tensors: dict[str, NDArray[Any]],
-    config: TaskConfig,
-    longest: int,
-    windows: Windows,
-    record: dict[str, Any],
+    tensors: dict[str, NDArray[Any]], config: TaskConfig, longest: int, windows: Windows, record: dict[str, Any]
 ) -> LeakageHead:
     """The head with thresholds, intervals and the bound of "outside" from validation windows.
 

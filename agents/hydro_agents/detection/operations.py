@@ -21,6 +21,7 @@ Change = Callable[[TaskConfig], TaskConfig]
 Make = Callable[[TaskConfig, int, int], Controller]
 """Makes the controller of the axes from the task, the number of axes and a seed."""
 
+SLOWER = 12.0
 WAVES = ("sine", "square", "noise")
 """Waves that may be added to the command; noise is a new random level in each half period."""
 
@@ -155,11 +156,9 @@ class _Unseen(_Operator):
         self.numbers = np.random.default_rng([seed, 7]).random((4, count))
 
     def at_start(self, error: Array) -> _Memory:
-        """The memory at the start of an episode."""
         return _Memory(0, error, np.zeros_like(error))
 
     def act(self, error: Array, holding: Array, memory: _Memory) -> tuple[Array, _Memory]:
-        """Commands (N,)."""
         command = self.law(self, memory, error)
         return holding + command, _Memory(memory.time + 1, error, command)
 
@@ -204,14 +203,14 @@ def ordinary(config: TaskConfig) -> TaskConfig:
     return config
 
 
-def slow(config: TaskConfig, factor: float = 12.0) -> TaskConfig:
-    """The task with references that are slower by a factor."""
+def slow(config: TaskConfig) -> TaskConfig:
+    """The task with references that are slower by the factor :data:`SLOWER`."""
     r = config.references
     low, high = r.frequency_range
     changes = {
-        "speed_share": r.speed_share / factor,
-        "acceleration_limit": max(r.acceleration_limit / factor**2, 0.011),
-        "frequency_range": (low / factor, high / factor),
+        "speed_share": r.speed_share / SLOWER,
+        "acceleration_limit": max(r.acceleration_limit / SLOWER**2, 0.011),
+        "frequency_range": (low / SLOWER, high / SLOWER),
     }
     return task_config(config, references=r.model_dump() | changes)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,43 +191,30 @@ class Follower:
 def estimate_run(
     signals: Array,
     config: TaskConfig,
-    unknowns: Sequence[str] | None = None,
     *,
-    window: int = 401,
-    hop: int | None = None,
-    memory: float | None = None,
     durations: Array | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    settings: EstimationSettings | None = None,
-    threads: int | None = None,
     progress: Callable[[int], None] | None = None,
+    **options: Any,
 ) -> tuple[Indices, Estimate]:
     """Estimates of the windows of one long run, and the last sample of each window, (W,).
 
     Args:
         signals: (5, T), like one window of :func:`~hydro_agents.estimation.estimate.estimate`.
         config: the task.
-        unknowns: names; ``None``: as there.
-        window: samples of a window.
-        hop: samples from one window to the next; ``None``: windows that touch.
-        memory: s; see :class:`Follower`.
         durations: from each sample to the next, (T − 1,), s; ``None``: the control period.
-        priors: priors that replace those of the task, by name.
-        settings: of the search.
-        threads: worker threads; ``None`` takes one per core.
         progress: called with the number of samples done.
+        options: those of :class:`Follower`, such as ``window``, ``hop``, ``memory`` and ``unknowns``.
 
     Raises:
         ConfigurationError: the run is shorter than a window, or an argument is wrong.
     """
-    run = checked_signals(signals)
-    if len(run) != 1 or run.shape[2] < window:
+    follower, run = Follower(config, **options), checked_signals(signals)
+    if len(run) != 1 or run.shape[2] < follower.window:
         raise ConfigurationError(
-            f"signals: shape {np.shape(signals)}: must be one run (5, samples) of at least {window} samples"
+            f"signals: shape {np.shape(signals)}: must be one run (5, samples) of at least {follower.window} samples"
         )
     if durations is not None and np.shape(durations) != (run.shape[2] - 1,):
         raise ConfigurationError(f"durations: shape {np.shape(durations)}: must be ({run.shape[2] - 1},)")
-    follower = Follower(config, unknowns, window, hop, memory, priors, settings, threads)
     ends, found = [], []
     for sample in range(run.shape[2]):
         duration = float(durations[sample - 1]) if durations is not None and sample else None

@@ -123,7 +123,6 @@ class _Watcher:
         self._step = 0
 
     def begin(self, axes: Axes) -> None:
-        """Store the axes whose episodes begin."""
         self._axes = axes
         if isinstance(self.controller, TrueStateController):
             self.controller.begin(axes)
@@ -131,7 +130,6 @@ class _Watcher:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """The controller's commands."""
         axes = self._axes
         if self._step == self.first:
             self.truth = {

@@ -12,12 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
-from hydro_env.plant.arrays import (
-    N_COEFFICIENTS,
-    read_physical,
-    read_state,
-    write_coefficients,
-)
+from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
 from hydro_env.plant.equations import coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at

@@ -125,9 +125,9 @@ def named_faults(texts: Sequence[str]) -> dict[str, float]:
     return faults
 
 
-def heading(signal: str, units: Mapping[str, str] = WRITTEN_UNITS) -> str:
+def heading(signal: str) -> str:
     """Heading of a column: ``position [mm]``."""
-    return f"{signal} [{units[signal]}]"
+    return f"{signal} [{WRITTEN_UNITS[signal]}]"
 
 
 class DatasetSummary(NamedTuple):
