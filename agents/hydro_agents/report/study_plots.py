@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot, rows_plot, ticks
 from hydro_agents.report.content import Content, intervals
-from hydro_agents.running.resampling import mean_interval
+from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, number, setting
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)

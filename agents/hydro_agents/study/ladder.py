@@ -20,9 +20,9 @@ from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedCondition
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.trainers import Trainer, trainer
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import ERROR as VALIDATION_ERROR
 from hydro_agents.report.training_plots import learning_plots
+from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, Columns, Job, run_jobs

@@ -18,12 +18,11 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.learning.opponents import shipped_weights
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY, content_of, tables_of
 from hydro_agents.report.traces import Example
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
