@@ -190,7 +190,7 @@ def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.Dat
     for found in onsets:
         delay, early = delays(alarm, found)
         kept = delay[~early]
-        row = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": len(kept)}
+        row: dict[str, Any] = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": len(kept)}
         row |= {"alarm_before": int(early.sum())} | delay_columns(kept)
         rows.append(row | missed_share(kept).columns("missed"))
     return pd.DataFrame(rows)
