@@ -30,7 +30,7 @@ from hydro_agents.rigs.identify import identify
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import answers_from
 from hydro_agents.running.seeds import LEARNING
-from hydro_agents.study.other_rig import default_study
+from hydro_agents.study.settings import default_study
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import read_yaml, validate, write_text, write_yaml
 from hydro_env.plant.parameters import from_vector

@@ -17,8 +17,7 @@ from hydro_agents.evaluation.evaluate import evaluate
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import config_folder, pretrained_folder
 from hydro_agents.study.model_cards import controller_card, head_card
-from hydro_agents.study.other_rig import default_study
-from hydro_agents.study.settings import ControllerEntry, StudySettings
+from hydro_agents.study.settings import ControllerEntry, StudySettings, default_study
 from hydro_env.files import read_yaml, write_text
 
 POLICY, CORRECTED = "PPO", "Flow linearisation"

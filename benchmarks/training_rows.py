@@ -24,7 +24,7 @@ from hydro_agents.learning.training import make_env, make_features, make_model, 
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import THRESHOLDS
-from hydro_agents.study.other_rig import default_study as read_default_study
+from hydro_agents.study.settings import default_study as read_default_study
 from hydro_env import TaskConfig
 
 TRAININGS = 3  # runs of each row of the training

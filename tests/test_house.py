@@ -96,7 +96,7 @@ def test_the_wheel_holds_two_packages_with_names_of_their_own():
 
 def test_an_evaluation_with_shipped_policies_loads_no_library_of_the_training():
     code = (
-        "import sys, hydro_agents.study.results, hydro_agents.study.other_rig as other;"
+        "import sys, hydro_agents.study.results, hydro_agents.study.settings as other;"
         "study = other.default_study(); study.with_weights({});"
         "found = sorted({'torch', 'stable_baselines3'} & set(sys.modules)); assert not found, found"
     )

@@ -10,7 +10,7 @@ from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import VALIDATION_SEEDS
-from hydro_agents.study.other_rig import default_study
+from hydro_agents.study.settings import default_study
 
 STUDY = default_study()
 

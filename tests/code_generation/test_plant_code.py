@@ -1,13 +1,11 @@
 """The generated C99 plant against the compiled kernel, over drawn rigs."""
 
 import ctypes
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
 
-from hydro_agents.export.c_files import write_files
+from hydro_agents.export.c_files import WARNINGS, c_compiler, compiled
 from hydro_agents.export.expressions import TranslationError
 from hydro_agents.export.plant import plant_code
 from hydro_agents.export.translator import Translator
@@ -23,10 +21,9 @@ from hydro_env.plant.kernel import (
     Plants,
     integrate,
 )
-from hydro_env.plant.parameters import from_vector
+from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.states import STATE_NAMES
 
-COMPILER = next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 NUMBER = ctypes.c_double
 PERIOD = 5e-3
 
@@ -44,15 +41,11 @@ class AccuracyInC(ctypes.Structure):
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    if COMPILER is None:
+    if c_compiler() is None:
         pytest.skip("this machine has no C compiler")
     folder = tmp_path_factory.mktemp("plant")
-    write_files(plant_code().files, folder)
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
-    command = [COMPILER, *flags, "-o", str(folder / "plant.so"), str(folder / "plant.c"), "-lm"]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    library = ctypes.CDLL(str(folder / "plant.so"))
+    compiled(plant_code().files, [*WARNINGS, "-O1", "-shared", "-fPIC"], folder=folder)
+    library = ctypes.CDLL(str(folder / "out"))
     array = np.ctypeslib.ndpointer(np.float64, flags="C")
     library.plant_coefficients.argtypes, library.plant_coefficients.restype = [array, array], None
     library.plant_equilibrium.argtypes = [NUMBER, array, ctypes.POINTER(StateInC), ctypes.POINTER(NUMBER)]
@@ -71,8 +64,6 @@ def drawn_rigs(count):
         friction={"model": "lugre"},
         supply={"model": "pump"},
     )
-    from hydro_env.plant.parameters import to_vector
-
     return [*rigs, (to_vector(other), 0.02)]
 
 

@@ -14,7 +14,6 @@ from hydro_agents.controllers.sampled_loop import sampled_loop
 from hydro_agents.evaluation.experiments import EXPERIMENTS, bandwidths, crossing
 from hydro_agents.evaluation.leak_price import full_command_speed, leak_price, stall_force
 from hydro_agents.evaluation.limit_cycles import (
-    LIMIT_CYCLE,
     find_limit_cycle,
     standstill_metrics,
     standstill_task,
@@ -259,7 +258,6 @@ def test_a_relay_on_the_plant_oscillates_and_a_weak_loop_does_not():
     found = {}
     for name, controller in {"relay": Relay(0.3, config), "weak": weak}.items():
         found[name] = standstill_metrics(run_cases(still, controller, cases), still)
-        assert set(found[name]) == set(LIMIT_CYCLE)
     assert found["relay"]["limit_cycle"].tolist() == [1.0] * 3
     assert np.all(found["relay"]["frequency_hz"] > 3.0)
     assert np.all(found["relay"]["amplitude_um"] > 100.0)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from hydro_agents.running.resampling import (
+from hydro_agents.running.statistics import (
     Weights,
+    conditional_value_at_risk,
     improvements,
     interquartile_means,
     interval,
@@ -16,8 +17,8 @@ from hydro_agents.running.resampling import (
     plant_weights,
     ratio_interval,
     seed_weights,
+    share_interval,
 )
-from hydro_agents.running.statistics import conditional_value_at_risk, share_interval
 
 
 def test_mean_interval_leaves_nan_out():

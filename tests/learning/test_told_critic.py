@@ -8,8 +8,8 @@ from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings, Prices
 from hydro_agents.learning.training import in_family_units, make_env, make_features, make_model, train_ppo
-from hydro_agents.learning.validation import family_errors
 from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.running.cases import family_errors
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
 

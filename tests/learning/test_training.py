@@ -4,6 +4,7 @@ import json
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
@@ -11,8 +12,7 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import PROGRESS_FILE, STEPS, read_progress
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import make_env, make_features, make_model, train_ppo
-from hydro_agents.learning.validation import validation_cases, validation_errors
-from hydro_agents.learning.vec_env import AxisVecEnv
+from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
@@ -34,19 +34,6 @@ def test_same_seed_gives_the_same_weights_and_another_does_not():
     np.testing.assert_array_equal(weights_of(first), weights_of(second))
     assert not np.array_equal(weights_of(first), weights_of(other))
     assert first.training["steps"] == 1024
-
-
-@pytest.mark.parametrize("activation", ["tanh", "relu"])
-def test_policy_controller_acts_as_the_model_does(activation):
-    features = make_features(CONFIG, SETTINGS, BASE)
-    env = AxisVecEnv(CONFIG, 16, features)
-    model = make_model(env, SETTINGS.model_copy(update={"activation": activation}), 0)
-    policy = PolicyController.from_sb3(model)
-    inputs = env.reset()
-    observation, _ = env.env.reset(seed=list(range(16)))
-    output, _ = model.predict(inputs, deterministic=True)
-    command, _ = policy.predict(observation)
-    np.testing.assert_allclose(command, features.command(output, env._state), atol=1e-6)
 
 
 def test_check_sees_the_policy_between_rollouts_and_may_end_the_training():
@@ -101,6 +88,7 @@ def test_log_of_a_training(tmp_path):
     rows = read_progress(tmp_path / PROGRESS_FILE)
     share = np.array([0.25, 0.5, 0.75, 1.0])
     assert [row[STEPS] for row in rows] == [256.0, 512.0, 768.0, 1024.0]
+    assert list(pd.read_csv(tmp_path / PROGRESS_FILE)[STEPS]) == [256, 512, 768, 1024]
     rate = [row["train/learning_rate"] for row in rows]
     np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))
     np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * share), rtol=1e-6)
@@ -121,13 +109,6 @@ def test_log_of_a_training(tmp_path):
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
     assert rows[-1]["validation/error_to_corrected"] == mean / base[0]
     assert all(row["reward/tracking"] < 0.0 == row["reward/prices"] for row in rows)
-
-
-def test_the_log_is_found_by_stable_baselines3s_own_reader(tmp_path):
-    pandas = pytest.importorskip("pandas")
-    train_ppo(CONFIG, SETTINGS, BASE, folder=tmp_path)
-    frame = pandas.read_csv(tmp_path / PROGRESS_FILE)
-    assert list(frame[STEPS]) == [256, 512, 768, 1024]
 
 
 def test_logs_validation_and_checkpoints_leave_the_weights_as_they_are(tmp_path):

@@ -13,8 +13,8 @@ from published import assert_published_page
 from recorded import SEED, recorded_file
 
 from hydro_agents.recordings.recording import read_recording
-from hydro_agents.rigs.advice import advise
 from hydro_agents.rigs.fit import fit_windows
+from hydro_agents.rigs.identify import advise
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -92,10 +92,6 @@ def test_the_new_rig_file_is_narrower_and_a_rig(folder, done):
     ServoHydraulicVectorEnv(2, task_config(None, rig=done[0] / "rig.yaml")).reset(seed=0)
 
 
-def test_nothing_of_the_page_is_cut_off_in_a_browser(browser, done):
-    assert problems_everywhere(browser, done[0] / "identification.html") == []
-
-
 def test_the_new_rig_file_is_written_for_a_person(done):
     text = (done[0] / "rig.yaml").read_text(encoding="utf-8")
     assert re.search(r"^  rated_flow: [\d.]+ l/min  # found$", text, re.MULTILINE)
@@ -105,7 +101,8 @@ def test_the_new_rig_file_is_written_for_a_person(done):
     assert max(map(len, text.splitlines())) < 300
 
 
-def test_the_page_stands_alone_and_nothing_is_overwritten(folder, done):
+def test_the_page_stands_alone_and_nothing_is_overwritten(browser, folder, done):
+    assert problems_everywhere(browser, done[0] / "identification.html") == []
     page = (done[0] / "identification.html").read_text(encoding="utf-8")
     assert_published_page("identification", page)
     assert "load: viscous damping" in page

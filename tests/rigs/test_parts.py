@@ -4,14 +4,17 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
-from hydro_agents.rigs.found_rig import found_values, narrowed
+from hydro_agents.rigs.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_agents.rigs.parts import COMMAND, POSITION, _share, parts_of
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.randomisation import Distribution
+from hydro_env.task.rig import rig_from
 from hydro_env.units import resistance_from_flow
 
 PERIOD = 0.005
@@ -172,3 +175,21 @@ def test_without_ranges_leak_biases_and_start_alone_are_unknown():
     assert names[:3] == ["leakage_flow_lpm", "position_bias", "spool_position_bias"]
     assert all(name.startswith("start.") for name in names[3:])
     assert "external_leakage_flow_lpm" in unknowns_of(CONFIG, RANGES, np.ones(4, dtype=bool))
+
+
+def test_every_number_of_a_rig_is_read_back_from_its_text_with_unit():
+    plant = PlantParameters()
+    values = {path: getattr(getattr(plant, path.split(".")[0]), path.split(".")[1]) for path in PARAMETER_PATHS}
+    values = {path: float(value) for path, value in values.items() if isinstance(value, int | float)}
+    assert len(values) > 40
+    groups: dict[str, list[str]] = {}
+    for path, value in values.items():
+        group, field = path.split(".")
+        groups.setdefault(group, []).append(f"  {_line(field, _with_unit(path, value, plant))}\n")
+    text = "".join(f"{group}:\n{''.join(lines)}" for group, lines in groups.items())
+    for unit in ("bar", "l/min", "Hz", "GPa", "cm³"):
+        assert f" {unit}\n" in text
+    read = rig_from(yaml.safe_load(text), "rig.yaml").plant
+    for path, value in values.items():
+        group, field = path.split(".")
+        assert math.isclose(getattr(getattr(read, group), field), value, rel_tol=1e-5), path

@@ -5,7 +5,7 @@ import pytest
 
 from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.rigs.verdict import Kind, Limits, combined, judge
+from hydro_agents.rigs.diagnose import Kind, Limits, combined, judge
 
 LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
@@ -36,29 +36,11 @@ CASES = {
     "severe finding": ([NOTE, WRONG], LEAK, LEAK, Kind.UNKNOWN, "cannot tell: position reads metres"),
     "several severe findings": ([WRONG, WRONG], LEAK, LEAK, Kind.UNKNOWN, "(and 1 more)"),
     "model misfits": ([], misfit(), LEAK, Kind.UNKNOWN, "cannot tell: the model does not describe this rig"),
-    "stuck sensor, tight seal": (
-        [STUCK],
-        HEALTHY,
-        None,
-        Kind.OTHER,
-        "something else: sensor fault: pressure_a",
-    ),
-    "stuck sensor, no reading": (
-        [STUCK],
-        None,
-        None,
-        Kind.OTHER,
-        "something else: sensor fault: pressure_a",
-    ),
+    "stuck sensor, tight seal": ([STUCK], HEALTHY, None, Kind.OTHER, "something else: sensor fault: pressure_a"),
+    "stuck sensor, no reading": ([STUCK], None, None, Kind.OTHER, "something else: sensor fault: pressure_a"),
     "stuck sensor, model misfits": ([STUCK], misfit(), None, Kind.OTHER, "sensor fault"),
     "stuck sensor and leak": ([STUCK], LEAK, None, Kind.LEAK, "besides, sensor fault: pressure_a is stuck"),
-    "worn valve": (
-        [],
-        reading(0.01, 0.01, fault="worn edges"),
-        None,
-        Kind.OTHER,
-        "something else: worn edges;",
-    ),
+    "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), None, Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, Kind.LEAK, "besides, worn edges"),
     "nothing read": ([], None, None, Kind.UNKNOWN, "cannot tell: the recording is shorter than one window"),
     "standstill": (

@@ -13,7 +13,7 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.progress import STEPS, read_progress
 from hydro_agents.running.folders import pretrained_folder
-from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint
+from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
 
 CASES = int(os.environ.get("HYDRO_FUZZ_CASES", "150"))
@@ -150,6 +150,9 @@ def test_paths_that_name_no_weights(name, path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert tried(LOADERS[name], path)
     assert tried(LOADERS[name], Path(path))
+    if not path.startswith("absent"):
+        with pytest.raises(ConfigurationError, match="must be the name of weights"):
+            load_weights(path, name)
 
 
 def test_folders_in_place_of_files(tmp_path):
@@ -193,10 +196,7 @@ def test_a_checkpoint_with_any_byte_changed_is_refused(tmp_path):
     ("found", "message"),
     [
         ({}, "holds no tensor 'weight'"),
-        (
-            {"weight": np.zeros((3, 2), dtype=np.float32)},
-            r"holds float32 of shape \(3, 2\), must be",
-        ),
+        ({"weight": np.zeros((3, 2), dtype=np.float32)}, r"holds float32 of shape \(3, 2\), must be"),
         ({"weight": np.zeros((2, 3))}, "holds float64 of shape"),
         ({"weight": np.full((2, 3), np.inf, dtype=np.float32)}, "not finite"),
     ],
@@ -231,3 +231,14 @@ def test_weights_of_a_future_format_are_refused(tmp_path):
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 2}))
     with pytest.raises(ConfigurationError, match="of format 1"):
         load_weights(path, "policy")
+
+
+def test_names_with_dots_are_different_weights(tmp_path):
+    for rate in ("0.001", "0.002", "0.json.5"):
+        written = save_weights(tmp_path / f"ppo_lr{rate}", "policy", {"rate": np.float32([len(rate)])}, {"rate": rate})
+        assert written == tmp_path / f"ppo_lr{rate}.safetensors"
+    for rate in ("0.001", "0.002", "0.json.5"):
+        for suffix in ("", ".json", ".safetensors"):
+            tensors, settings = load_weights(tmp_path / f"ppo_lr{rate}{suffix}", "policy")
+            assert settings["rate"] == rate
+            assert tensors["rate"] == len(rate)

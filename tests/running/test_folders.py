@@ -89,8 +89,7 @@ def test_links_and_folders_in_place_of_a_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "content",
-    ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"],
+    "content", ["", "[]", "{}", '{"files": []}', '{"files": {"a.csv": 1}}', '{"mine": true}', "\xff"]
 )
 def test_a_foreign_list_is_left_alone(tmp_path, content):
     (tmp_path / MANIFEST_FILE).write_text(content)

@@ -37,23 +37,13 @@ ERRORS = {
 }
 CASES = pd.DataFrame(
     [
-        {
-            "controller": name,
-            "family": family,
-            "leakage_flow_lpm": 0.3,
-            "plant": plant,
-            "mean_error_mm": error,
-            "valve_travel_per_s": 0.5 if name == "PPO" else 1.0,
-            "supply_energy_j": 300.0,
-            "steady_state_error_sensor_mm": 0.1,
-            "reversals_per_s": 2.0,
-            "failed": float((name, plant, family) == ("PPO", 2, "step")),
-        }
+        (name, family, plant, error, 0.5 if name == "PPO" else 1.0, float((name, plant, family) == ("PPO", 2, "step")))
         for name, errors in ERRORS.items()
         for family in ("step", "ramp")
         for plant, error in enumerate(errors)
-    ]
-)
+    ],
+    columns=["controller", "family", "plant", "mean_error_mm", "valve_travel_per_s", "failed"],
+).assign(leakage_flow_lpm=0.3, supply_energy_j=300.0, steady_state_error_sensor_mm=0.1, reversals_per_s=2.0)
 EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES, cases=CASES, controllers=list(ERRORS))
 
 

@@ -16,7 +16,7 @@ from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.study import results
-from hydro_agents.study.other_rig import default_study
+from hydro_agents.study.settings import default_study
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import read_yaml
 from hydro_env.folders import config_folder

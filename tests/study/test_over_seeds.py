@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from command_line import assert_one_clear_line, hydro
 
-from hydro_agents.learning.validation import validation_errors
+from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.statistics import seeds_interval
 from hydro_agents.study import over_seeds
 from hydro_agents.study.settings import StudySettings

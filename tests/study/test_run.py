@@ -15,9 +15,8 @@ from hydro_agents.commands.evaluate import evaluate
 from hydro_agents.commands.options import named_agents
 from hydro_agents.commands.study import train
 from hydro_agents.study import results, training
-from hydro_agents.study.other_rig import default_study
 from hydro_agents.study.run import run_study
-from hydro_agents.study.settings import StudySettings
+from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
 
 ALGORITHM = '''

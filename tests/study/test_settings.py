@@ -5,8 +5,7 @@ import pytest
 from hydro_agents.controllers.pid import PID
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import config_folder
-from hydro_agents.study.other_rig import default_study
-from hydro_agents.study.settings import StudySettings
+from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
 from hydro_env.task.configuration import task_config
 
@@ -75,10 +74,7 @@ def test_settings_may_be_files_relative_to_the_study(tmp_path):
 WRONG = (
     ("title: nobody\n", r"study.yaml: .*controllers"),
     ("controllers: {}\n", r"study.yaml: line 1: controllers: must hold at least 1 entry"),
-    (
-        PID_AS.format("kind: pdi"),
-        r"line 1: controllers.PID.kind = 'pdi': unknown; did you mean pid\? known: .*ppo",
-    ),
+    (PID_AS.format("kind: pdi"), r"line 1: controllers.PID.kind = 'pdi': unknown; did you mean pid\? known: .*ppo"),
     (PID_AS.format("kind: pid, gain: 3"), r"controllers.PID.*gain"),
     (PID_AS.format("kind: pid, settings: {gain: 3}"), r"line 1: controllers.PID.settings.gain = 3: unknown key"),
     (PID_AS.format("kind: pid, settings: absent.yaml"), r"absent.yaml: cannot be read"),
@@ -86,18 +82,12 @@ WRONG = (
     (PID_AS.format("kind: pid, tune: {evaluations: 0}"), r"tune.evaluations = 0: must be"),
     ("controllers: {PPO: {kind: ppo, settings: {total_steps: -1}, corrects: PID}}\n", r"corrects = 'PID'.*\(none\)"),
     (BESIDE.format("kind: ppo, corrects: other"), r"corrects = 'other': must be a controller before it \(PID\)"),
-    (
-        BESIDE.format("kind: ppo, settings: {total_steps: -1}, corrects: PID"),
-        r"other.settings.total_steps = -1",
-    ),
+    (BESIDE.format("kind: ppo, settings: {total_steps: -1}, corrects: PID"), r"other.settings.total_steps = -1"),
     (BESIDE.format("kind: ppo"), r"controllers.other: is trained as a correction .residual: true.: give 'corrects"),
     (BESIDE.format("kind: ppo, corrects: PID, tune: {}"), r"controllers.other: tune: a trained one cannot be tuned"),
     (BESIDE.format("kind: pid, corrects: PID"), r"controllers.other: corrects: only a trained one"),
     (BESIDE.format('kind: "absent_module:Thing"'), r"controllers.other: .*absent_module"),
-    (
-        BESIDE.format('kind: "my_algorithm:Settings"'),
-        r"other: Settings: takes keywords alone, not TaskConfig",
-    ),
+    (BESIDE.format('kind: "my_algorithm:Settings"'), r"other: Settings: takes keywords alone, not TaskConfig"),
     (BESIDE.format('kind: "my_algorithm:MyTrainer", settings: {stops: 1}'), r"controllers.other.settings.stops"),
     (BESIDE.format('kind: "my_algorithm:Mine", tune: {}'), r"controllers.other: tune: only pid"),
     ('controllers: {"a/b": {kind: pid}}\n', r"a/b"),

@@ -97,8 +97,8 @@ def evaluate(
     from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
-    from hydro_agents.study.other_rig import default_study
     from hydro_agents.study.results import REPORT_FILE, REPORT_FILES, evaluate_study, print_summary
+    from hydro_agents.study.settings import default_study
     from hydro_env.files import validate, write_yaml
 
     output = output if output is not None else Path("results/evaluate")

@@ -60,9 +60,9 @@ def study(
     With `--rig` the task is adapted to another rig: references, sensors and reward follow from its stroke, speed and
     pressure. Gains belong to a rig; the command therefore tunes the classical controllers first.
     """
-    from hydro_agents.study.other_rig import default_study
     from hydro_agents.study.over_seeds import run_over_seeds
     from hydro_agents.study.run import run_study
+    from hydro_agents.study.settings import default_study
 
     settings = default_study(config, task, rig)
     first = settings.seed if seed is None else seed
@@ -152,7 +152,7 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.study.other_rig import default_study
+    from hydro_agents.study.settings import default_study
 
     study = default_study(config, task, rig)
     seed = study.seed if seed is None else seed

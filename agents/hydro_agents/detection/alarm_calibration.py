@@ -224,18 +224,15 @@ def delays(alarm: LeakAlarm, found: OnsetLooks) -> tuple[Floats, NDArray[np.bool
     return np.where(raised.any(axis=1), delay, np.inf), before.alarm[:, -1]
 
 
-def delay_columns(delay: Floats, prefix: str = "") -> dict[str, Any]:
-    """Columns of a table: axes, median and 90 % quantile of their delays in s, and the share missed after a minute.
-
-    ``prefix`` stands before the names of the ends of the share's interval, ``low`` and ``high``.
-    """
+def delay_columns(delay: Floats) -> dict[str, Any]:
+    """Columns of a table: axes, and median and 90 % quantile of their delays in s."""
     median, late = np.quantile(delay, [0.5, 0.9], method="higher") if len(delay) else (np.nan, np.nan)
-    missed = share_interval(int((delay > PATIENCE).sum()), len(delay))
-    return {"axes": len(delay), "median_s": float(median), "p90_s": float(late)} | {
-        "missed": missed.value,
-        f"{prefix}low": missed.low,
-        f"{prefix}high": missed.high,
-    }
+    return {"axes": len(delay), "median_s": float(median), "p90_s": float(late)}
+
+
+def missed_share(delay: Floats) -> Interval:
+    """Share of axes whose leak is not found after :data:`PATIENCE`."""
+    return share_interval(int((delay > PATIENCE).sum()), len(delay))
 
 
 def delay_figures(alarm: LeakAlarm, found: OnsetLooks) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from hydro_agents.detection.alarm_calibration import (
     delay_columns,
     delays,
     fit_tail,
+    missed_share,
     peaks,
     poisson_interval,
     rate_with_interval,
@@ -188,9 +189,10 @@ def delay_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.Dat
     alarm, rows = LeakAlarm(settings), []
     for found in onsets:
         delay, early = delays(alarm, found)
-        columns = delay_columns(delay[~early])
-        row = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": columns["axes"]}
-        rows.append(row | {"alarm_before": int(early.sum())} | columns)
+        kept = delay[~early]
+        row: dict[str, Any] = {"leak_lpm": found.onset.leak_lpm, "then": found.onset.activity, "axes": len(kept)}
+        row |= {"alarm_before": int(early.sum())} | delay_columns(kept)
+        rows.append(row | missed_share(kept).columns("missed"))
     return pd.DataFrame(rows)
 
 
@@ -305,4 +307,4 @@ def growth_summary(table: pd.DataFrame) -> pd.DataFrame:
     holds = share_interval(int(known["holds"].sum()), len(known))
     row = {"axes": len(table), "with_trend": len(known), "median_hours_left": float(table["hours_left"].median())}
     row |= {f"median_{name}": float(known[name].median()) for name in ("expected_hours", "low", "high")}
-    return pd.DataFrame([row | {"holds": holds.value, "holds_low": holds.low, "holds_high": holds.high}])
+    return pd.DataFrame([row | holds.named("holds")])

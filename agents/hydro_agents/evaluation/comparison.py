@@ -9,8 +9,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.evaluation.metrics import COMPARED, ERROR
-from hydro_agents.running.resampling import (
+from hydro_agents.running.statistics import (
     RESAMPLES,
+    Interval,
     Weights,
     improvements,
     interquartile_means,
@@ -19,7 +20,6 @@ from hydro_agents.running.resampling import (
     plant_weights,
     seed_weights,
 )
-from hydro_agents.running.statistics import Interval
 
 Array = NDArray[np.floating[Any]]
 Mask = NDArray[np.bool_]

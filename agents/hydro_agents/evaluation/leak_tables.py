@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from hydro_agents.detection.alarm_calibration import delay_columns, poisson_interval
+from hydro_agents.detection.alarm_calibration import delay_columns, missed_share, poisson_interval
 from hydro_agents.detection.detector import VERDICTS, Cause, threshold_at_false_alarm_rate
 from hydro_agents.evaluation.leak_protocol import DRAWN, HEALTHY
 from hydro_agents.evaluation.runner import Results, table
@@ -47,7 +47,8 @@ def alarms(results: Results) -> pd.DataFrame:
             rate = poisson_interval(count, hours / 100.0).named("per_100_h")
             found.append(row | {"alarms": count, "hours": hours} | rate | {"axes": len(axes)})
             continue
-        found.append(row | delay_columns(axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy(), "missed_"))
+        delay = axes.loc[axes["early"] == 0.0, "delay_s"].to_numpy()
+        found.append(row | delay_columns(delay) | missed_share(delay).named("missed"))
     return pd.DataFrame(found)
 
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell
-from hydro_agents.evaluation.metrics import Metric, by_name
 from hydro_agents.evaluation.participants import Participants
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
 from hydro_agents.evaluation.tracking import begun, paired_cells
@@ -30,15 +29,6 @@ LASTING = 0.5  # an oscillation whose last third has less than this share of its
 
 BEFORE, KICK, SETTLING, JUDGED = 0.1, 0.4, 1.0, 3.0
 """s: rest, step of the reference, time to come to rest after its return, evaluated time."""
-
-LIMIT_CYCLE = by_name(
-    Metric("limit_cycle", "1", "Limit cycles", "1 if the axis continues to oscillate without noise, else 0"),
-    Metric("amplitude_um", "µm", "Amplitude", "amplitude of the motion that remains"),
-    Metric("frequency_hz", "Hz", "Frequency", "its strongest frequency; NaN at rest"),
-    Metric("failed", "1", "Failed runs", "1 if the axis failed"),
-)
-"""Metrics of a standstill."""
-
 
 _DRIFT = 2 * LEAST_CYCLES - 1  # degree of the polynomial that follows a drift of fewer cycles
 
@@ -90,7 +80,7 @@ def limit_cycles(position: Array, config: TaskConfig) -> dict[str, NDArray[Any]]
 
 
 def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArray[np.float64]]:
-    """LIMIT_CYCLE of every case, arrays (N,)."""
+    """Of every case, arrays (N,): limit_cycle (1: it oscillates without noise), amplitude_um, frequency_hz, failed."""
     judged = round(JUDGED / config.control_period)
     found = limit_cycles(rollout.position[:, -judged:], config) | {"failed": rollout.failed_at >= 0}
     return {name: values.astype(np.float64) for name, values in found.items()}

@@ -8,8 +8,8 @@ import pandas as pd
 from hydro_agents.evaluation.metrics import COMPARED, ERROR, METRICS
 from hydro_agents.evaluation.participants import sees_table
 from hydro_agents.evaluation.runner import FAILED, Results, table
-from hydro_agents.running.resampling import interquartile_means, interval, means
 from hydro_agents.running.seeds import SEED_MARK
+from hydro_agents.running.statistics import interquartile_means, interval, means
 
 KIND = "robustness"
 ALL = "all"

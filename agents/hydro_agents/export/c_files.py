@@ -18,6 +18,7 @@ from jinja2 import Environment, StrictUndefined
 from hydro_env import HydroError
 
 TEMPLATES = Path(__file__).parent / "templates"
+WARNINGS = ("-Wall", "-Wextra", "-Werror")
 
 
 @dataclass(frozen=True)
@@ -64,39 +65,46 @@ def c_compiler() -> str | None:
     return next((name for name in ("cc", "gcc", "clang") if shutil.which(name)), None)
 
 
-def compile_c(folder: Path, arguments: Sequence[str]) -> None:
-    """Run the C compiler in a folder.
+def compiled(
+    sources: Mapping[str, str], options: Sequence[str], compiler: Sequence[str] = (), folder: Path | None = None
+) -> bytes:
+    """What a C compiler makes of sources.
+
+    Args:
+        sources: texts of all files, by name; those with the suffix ``.c`` are compiled.
+        options: of the compiler.
+        compiler: its command; default: that of this machine.
+        folder: for the sources and the result, a file ``out``; default: a temporary one.
 
     Raises:
         HydroError: there is no compiler, or it failed; the message is its first line.
     """
-    compiler = c_compiler()
-    if compiler is None:
+    if folder is None:
+        with tempfile.TemporaryDirectory() as place:
+            return compiled(sources, options, compiler, Path(place))
+    own = c_compiler()
+    if own is None and not compiler:
         raise HydroError("no C compiler found; install gcc or clang (the command is cc, gcc or clang)")
-    result = subprocess.run(
-        [compiler, "-std=c99", "-O2", *arguments, "-lm"], cwd=folder, capture_output=True, text=True, check=False
-    )
+    write_files(sources, folder)
+    units = [name for name in sources if name.endswith(".c")]
+    command = [*(compiler or [str(own)]), "-std=c99", "-O2", *options, "-o", "out", *units, "-lm"]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if result.returncode != 0:
-        raise HydroError(f"{compiler}: {(result.stderr.splitlines() or ['failed'])[0]}")
+        raise HydroError(f"{'ziglang' if compiler else own}: {(result.stderr.splitlines() or ['failed'])[0]}")
+    return (folder / "out").read_bytes()
 
 
 def compared(name: str, texts: Mapping[str, str]) -> str:
-    """What the test program ``test_NAME.c`` prints, compiled and run on this machine.
-
-    Args:
-        name: of the code.
-        texts: of ``NAME.c``, ``NAME.h``, ``test_NAME.c`` and ``vectors.csv``, by file name.
+    """What the test program ``test_NAME.c`` prints, compiled with ``NAME.c`` and run on this machine.
 
     Raises:
         HydroError: the code cannot be compiled, or gives other results than Python.
     """
     if c_compiler() is None:
         return "not compiled: this machine has no C compiler"
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        write_files(texts, folder)
-        compile_c(folder, ["-Wall", "-Wextra", "-Werror", "-o", "test", f"test_{name}.c", f"{name}.c"])
-        result = subprocess.run([str(folder / "test")], cwd=folder, capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory() as folder:
+        compiled(texts, WARNINGS, folder=Path(folder))
+        result = subprocess.run([f"{folder}/out"], cwd=folder, capture_output=True, text=True, check=False)
     said = " ".join((result.stdout + result.stderr).split())
     if result.returncode != 0:
         raise HydroError(f"the C code differs from the {name.replace('_', ' ')} in Python: {said}")

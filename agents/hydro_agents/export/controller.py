@@ -53,6 +53,11 @@ class ControllerGraph:
         return self.measured.signals
 
     @property
+    def title(self) -> str:
+        """What it is, in one line."""
+        return f"Controller of a hydraulic servo axis ({type(self.measured.controller).__name__})"
+
+    @property
     def twice(self) -> tuple[str, ...]:
         """The outputs that depend on whether the controller starts."""
         return tuple(name.removeprefix(STARTED) for name in self.graph.outputs if name.startswith(STARTED))
@@ -230,7 +235,7 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     values = {
         "name": name,
         "type": memory_type(name),
-        "title": f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})",
+        "title": controller.title,
         "version": __version__,
         "sample_time": controller.signals.config.control_period,
         "signals": controller.signals.signals,
@@ -282,27 +287,15 @@ def controller_model(controller: ControllerGraph) -> Any:
     first = 0
     for part in parts:
         tensor = writer.slice_of("state", first, part.size, f"state.{part.name}")
-        writer.given[part.name] = (
-            tensor if part.kind == DOUBLE else writer.cast(tensor, part.kind, f"state.{part.name}")
-        )
+        writer.given[part.name] = writer.cast(tensor, DOUBLE, part.kind, f"state.{part.name}")
         first += part.size
     chosen = controller.chosen()
     pieces = []
     for part in parts:
-        tensor = writer.tensor(chosen[part.name])
-        pieces.append(tensor if part.kind == DOUBLE else writer.cast(tensor, DOUBLE, f"next.{part.name}"))
+        pieces.append(writer.cast(writer.tensor(chosen[part.name]), part.kind, DOUBLE, f"next.{part.name}"))
     joined = writer.add("Concat", pieces, "next_memory", axis=0)
-    outputs = {
-        name: (tensor, length, DOUBLE)
-        for name, tensor, length in zip(
-            OUTPUTS,
-            (writer.tensor(chosen["voltage"]), joined, writer.tensor(chosen["lost"])),
-            (1, size, 1),
-            strict=True,
-        )
-    }
-    title = f"Controller of a hydraulic servo axis ({type(controller.measured.controller).__name__})"
+    tensors = (writer.tensor(chosen["voltage"]), joined, writer.tensor(chosen["lost"]))
+    outputs = {name: (one, n, DOUBLE) for name, one, n in zip(OUTPUTS, tensors, (1, size, 1), strict=True)}
     names = ", ".join(f"{signal.name} ({signal.unit})" for signal in controller.signals.signals)
-    return writer.model(
-        outputs, title, {"signals": names, "sample_time": repr(controller.signals.config.control_period)}
-    )
+    facts = {"signals": names, "sample_time": repr(controller.signals.config.control_period)}
+    return writer.model(outputs, controller.title, facts)

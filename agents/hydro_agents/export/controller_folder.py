@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,9 +16,18 @@ from hydro_agents.controllers.registry import CONTROLLERS, gain_rows
 from hydro_agents.export.c_files import compared, csv_text, render
 from hydro_agents.export.c_writer import C_TYPES
 from hydro_agents.export.controller import ControllerGraph, controller_code, controller_graph, controller_model
-from hydro_agents.export.exported import FILE, MODEL_FILE, TASK_FILE, Contract, ContractSignal, StatePart, onnx_session
+from hydro_agents.export.exported import (
+    FILE,
+    MODEL_FILE,
+    TASK_FILE,
+    Contract,
+    ContractSignal,
+    StatePart,
+    digests,
+    onnx_session,
+)
 from hydro_agents.export.measured import MeasuredController, MeasuredMemory
-from hydro_agents.learning.validation import validation_cases, validation_errors
+from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
 from hydro_env.files import Group
@@ -29,17 +37,7 @@ LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
 CODE = "controller"
-FILES = (
-    MODEL_FILE,
-    f"{CODE}.c",
-    f"{CODE}.h",
-    f"test_{CODE}.c",
-    "vectors.csv",
-    TASK_FILE,
-    "README.md",
-    FILE,
-)
-
+FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md", FILE)
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 250  # control periods per episode of the vectors
 
@@ -93,7 +91,7 @@ def make_vectors(measured: MeasuredController) -> Vectors:
     episodes.append((disturbed, voltages))
     if not all(np.isfinite(voltages).all() for _, voltages in episodes):
         raise HydroError(f"{type(measured.controller).__name__}: its voltage is not finite: cannot be exported")
-    starts: Sequence[NDArray[np.bool_]] = [np.arange(len(voltages)) == 0 for _, voltages in episodes]
+    starts = [np.arange(len(voltages)) == 0 for _, voltages in episodes]
     return Vectors(
         tuple(signal.name for signal in signals.signals),
         np.concatenate(starts),
@@ -115,12 +113,7 @@ def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
-    """The files of an exported controller by name, and the results of their checks, one line each.
-
-    Args:
-        controller: the controller.
-        config: the task for which it was made.
-        command: the command of the export, for the contract.
+    """The files of a controller for a task by name, and results of their checks; the contract names the command.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -132,7 +125,7 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
     vectors, code = make_vectors(graph.measured), controller_code(graph, CODE)
     allowed = LARGEST_DIFFERENCE * FULL_VOLTAGE
     values = {
-        "title": f"Controller of a hydraulic servo axis ({type(controller).__name__})",
+        "title": graph.title,
         "version": __version__,
         "name": CODE,
         "type": "ControllerMemory",
@@ -185,11 +178,7 @@ def check_onnx(model: bytes, vectors: Vectors) -> dict[str, Any]:
 
 
 def _contract(
-    controller: Controller,
-    graph: ControllerGraph,
-    checked: Mapping[str, Any],
-    command: str,
-    files: Mapping[str, bytes],
+    controller: Controller, graph: ControllerGraph, checked: Mapping[str, Any], command: str, files: Mapping[str, bytes]
 ) -> Contract:
     import onnx
     import onnxruntime
@@ -216,7 +205,7 @@ def _contract(
         checked=dict(checked),
         versions={"hydro_env": __version__, **{name: module.__version__ for name, module in packages.items()}},
         command=command,
-        files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+        files=digests(files),
     )
 
 

@@ -60,10 +60,19 @@ class StatePart(Group):
     type: str = Field(description="in C")
 
 
-class Contract(Group):
-    """Content of ``contract.json``."""
+class Sealed(Group):
+    """A contract of any kind of folder, with the digests of its files."""
 
     model_config = ConfigDict(allow_inf_nan=False)
+
+    def text(self) -> str:
+        """As JSON, with its digest."""
+        values = self.model_dump(mode="json")
+        return json.dumps({**values, "digest": _digest(values)}, indent=2, ensure_ascii=False) + "\n"
+
+
+class Contract(Sealed):
+    """Content of ``contract.json``."""
 
     format: Literal["hydro_env exported controller"] = "hydro_env exported controller"
     format_version: Literal[1] = 1
@@ -92,10 +101,6 @@ class Contract(Group):
         """Numbers in the state of the ONNX model."""
         return sum(part.size for part in self.state)
 
-    def text(self) -> str:
-        """As JSON, with its digest."""
-        return sealed(self.model_dump(mode="json"))
-
 
 def read_contract(folder: Path) -> Contract:
     """The contract of a folder, checked against its files.
@@ -121,9 +126,9 @@ def read_contract(folder: Path) -> Contract:
     return contract
 
 
-def sealed(values: Mapping[str, Any]) -> str:
-    """The values of a contract as JSON, with their digest."""
-    return json.dumps({**values, "digest": _digest(values)}, indent=2, ensure_ascii=False) + "\n"
+def digests(files: Mapping[str, bytes]) -> dict[str, str]:
+    """SHA-256 of each file, by name."""
+    return {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
 
 
 def _digest(values: Mapping[str, Any]) -> str:

@@ -57,10 +57,7 @@ _COMPARISONS = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: 
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
 _BITS = {ast.BitXor: "^", ast.RShift: ">>"}
 _NUMBERS = (BOOL, INT, FLOAT, DOUBLE)  # types that C converts as Python does, the widest last
-_FUNCTIONS = (
-    *(math.asinh, math.cos, math.exp, math.floor, math.hypot),
-    *(math.log, math.log10, math.sin, math.tanh),
-)
+_FUNCTIONS = (math.asinh, math.cos, math.exp, math.floor, math.hypot, math.log, math.log10, math.sin, math.tanh)
 _CASTS = {np.float64: DOUBLE, float: DOUBLE, np.float32: FLOAT, np.int64: INT, int: INT, np.uint64: UINT64}
 _BUILT_IN = {"min": min, "max": max, "abs": abs, "float": float, "int": int}
 
@@ -151,14 +148,9 @@ class Expressions:
         pairs = zip((index for index, _ in indices), strides_of(kind), strict=False)
         terms = [index if stride == 1 else f"{stride} * {index}" for index, stride in pairs if index != "0"]
         offset = " + ".join(terms) or "0"
-        return (
-            (f"({text} + {offset})" if offset != "0" else text, left)
-            if shape_of(left)
-            else (
-                f"{text}[{offset}]",
-                left,
-            )
-        )
+        if shape_of(left):
+            return f"({text} + {offset})" if offset != "0" else text, left
+        return f"{text}[{offset}]", left
 
     def _name(self, name: str) -> Typed | None:
         if name in self.constants:

@@ -87,17 +87,7 @@ class Graph:
 
     def nodes(self, outputs: Sequence[Node] | None = None) -> list[Node]:
         """The operations that some outputs need (default: all), operands first; no inputs, no constants."""
-        found: dict[int, Node] = {}
-        waiting = list(reversed([*(self.outputs.values() if outputs is None else outputs)]))
-        while waiting:
-            node = waiting[-1]
-            missing = [one for one in node.operands if id(one) not in found]
-            if id(node) in found or not missing:
-                waiting.pop()
-                found[id(node)] = node
-            else:
-                waiting += reversed(missing)
-        return [node for node in found.values() if node.operation not in ("input", "constant")]
+        return in_order([*(self.outputs.values() if outputs is None else outputs)])
 
     def used(self, outputs: Sequence[Node]) -> dict[str, NDArray[np.bool_]]:
         """Whether some outputs depend on each element of each input, (size,) each."""
@@ -122,6 +112,21 @@ class Graph:
                 for one in node.operands:
                     want(one, np.array([elements.any()]) if node.operation == "matmul" else elements)
         return {name: wanted.get(id(node), np.zeros(node.size, dtype=np.bool_)) for name, node in self.inputs.items()}
+
+
+def in_order(outputs: Sequence[Node]) -> list[Node]:
+    """The operations that some nodes need, operands first; no inputs, no constants."""
+    found: dict[int, Node] = {}
+    waiting = [*reversed(outputs)]
+    while waiting:
+        node = waiting[-1]
+        missing = [one for one in node.operands if id(one) not in found]
+        if id(node) in found or not missing:
+            waiting.pop()
+            found[id(node)] = node
+        else:
+            waiting += reversed(missing)
+    return [node for node in found.values() if node.operation not in ("input", "constant")]
 
 
 @dataclass

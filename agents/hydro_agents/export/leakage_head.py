@@ -6,13 +6,12 @@ the network is traced from its NumPy code.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from hydro_agents.detection.balance import fit, fit_balance
 from hydro_agents.detection.damaged_signals import bounds_of, find_stuck, repair
@@ -20,7 +19,7 @@ from hydro_agents.detection.features import FEATURES, SIGNALS, describe, feature
 from hydro_agents.detection.head import BESIDE_STUCK_SENSOR, LeakageEstimate, LeakageHead
 from hydro_agents.export.c_files import CCode, c_code, compared, csv_text, render
 from hydro_agents.export.c_writer import CWriter
-from hydro_agents.export.exported import FILE, ContractSignal, onnx_session, sealed
+from hydro_agents.export.exported import FILE, ContractSignal, Sealed, digests, onnx_session
 from hydro_agents.export.expressions import DOUBLE, array
 from hydro_agents.export.graph import Graph
 from hydro_agents.export.measured import SENSOR_MEANINGS
@@ -29,7 +28,6 @@ from hydro_agents.export.tracing import trace
 from hydro_agents.export.translator import Translator
 from hydro_agents.running.seeds import HEAD_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
-from hydro_env.files import Group
 from hydro_env.task.sensors import CHANNEL_UNITS, SENSORS
 from hydro_env.task.signals import observation_layout
 
@@ -52,15 +50,7 @@ FIELDS = {
 FORGET = 4  # multiples of window times interval after which the C code restarts its sample counter
 
 NETWORK_FILE = "leakage_head_network.onnx"
-FILES = (
-    "leakage_head.c",
-    "leakage_head.h",
-    "test_leakage_head.c",
-    "vectors.csv",
-    NETWORK_FILE,
-    "README.md",
-    FILE,
-)
+FILES = ("leakage_head.c", "leakage_head.h", "test_leakage_head.c", "vectors.csv", NETWORK_FILE, "README.md", FILE)
 LARGEST_DIFFERENCE = 2e-5
 """Largest difference of a value, relative to 1 + its size, due to the order of float32 sums. More is an error."""
 
@@ -146,10 +136,8 @@ def _fitted(head: LeakageHead) -> Any:
     return fit_balance(np.zeros((1, len(SIGNALS), head.settings.window)), head.sheet)
 
 
-class HeadContract(Group):
+class HeadContract(Sealed):
     """Content of the ``contract.json`` of a leakage head."""
-
-    model_config = ConfigDict(allow_inf_nan=False)
 
     format: Literal["hydro_env exported leakage head"] = "hydro_env exported leakage head"
     format_version: Literal[1] = 1
@@ -167,17 +155,9 @@ class HeadContract(Group):
     command: str
     files: dict[str, str] = Field(description="SHA-256 of each file")
 
-    def text(self) -> str:
-        """As JSON, with its digest."""
-        return sealed(self.model_dump(mode="json"))
-
 
 def exported_head(head: LeakageHead, command: str) -> tuple[dict[str, bytes], list[str]]:
     """The files of an exported leakage head by name, and the results of their checks, one line each.
-
-    Args:
-        head: the leakage head.
-        command: the command of the export, for the contract.
 
     Raises:
         TranslationError, TraceError: the head uses a construct without translation.
@@ -265,12 +245,8 @@ def check_network(head: LeakageHead, model: bytes, samples: NDArray[np.float64])
         HydroError: a difference is above :data:`LARGEST_DIFFERENCE`.
     """
     session = onnx_session(model)
-    windows = np.concatenate(
-        [
-            samples[:, first : first + head.settings.window].transpose(0, 2, 1)
-            for first in range(0, ESTIMATES * head.interval, head.interval)
-        ]
-    )
+    window, firsts = head.settings.window, range(0, ESTIMATES * head.interval, head.interval)
+    windows = np.concatenate([samples[:, first : first + window].transpose(0, 2, 1) for first in firsts])
     features = features_of(windows, head.sheet)
     found = np.array([session.run(None, {"features": row})[0] for row in features])
     expected = head.judge(features)
@@ -307,5 +283,5 @@ def _contract(head: LeakageHead, checked: Mapping[str, Any], command: str, files
         checked=dict(checked),
         versions={"hydro_env": __version__, "numpy": np.__version__},
         command=command,
-        files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+        files=digests(files),
     )

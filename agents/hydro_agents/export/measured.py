@@ -147,12 +147,7 @@ class Step(NamedTuple):
 
 
 class MeasuredController:
-    """A controller with measured signals in SI units as input and the voltage of the valve as output.
-
-    Args:
-        controller: any controller of the project.
-        signals: the signals that it reads, and the task for which it was made.
-    """
+    """A controller with measured signals in SI units as input and the voltage of the valve as output."""
 
     def __init__(self, controller: Controller, signals: MeasuredSignals) -> None:
         self.controller = controller

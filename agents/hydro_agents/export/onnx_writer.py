@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.export.graph import Node
+from hydro_agents.export.graph import Node, in_order
 from hydro_env import ConfigurationError, HydroError, __version__
 
 OPSET = 17
@@ -77,18 +77,7 @@ class OnnxWriter:
 
     def tensor(self, node: Node) -> str:
         """Name of the tensor of a result; writes all required operators, operands first."""
-        waiting = [node]
-        while waiting:
-            one = waiting[-1]
-            missing = [
-                operand
-                for operand in one.operands
-                if id(operand) not in self._names and operand.operation not in ("input", "constant")
-            ]
-            if missing and id(one) not in self._names:
-                waiting += reversed(missing)
-                continue
-            waiting.pop()
+        for one in [*in_order([node]), node]:
             if id(one) not in self._names:
                 self._names[id(one)] = self._written(one)
         return self._names[id(node)]
@@ -97,9 +86,9 @@ class OnnxWriter:
         """Elements of a tensor as a separate tensor."""
         return self._gathered(tensor, np.arange(start, start + size), name)
 
-    def cast(self, tensor: str, kind: np.dtype[Any], name: str) -> str:
-        """A tensor in another type."""
-        return self.add("Cast", [tensor], name, to=self._type(kind))
+    def cast(self, tensor: str, kind: np.dtype[Any], wanted: np.dtype[Any], name: str) -> str:
+        """A tensor of one type in another one."""
+        return tensor if kind == wanted else self.add("Cast", [tensor], name, to=self._type(wanted))
 
     def add(self, operator: str, tensors: Sequence[str], name: str, origin: str = "", **attributes: Any) -> str:
         """Add one operator; returns the name of its result, which is also the operator's name."""
@@ -147,10 +136,10 @@ class OnnxWriter:
         if node.operation == "constant":
             assert node.table is not None
             return self._constant(node.table, name)
-        tensors = [
-            self._names.setdefault(id(one), self._written(one)) if id(one) not in self._names else self._names[id(one)]
-            for one in node.operands
-        ]
+        for one in node.operands:  # inputs and constants
+            if id(one) not in self._names:
+                self._names[id(one)] = self._written(one)
+        tensors = [self._names[id(one)] for one in node.operands]
         if node.operation == "collect":
             assert node.table is not None
             joined = tensors[0] if len(tensors) == 1 else self.add("Concat", tensors, name, origin, axis=0)

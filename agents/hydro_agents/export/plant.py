@@ -11,14 +11,12 @@ import hashlib
 import io
 import platform
 import sys
-import tempfile
 import uuid
 import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, get_args, get_type_hints
 
-from hydro_agents.export.c_files import CCode, c_code, compile_c, render, write_files
+from hydro_agents.export.c_files import CCode, c_code, compiled, render
 from hydro_agents.export.expressions import DOUBLE
 from hydro_agents.export.translator import Translator
 from hydro_env import HydroError, TaskConfig, __version__, equilibrium
@@ -209,22 +207,11 @@ def make_fmu(config: TaskConfig) -> bytes:
     system = SYSTEMS.get(sys.platform)
     if system is None or platform.machine().lower() not in ("x86_64", "amd64"):
         raise HydroError(f"FMI 2.0 has no binary for {sys.platform} on {platform.machine()}; it needs 64-bit x86")
-    files[f"binaries/{system}/{MODEL}{SUFFIXES[sys.platform]}"] = compile_library(sources)
+    files[f"binaries/{system}/{MODEL}{SUFFIXES[sys.platform]}"] = compiled(
+        sources, ["-shared", "-fPIC", "-fvisibility=hidden"]
+    )
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, (2020, 1, 1, 0, 0, 0)), content, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
-
-
-def compile_library(sources: dict[str, str]) -> bytes:
-    """A shared library of C sources, by the C compiler of this machine.
-
-    Raises:
-        HydroError: there is no compiler, or it failed; the message is its first line.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        write_files(sources, Path(folder))
-        units = [name for name in sources if name.endswith(".c")]
-        compile_c(Path(folder), ["-shared", "-fPIC", "-fvisibility=hidden", "-o", "library", *units])
-        return (Path(folder) / "library").read_bytes()

@@ -10,9 +10,7 @@ import base64
 import gzip
 import importlib.util
 import json
-import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Floats, search_space
 from hydro_agents.detection.head import LeakageEstimate, LeakageHead
-from hydro_agents.export.c_files import CCode, render, write_files
+from hydro_agents.export.c_files import WARNINGS, CCode, compiled, render
 from hydro_agents.export.controller import controller_code, controller_graph, memory_type
 from hydro_agents.export.expressions import DOUBLE, INT, UINT64
 from hydro_agents.export.leakage_head import head_code
@@ -33,7 +31,7 @@ from hydro_agents.export.translator import Translator
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.report.palette import LEAK_LOOKS, css_rules
 from hydro_agents.running.folders import pretrained_folder
-from hydro_env import ConfigurationError, HydroError, TaskConfig, __version__
+from hydro_env import ConfigurationError, TaskConfig, __version__
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.equations import Derived
 from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
@@ -285,7 +283,7 @@ def playground_page() -> str:
         "threshold": head.settings.threshold,
         "window": head.settings.window * config.control_period,
     }
-    module = web_assembly(axis_sources(config, controllers, head))
+    module = compiled(axis_sources(config, controllers, head), ["-s", *WARNINGS], web_compiler())
     wasm = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode()
     parts = {name: (TEMPLATES / f"{name}.js").read_text(encoding="utf-8") for name in ("machine", "drawing", "plots")}
     script = (TEMPLATES / "page.js").read_text(encoding="utf-8")
@@ -311,21 +309,3 @@ def web_compiler() -> list[str]:
         text = "the playground is compiled by the package ziglang: pip install 'hydro_env[playground]'"
         raise ConfigurationError(text)
     return [sys.executable, "-m", "ziglang", "cc", "-target", "wasm32-wasi", "-mexec-model=reactor"]
-
-
-def web_assembly(sources: dict[str, str]) -> bytes:
-    """Compile C sources to a WebAssembly module that imports nothing.
-
-    Raises:
-        ConfigurationError: the compiler is not installed.
-        HydroError: the compiler failed; the message is its first line.
-    """
-    with tempfile.TemporaryDirectory() as folder:
-        write_files(sources, Path(folder))
-        units = [name for name in sources if name.endswith(".c")]
-        options = ["-std=c99", "-O2", "-s", "-Wall", "-Wextra", "-Werror"]
-        command = [*web_compiler(), *options, "-o", "module.wasm", *units, "-lm"]
-        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if result.returncode != 0:
-            raise HydroError(f"ziglang: {(result.stderr.splitlines() or ['failed'])[0]}")
-        return (Path(folder) / "module.wasm").read_bytes()

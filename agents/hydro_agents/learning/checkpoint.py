@@ -76,11 +76,7 @@ def save(checkpoint: Checkpoint, folder: Path, made_with: Mapping[str, Any]) -> 
 
 
 def load(folder: Path, made_with: Mapping[str, Any]) -> Checkpoint:
-    """Read the checkpoint of a folder.
-
-    Args:
-        folder: folder of the checkpoint.
-        made_with: conditions that must equal those of the checkpoint, each a dictionary or a single value.
+    """Read the checkpoint of a folder, which must have been made under the conditions ``made_with``.
 
     Raises:
         ConfigurationError: the checkpoint is missing, damaged, or was made under other conditions.
@@ -180,10 +176,7 @@ def _shaped(array: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
 class SessionCallback(BaseCallback):
     """What every training reports: its progress and its log; a subclass writes the checkpoints.
 
-    Args:
-        settings: of the training.
-        seconds: duration of the earlier sessions of a resumed training.
-        progress: called by :meth:`report`.
+    ``seconds`` is the duration of the earlier sessions of a resumed training.
     """
 
     def __init__(self, settings: TrainingSettings, seconds: float, progress: Callable[[Progress], None] | None) -> None:

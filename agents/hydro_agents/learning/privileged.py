@@ -25,9 +25,6 @@ SMALLEST_LEAK = 1e-4  # l/min; the leak enters as the logarithm of its size rela
 class Privileged:
     """The hidden quantities of N axes, scaled to order 1.
 
-    Args:
-        config: the task of the training.
-
     Raises:
         ConfigurationError: a plant of the task cannot hold its initial position.
     """
@@ -68,13 +65,7 @@ class Privileged:
 
 
 class _Extractor(MlpExtractor):
-    """Like its parent, but the actor sees only the first inputs.
-
-    Args:
-        actor_inputs: number of the inputs that the actor sees.
-        inputs: number of all inputs.
-        options: as for ``MlpExtractor``.
-    """
+    """Like its parent, but the actor sees only the first inputs."""
 
     def __init__(self, actor_inputs: int, inputs: int, **options: Any) -> None:
         super().__init__(inputs, **options)

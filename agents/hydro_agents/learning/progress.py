@@ -108,11 +108,7 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
 
 
 def training_logger(folder: Path | None, steps: int = 0) -> Logger:
-    """A logger for ``model.set_logger`` that writes to a folder, or nowhere.
-
-    Args:
-        folder: for ``progress.csv`` and the event files of TensorBoard.
-        steps: number of steps that a resumed training has already done.
+    """A logger for ``model.set_logger`` that writes to a folder, or nowhere; ``steps`` of a resumed training are done.
 
     Raises:
         ConfigurationError: ``progress.csv`` is damaged or cannot be written.

@@ -19,10 +19,7 @@ class Prices(Group):
     """
 
     lasting: float = Field(
-        0.0,
-        ge=0.0,
-        le=1e6,
-        description="on the squared slow average of the correction; integral action opposes it",
+        0.0, ge=0.0, le=1e6, description="on the squared slow average of the correction; integral action opposes it"
     )
     change: float = Field(0.0, ge=0.0, le=1e6, description="on the squared change of the correction")
     travel: float = Field(0.0, ge=0.0, le=1e6, description="on the size of the change of the command")

@@ -73,7 +73,7 @@ class PolicyTrainer:
     """A trainer of stable-baselines3, which is imported when a training begins.
 
     Args:
-        algorithm: PPO, or an algorithm of :data:`hydro_agents.learning.off_policy.PACKAGES`.
+        algorithm: PPO, or an algorithm of :data:`~hydro_agents.learning.training.PACKAGES`.
         settings: class of its settings.
     """
 
@@ -92,12 +92,10 @@ class PolicyTrainer:
         progress: Callable[[Progress], None] | None,
     ) -> PolicyController:
         """Train a policy; the residual form corrects ``base``, a classical controller."""
+        from hydro_agents.learning.training import train_off_policy, train_ppo
+
         if isinstance(settings, PPOSettings):
-            from hydro_agents.learning.training import train_ppo
-
             return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)
-        from hydro_agents.learning.off_policy import train_off_policy
-
         assert isinstance(settings, SACSettings)
         return train_off_policy(self.algorithm, config, settings, base, seed, folder, resume, progress)
 

@@ -206,7 +206,7 @@ def record_dataset(
             while not (failed and (failed[-1] or ended[-1])):
                 action, memory = controller.predict(observation, memory)
                 observation, reward, terminated, truncated, info = env.step(action)
-                rows = (observations, actions, rewards, failed, ended, infos)
+                rows: tuple[list[Any], ...] = (observations, actions, rewards, failed, ended, infos)
                 for row, value in zip(rows, (observation, action, reward, terminated, truncated, info), strict=True):
                     row.append(value)
             buffers.append(

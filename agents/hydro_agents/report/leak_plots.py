@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -22,10 +22,6 @@ from hydro_agents.report.canvas import (
     ticks,
 )
 from hydro_agents.report.content import Content, interval, intervals
-from hydro_agents.running.statistics import Interval
-
-Find = Callable[[str, str], Interval]
-"""A share in percent with its interval, by detector and condition."""
 
 
 def detection_plot(content: Content) -> list[Plot]:
@@ -57,24 +53,43 @@ def _rows_plot(
     key: str,
     title: str,
     note: str,
-    conditions: Sequence[str],
-    find: Find,
     label: str,
-    lines: Mapping[float, str],
+    conditions: Sequence[str],
+    level: float,
+    column: tuple[str, str] = ("detection", "flagged"),
+    lines: Mapping[float, str] | None = None,
     limit: float | None = 100.0,
     names: Mapping[str, str] | None = None,
 ) -> list[Plot]:
-    """Conditions from top to bottom, a point with its interval for each detector; ``names``: their texts."""
-    found = {name: {where: find(name, where) for where in conditions} for name in content.detectors}
-    shown = [where for where in conditions if any(not np.isnan(each[where].value) for each in found.values())]
-    if not shown:
+    """A share at a leak: conditions from top to bottom, a point with its interval for each detector.
+
+    Args:
+        content: of the page.
+        key: name of the figure's file.
+        title: of the figure.
+        note: how to read it.
+        label: of the axis.
+        conditions: names; those without a value are left out.
+        level: leak, l/min at 100 bar.
+        column: table, and its column with the share.
+        lines: styles of vertical lines, by their places in percent.
+        limit: end of the axis in percent.
+        names: texts of the conditions, instead of their labels.
+    """
+    frames = {}
+    for name in content.detectors:
+        cells = (content.cell(column[0], name, where, level) for where in conditions)
+        frames[name] = pd.DataFrame([interval(cell, column[1], 100.0)._asdict() for cell in cells])
+    if not conditions or not frames:
         return []
-    texts = [(names or {}).get(where, content.label(where)) for where in shown]
-    columns = ["value", "low", "high"]
-    parts = {name: pd.DataFrame([each[where] for where in shown], texts, columns) for name, each in found.items()}
+    shown = np.any([frame["value"].notna() for frame in frames.values()], axis=0)
+    if not shown.any():
+        return []
+    texts = [(names or {}).get(where, content.label(where)) for where in np.array(conditions)[shown].tolist()]
+    parts = {name: frame[shown].set_axis(texts) for name, frame in frames.items()}
 
     def finish(axes: Axes) -> None:
-        for value, style in lines.items():
+        for value, style in (lines or {}).items():
             axes.axvline(value, color=GREY, linewidth=0.9, linestyle=style)
         axes.set_xlabel(label)
         if limit is not None:
@@ -83,83 +98,48 @@ def _rows_plot(
     return [rows_plot(key, title, note, parts, content.looks, " %", finish)]
 
 
+REPORTED, FALSE = "windows in which it is reported, %", "healthy windows reported as leaking, %"
+
+
 def motion_plots(content: Content) -> list[Plot]:
     """Detection and false alarms under other motions and controllers."""
+    where = "under other motions and controllers"
     conditions = [content.base, *content.in_groups("motion", "controller")]
-    found = _rows_plot(
-        content,
-        "motion-found",
-        "0.3 l/min under other motions and controllers",
-        "Share of windows in which a leak of 0.3 l/min is reported, with the threshold that the detector uses.",
-        conditions,
-        lambda detector, condition: content.share(detector, condition, 0.3),
-        "windows in which it is reported, %",
-        {},
-    )
-    false = _rows_plot(
-        content,
-        "motion-false",
-        "False alarms under other motions and controllers",
-        "Share of windows of healthy axes in which a leak is reported; lines: 2 and 5 %.",
-        conditions,
-        lambda detector, condition: content.share(detector, condition, HEALTHY),
-        "healthy windows reported as leaking, %",
-        {2.0: "--", 5.0: ":"},
-        None,
-    )
-    return found + false
+    used = "Share of windows in which a leak of 0.3 l/min is reported, with the threshold that the detector uses."
+    healthy = "Share of windows of healthy axes in which a leak is reported; lines: 2 and 5 %."
+    false = (f"False alarms {where}", healthy, FALSE, conditions, HEALTHY)
+    return [
+        *_rows_plot(content, "motion-found", f"0.3 l/min {where}", used, REPORTED, conditions, 0.3),
+        *_rows_plot(content, "motion-false", *false, lines={2.0: "--", 5.0: ":"}, limit=None),
+    ]
 
 
 def fault_plots(content: Content) -> list[Plot]:
     """Faults and changed plants that are mistaken for a leak, and detection of a leak together with them."""
     conditions = content.in_groups("fault", "plant", "rig")
-    taken = _rows_plot(
-        content,
-        "fault-taken",
-        "Faults and changes mistaken for a leak past the piston",
-        "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %.",
-        conditions,
-        lambda detector, condition: content.share(detector, condition, HEALTHY),
-        "healthy windows reported as leaking, %",
-        {10.0: "--"},
-    )
-    beside = _rows_plot(
-        content,
-        "fault-beside",
-        "A leak of 0.3 l/min together with the same faults",
-        "Share of windows in which the leak is reported in spite of the fault.",
-        conditions,
-        lambda detector, condition: content.share(detector, condition, 0.3),
-        "windows in which it is reported, %",
-        {},
-    )
-    return taken + beside
+    taken = "Faults and changes mistaken for a leak past the piston"
+    healthy = "Healthy seal with one other fault or change: share of windows in which a leak is reported; line: 10 %."
+    beside = "A leak of 0.3 l/min together with the same faults"
+    leaking = "Share of windows in which the leak is reported in spite of the fault."
+    return [
+        *_rows_plot(content, "fault-taken", taken, healthy, FALSE, conditions, HEALTHY, lines={10.0: "--"}),
+        *_rows_plot(content, "fault-beside", beside, leaking, REPORTED, conditions, 0.3),
+    ]
 
 
 def coverage_plots(content: Content) -> list[Plot]:
     """Coverage of the 90 % intervals at 0.3 l/min: by law, motion and controller, and beside faults."""
-
-    def find(detector: str, condition: str) -> Interval:
-        return interval(content.cell("sizes", detector, condition, 0.3), "coverage", 100.0)
-
     sides = {
-        "laws, motions, controllers": content.in_groups("levels", "law", "motion", "controller"),
-        "other faults and plants": content.in_groups("fault", "plant", "rig"),
+        "Laws, motions, controllers": content.in_groups("levels", "law", "motion", "controller"),
+        "Other faults and plants": content.in_groups("fault", "plant", "rig"),
     }
-    return [
-        plot
-        for number, (side, conditions) in enumerate(sides.items())
-        for plot in _rows_plot(
-            content,
-            f"coverage-{number}",
-            f"Do 90 % intervals contain the true size? {side.capitalize()}",
-            "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %.",
-            conditions,
-            find,
-            "intervals that contain the true size, %",
-            {87.0: ":", 93.0: ":"},
-        )
-    ]
+    note = "Leak of 0.3 l/min: share of the intervals that contain it; lines: 87 and 93 %."
+    label, lines = "intervals that contain the true size, %", {87.0: ":", 93.0: ":"}
+    plots = []
+    for index, (side, conditions) in enumerate(sides.items()):
+        key, title = f"coverage-{index}", f"Do 90 % intervals contain the true size? {side}"
+        plots += _rows_plot(content, key, title, note, label, conditions, 0.3, ("sizes", "coverage"), lines)
+    return plots
 
 
 def size_plot(content: Content) -> list[Plot]:
@@ -223,14 +203,8 @@ def masking_plot(content: Content) -> list[Plot]:
         return []
     errors = table.groupby("condition")["error_mm"].mean().sort_values()
     acting = table.drop_duplicates("condition").set_index("condition")["acting"]
-    return _rows_plot(
-        content,
-        "masking",
-        "0.1 l/min found, by controller",
-        "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms.",
-        [str(condition) for condition in errors.index],
-        lambda detector, condition: content.share(detector, condition, 0.1, "at_1_percent"),
-        "windows in which it is found, %",
-        {},
-        names={str(condition): f"{acting[condition]} ({error:.2g} mm)" for condition, error in errors.items()},
-    )
+    names = {str(where): f"{acting[where]} ({error:.2g} mm)" for where, error in errors.items()}
+    note = "In brackets: mean position error. Windows from the start of the motion; threshold at 1 % false alarms."
+    title, label = "0.1 l/min found, by controller", "windows in which it is found, %"
+    share = ("detection", "at_1_percent")
+    return _rows_plot(content, "masking", title, note, label, list(names), 0.1, share, names=names)

@@ -16,9 +16,8 @@ from hydro_agents.report.shared import price_sentence, problems
 from hydro_agents.report.study_findings import caution, failed_runs, findings_of
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_limits, example_plot
-from hydro_agents.running.resampling import RESAMPLES
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
-from hydro_agents.running.statistics import conditional_value_at_risk
+from hydro_agents.running.statistics import RESAMPLES, conditional_value_at_risk
 from hydro_agents.running.text import Table, decimals_for, family_name, listed, number, setting, span
 
 STUDY = (
@@ -277,10 +276,7 @@ def definitions() -> Table:
 def terms(content: Content) -> Table:
     """What the words of the page mean."""
     rows = [
-        (
-            "Ratio",
-            "mean error of one controller divided by that of another, on the same runs; below 1 is better",
-        ),
+        ("Ratio", "mean error of one controller divided by that of another, on the same runs; below 1 is better"),
         ("Worst 5 %", "conditional value at risk (CVaR): mean over the worst 5 % of the runs"),
     ]
     if content.has("detection_summary"):

@@ -8,8 +8,13 @@ import pandas as pd
 
 from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
-from hydro_agents.running.resampling import ratio_interval
-from hydro_agents.running.statistics import LEAST_SAMPLES, Interval, conditional_value_at_risk, share_interval
+from hydro_agents.running.statistics import (
+    LEAST_SAMPLES,
+    Interval,
+    conditional_value_at_risk,
+    ratio_interval,
+    share_interval,
+)
 from hydro_agents.running.text import family_name, listed, number, setting
 
 FEW_PLANTS = 12

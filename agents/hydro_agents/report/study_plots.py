@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from hydro_agents.report.canvas import INK, PALE, Array, Plot, curve_plot, rows_plot, ticks
 from hydro_agents.report.content import Content, intervals
-from hydro_agents.running.resampling import mean_interval
+from hydro_agents.running.statistics import mean_interval
 from hydro_agents.running.text import family_name, number, setting
 
 RATIO_TICKS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -137,7 +137,7 @@ def _ratios(content: Content) -> Plot:
 
     title = "Ratio of errors by kind of reference"
     note = f"Mean error over that of {base} on the same runs; bars: 95 % interval. Left of the line is better."
-    return rows_plot("ratio", title, note, parts, looks, "", finish)
+    return rows_plot("ratio", title, note, parts, looks, f" × {base}", finish)
 
 
 def _ratio_scale(axes: Axes, values: Array) -> None:

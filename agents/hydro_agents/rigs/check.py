@@ -1,4 +1,4 @@
-"""The hand calculations of an engineer for a rig."""
+"""The hand calculations of an engineer for a rig, and the gains of a PID that follow from them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, places_in_reach, sampled_loop
-from hydro_env import HydroError, PlantParameters
+from hydro_env import HydroError, PlantParameters, TaskConfig
+from hydro_env.files import Group
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -30,6 +32,9 @@ from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inn
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
 LEAKS = (0.01, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
+
+SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable one: a gain margin of 6 dB
+INTEGRAL_SHARE = 0.1  # rate of the integral over the crossover frequency: it costs 6° of phase there
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
@@ -314,3 +319,32 @@ def _position(position: float) -> str:
 def leak_text(leak: float) -> str:
     """A leak as text."""
     return f"{leak:g} l/min"
+
+
+def pid_from_figures(task: TaskConfig) -> PIDGains | None:
+    """Half of the largest stable gain, and the inverse of the no-load speeds as feed-forward; no derivative.
+
+    ``None`` if no gain makes the loop of the task's plant, control period and latency unstable, or each gain does.
+    """
+    plant = beyond_dead_band(task.plant)
+    stable = worst_gain(plant, places_in_reach(task.plant), task.control_period, task.command_latency)
+    out, back = speed_limits(plant)
+    if not isinstance(stable, float) or stable <= 0.0 or min(out, back) <= 0.0:
+        return None
+    proportional = SHARE_OF_STABLE * stable
+    crossover = proportional * 0.5 * (out + back)
+    return PIDGains(
+        proportional=proportional,
+        integral=INTEGRAL_SHARE * crossover * proportional,
+        feedforward_extending=1.0 / out,
+        feedforward_retracting=1.0 / back,
+        lead_in_integral=False,
+    )
+
+
+def stable_start(task: TaskConfig, given: Group) -> Group:
+    """The given gains; for a PID whose gains would make the position loop unstable, those from the rig's figures."""
+    if not isinstance(given, PIDGains):
+        return given
+    own = pid_from_figures(task)
+    return own if own is not None and given.proportional > own.proportional / SHARE_OF_STABLE else given

@@ -31,9 +31,7 @@ NOTE = (
     "loop with a proportional controller, linearised at rest without dry friction, exactly sampled."
 )
 
-WEAK_DAMPING = 0.05
-"""Damping ratio below which an axis rings: after five periods a step still oscillates by a fifth."""
-
+WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
 USED_WITH = {
     "valve.coil_inductance": ("valve.model", "drive"),
     "friction.bristle_stiffness": ("friction.model", "lugre"),
@@ -44,12 +42,7 @@ USED_WITH = {
 
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
-    """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text).
-
-    Args:
-        rows: of :func:`hydro_agents.rigs.check.check_rig`.
-        parameters: of the rig.
-    """
+    """Speeds, forces, frequency, damping, gain and a verdict, each as (name, text)."""
     by_name: dict[str, list[Row]] = {}
     for row in rows:
         by_name.setdefault(row.quantity, []).append(row)
@@ -128,12 +121,7 @@ def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
 
 
 def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tuple[str, list[str]]]:
-    """Fields that are missing in a rig's file and have an effect, with their default values, by group.
-
-    Args:
-        values: content of the file.
-        parameters: the resulting parameters.
-    """
+    """Fields that the content of a rig's file lacks and that have an effect, with their default values, by group."""
     missing = [path.split(".") for path in PARAMETER_PATHS]
     missing = [[group, field] for group, field in missing if field not in (values.get(group) or {})]
     own = parameters.model_dump()

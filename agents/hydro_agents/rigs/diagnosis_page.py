@@ -21,11 +21,10 @@ from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, looks_of
 from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
-from hydro_agents.rigs.diagnose import Diagnosis, findings_table, leak_table
-from hydro_agents.rigs.verdict import Kind, combined, named_fault
+from hydro_agents.rigs.diagnose import Diagnosis, Kind, combined, findings_table, leak_table, named_fault
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, number, setting
+from hydro_agents.running.text import Table, capitalised, number, setting
 from hydro_env import PlantParameters
 from hydro_env.files import write_text, write_whole
 from hydro_env.units import UNITS
@@ -34,9 +33,7 @@ PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "windows", "judging")
-"""Sections of the page, in order."""
-
+DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "windows", "judging")  # sections of the page, in order
 SOURCES = Markup("Numbers: <code>leak.csv</code> and <code>findings.csv</code> beside this page.")
 
 ADVICE = {
@@ -48,16 +45,26 @@ ADVICE = {
     Kind.UNKNOWN: "This recording gives no answer. The verdict gives the reason; correct it and record again.",
 }
 
+JUDGING = (
+    Markup(
+        "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and changes leak, "
+        "plant, wear and sensor offsets until it reproduces the readings. If the difference remains above the sensors' "
+        "noise, its reading is not valid."
+    ),
+    Markup("<strong>Leakage head</strong>: a network trained on simulated axes. It is faster, and less accurate."),
+    "The estimator decides if it has read at least one window. If its model does not describe the recording, the "
+    "verdict is “cannot tell”.",
+    "The limits are those of servo faults. Acceptance tests of new cylinders require far less: about 0.06 ml/min for a "
+    "bore of 40 mm.",
+)
+
 STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
 """Class of the verdict in the style of the pages."""
 
-MOST_ROWS = 200
-"""Largest number of windows in the table of the page; the CSV file holds all."""
-
+MOST_ROWS = 200  # largest number of windows in the table of the page; the CSV file holds all
 GOOD, WORSE = MEANINGS["good"].light, MEANINGS["worse"].light
 COLOUR = {Weight.SEVERE: WORSE, Weight.FAULT: WORSE, Weight.NOTE: GREY}
-LOWEST, HIGHEST = 1e-3, 20.0
-"""l/min at 100 bar; ends of the scale."""
+LOWEST, HIGHEST = 1e-3, 20.0  # l/min at 100 bar; ends of the scale
 
 
 def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, command: str) -> list[str]:
@@ -76,12 +83,13 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
 def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
     """The page."""
     recording, samples = diagnosis.recording, diagnosis.checked.samples
+    read = [f"{int(reading.answers.sum())} read by the {name}" for name, reading in _readings(diagnosis).items()]
     facts = {
         "Recording": recording.source,
         "Rig assumed": rig_line(diagnosis.plant),
         "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
         "Control period": f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
-        "Windows": _counts(diagnosis),
+        "Windows": ", ".join([f"{len(diagnosis.windows)} windows", *read]),
     }
     tables = {
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
@@ -95,7 +103,7 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
 def diagnosed(content: Content) -> list[Block]:
     """The verdict, and what to do next."""
     verdict = content.part("diagnosis", Diagnosis).verdict
-    return [Text(sentence(verdict.line()), f"verdict {STYLES[verdict.kind]}".strip()), Text(ADVICE[verdict.kind])]
+    return [Text(capitalised(verdict.line()), f"verdict {STYLES[verdict.kind]}".strip()), Text(ADVICE[verdict.kind])]
 
 
 @section("Leak over time", needs=("diagnosis",))
@@ -105,7 +113,7 @@ def leak_over_time(content: Content) -> list[Block]:
     lines = [head_line(diagnosis.head), diagnosis.alarm.line() if diagnosis.alarm is not None else ""]
     blocks: list[Block] = [_plot(diagnosis), *(Text(line) for line in lines if line)]
     if diagnosis.note:
-        blocks.append(Text(f"{sentence(diagnosis.note)}. Only the estimator was used.", "soft"))
+        blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
     return blocks
 
 
@@ -123,25 +131,7 @@ def windows(content: Content) -> list[Block]:
 @section("How it was judged", needs=("diagnosis",))
 def judging(content: Content) -> list[Block]:
     """What the detectors do, and the limits."""
-    return [
-        Points(
-            [
-                Markup(
-                    "<strong>Estimator</strong>: simulates the rig of the data sheet with the recorded commands, and "
-                    "changes leak, plant, wear and sensor offsets until it reproduces the readings. If the difference "
-                    "remains above the sensors' noise, its reading is not valid."
-                ),
-                Markup(
-                    "<strong>Leakage head</strong>: a network trained on simulated axes. It is faster, and less "
-                    "accurate."
-                ),
-                "The estimator decides if it has read at least one window. If its model does not describe the "
-                "recording, the verdict is “cannot tell”.",
-                "The limits are those of servo faults. Acceptance tests of new cylinders require far less: about 0.06 "
-                "ml/min for a bore of 40 mm.",
-            ]
-        )
-    ]
+    return [Points(JUDGING)]
 
 
 def rig_line(plant: PlantParameters) -> str:
@@ -151,11 +141,6 @@ def rig_line(plant: PlantParameters) -> str:
         f"bore {1e3 * cylinder.bore_diameter:g} mm, rod {1e3 * cylinder.rod_diameter:g} mm, "
         f"stroke {1e3 * cylinder.stroke:g} mm, supply {supply:g} bar"
     )
-
-
-def sentence(text: str) -> str:
-    """The text with a capital first letter."""
-    return text[:1].upper() + text[1:]
 
 
 def head_line(reading: Reading | None) -> str:
@@ -169,29 +154,24 @@ def head_line(reading: Reading | None) -> str:
     return f"The leakage head reads {leak.text()}; other faults that it names: {fault or 'none'}."
 
 
-def _counts(diagnosis: Diagnosis) -> str:
-    parts = [f"{len(diagnosis.windows)} windows"]
-    for name, reading in (("estimator", diagnosis.estimator), ("leakage head", diagnosis.head)):
-        if reading is not None:
-            parts.append(f"{int(reading.answers.sum())} read by the {name}")
-    return ", ".join(parts)
+def _readings(diagnosis: Diagnosis) -> dict[str, Reading]:
+    given = {"estimator": diagnosis.estimator, "leakage head": diagnosis.head}
+    return {name: reading for name, reading in given.items() if reading is not None}
 
 
 def windows_table(diagnosis: Diagnosis) -> Table | None:
     """The readings of each window; ``None`` without windows."""
-    readings = [
-        (n, r) for n, r in (("estimator", diagnosis.estimator), ("leakage head", diagnosis.head)) if r is not None
-    ]
+    readings = _readings(diagnosis)
     if not readings:
         return None
     rows = []
     for window in range(min(len(diagnosis.windows), MOST_ROWS)):
         begin, end = diagnosis.windows.begin[window], diagnosis.windows.end[window]
         cells = [f"{number(float(begin), 1)} to {number(float(end), 1)} s"]
-        for _, reading in readings:
+        for reading in readings.values():
             cells += [_shown(reading, window), reading.fault[window] or reading.why[window]]
         rows.append(tuple(cells))
-    header = ("Window", *(text for name, _ in readings for text in (name, "remark")))
+    header = ("Window", *(text for name in readings for text in (name, "remark")))
     return Table("Leak in l/min at 100 bar, 90 % interval", header, rows)
 
 
@@ -241,14 +221,12 @@ def paint_leak(axes: Axes, diagnosis: Diagnosis) -> None:
             text, (0.004, height), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points",
             va="bottom", fontsize=8, color=GREY,
         )  # fmt: skip
-    readings = {"leakage head": diagnosis.head, "estimator": diagnosis.estimator}
     looks = looks_of(["leakage head", "estimator"])
     middle = 0.5 * (windows.begin + windows.end)
     shift = 0.12 * float(windows.end[0] - windows.begin[0]) if len(middle) else 0.0
-    for name, reading in readings.items():
-        if reading is not None:
-            side = -shift if name == "leakage head" else shift
-            _paint_reading(axes, middle + side, reading, looks[name].colour, looks[name].marker, name)
+    for name, reading in reversed(_readings(diagnosis).items()):
+        side = -shift if name == "leakage head" else shift
+        _paint_reading(axes, middle + side, reading, looks[name].colour, looks[name].marker, name)
     if diagnosis.alarm is not None and diagnosis.alarm.at is not None:
         axes.axvline(diagnosis.alarm.at, color=INK, linestyle="--", linewidth=1.2, label="alarm")
     handles, labels = axes.get_legend_handles_labels()
@@ -318,7 +296,5 @@ def _mark(axes: Axes, finding: Finding, last: float) -> None:
 
 def _title(diagnosis: Diagnosis) -> str:
     line = diagnosis.verdict.line()
-    if diagnosis.verdict.kind is Kind.UNKNOWN:
-        line = line.split(";")[0]
-    line = line[:1].upper() + line[1:]
-    return fill(line, 105, max_lines=2, placeholder=" …")
+    line = line.split(";")[0] if diagnosis.verdict.kind is Kind.UNKNOWN else line
+    return fill(capitalised(line), 105, max_lines=2, placeholder=" …")

@@ -37,15 +37,11 @@ WIDENING = 1.25
 """Factor on all standard deviations, chosen on validation seeds; it covers the linearisation and errors of the
 replay."""
 
-COVERAGE = 1.96
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
-
+COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
 
-WELL_FITTED = 4.0
-"""Largest misfit of an explained window, as in :class:`~hydro_agents.estimation.estimate.EstimationSettings`."""
-
+WELL_FITTED = 4.0  # largest misfit of an explained window, as in hydro_agents.estimation.estimate.EstimationSettings
 OUTLIER = 3.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
 local minimum, or there was a disturbance."""
@@ -53,14 +49,10 @@ local minimum, or there was a disturbance."""
 ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
 """Search settings of the single windows; the common fit continues from their results."""
 
-MOST_ATTEMPTS = 2
-"""Number of common fits; before a further one, unexplained windows are fitted again."""
-
+MOST_ATTEMPTS = 2  # number of common fits; before a further one, unexplained windows are fitted again
 ITERATIONS = 40  # of a common fit, at the most
 
-TOLERANCE = 0.1
-"""A common fit ends when a step with little damping lowers its cost by less."""
-
+TOLERANCE = 0.1  # a common fit ends when a step with little damping lowers its cost by less
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
 
@@ -98,13 +90,7 @@ class Fit(NamedTuple):
 
 
 def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured: NDArray[np.bool_]) -> list[str]:
-    """Names of the unknowns: the rig's parameters with a range, the leak, biases of its sensors, and the start.
-
-    Args:
-        config: the task.
-        ranges: ranges that the rig file gives.
-        measured: whether each channel was recorded, (channels,).
-    """
+    """Names of the unknowns: parameters with a range, leak, biases of ``measured`` channels, (channels,), and start."""
     plant = [EXTERNAL_LEAKAGE if path == EXTERNAL_RESISTANCE else path for path in ranges]
     biases = [name for name, seen in zip(BIASES, measured, strict=True) if seen and config.sensors.enabled]
     return [LEAKAGE, *plant, *biases, *starts_of(config)]

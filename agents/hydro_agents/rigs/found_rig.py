@@ -186,15 +186,7 @@ def _outwards(value: float, rounding: Callable[[float], int]) -> float:
 def rig_yaml(
     rig: Mapping[str, Any], fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution], notes: list[str]
 ) -> str:
-    """The rig file with the identified values and the narrowed ranges.
-
-    Args:
-        rig: content of the given rig file.
-        fit: the result of the fit.
-        config: the task on the given rig.
-        ranges: ranges of the rig file.
-        notes: lines of the comment at the top.
-    """
+    """The given rig file with the identified values and the narrowed ranges; the notes stand at its top."""
     values = {key: dict(group) if isinstance(group, Mapping) else group for key, group in rig.items()}
     found = found_values(fit, config)
     for path, value in found.items():

@@ -24,7 +24,7 @@ from hydro_agents.rigs.identify import Identification, as_json
 from hydro_agents.rigs.parts import HeldBack
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, listed, number, setting
+from hydro_agents.running.text import Table, capitalised, listed, number, setting
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
 from hydro_env.task.sensors import SENSORS
@@ -33,22 +33,13 @@ PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identific
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
-IDENTIFICATION = ("identified", "held_back", "unknowns", "undetermined", "recording")
-"""Sections of the page, in order."""
-
+IDENTIFICATION = ("identified", "held_back", "unknowns", "undetermined", "recording")  # sections of the page, in order
 SOURCES = Markup(
     "All numbers: <code>identification.json</code> beside this page. How it works: <code>docs/identify.md</code>."
 )
 
-MOST_COMBINATIONS = 6
-"""Rows of the table of singular values, the least determined first."""
-
-PANELS = (
-    ("position, mm", 1e3),
-    ("pressure a, bar", 1e-5),
-    ("pressure b, bar", 1e-5),
-    ("spool, %", 100.0),
-)
+MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
+PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 1e-5), ("spool, %", 100.0))
 """Label and factor from SI of each channel."""
 
 
@@ -83,11 +74,12 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
 def render_identification(found: Identification, origin: Origin) -> Page:
     """The page."""
     recording, parts = found.recording, found.parts
+    length = float(round(parts.fitted.end[0] - parts.fitted.begin[0], 6))
     facts = {
         "Recording": recording.source,
         "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
         "Rig file": found.rig.source,
-        "Fitted to": f"{len(parts.fitted.begin)} windows of {_length(found):g} s, up to {parts.fitted.end[-1]:g} s",
+        "Fitted to": f"{len(parts.fitted.begin)} windows of {length:g} s, up to {parts.fitted.end[-1]:g} s",
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
         "Held back": f"{parts.begin:g} to {parts.begin + float(found.held_back.time[-1]):.4g} s",
         "Standard deviations": f"widened by {found.fit.widening:.3g}",
@@ -115,7 +107,7 @@ def identified(content: Content) -> list[Block]:
             "have no range."
         )
     style = "verdict good" if found.describes else "verdict worse"
-    return [Text(verdict[:1].upper() + verdict[1:], style), Text(following), *map(Text, found.noted)]
+    return [Text(capitalised(verdict), style), Text(following), *map(Text, found.noted)]
 
 
 @section("Measured and simulated", needs=("identification",))
@@ -179,27 +171,15 @@ def undetermined(content: Content) -> list[Block]:
 # Tables -------------------------------------------------------------------------------------------------------------
 
 
-def _length(found: Identification) -> float:
-    windows = found.parts.fitted
-    return float(round(windows.end[0] - windows.begin[0], 6))
-
-
 def unknowns_table(found: Identification) -> Table:
     """Each unknown: its range before, its value, its interval, and whether it is determined."""
     rows = []
     fit, plant = found.fit, found.config.plant
     for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
-        look = shown(name, plant)
-        rows.append(
-            (
-                look.words,
-                look.unit,
-                look.span(*ends) if (ends := range_before(found, name)) is not None else "–",
-                look.value(float(value), float(high - low)),
-                look.span(float(low), float(high)),
-                "yes" if known else "no",
-            )
-        )
+        look, before = shown(name, plant), range_before(found, name)
+        width = look.value(float(value), float(high - low)), look.span(float(low), float(high))
+        span = look.span(*before) if before is not None else "–"
+        rows.append((look.words, look.unit, span, *width, "yes" if known else "no"))
     header = ("Unknown", "Unit", "Range before", "Found", "95 % interval", "Determined")
     return Table("", header, rows, style="words", folded=False)
 
@@ -243,9 +223,11 @@ def combinations_table(found: Identification) -> Table:
 
 def shares_table(found: Identification) -> Table:
     """Share of the variance explained, by signal."""
-    rows = []
-    for name, share in zip(SENSORS, found.held_back.share.tolist(), strict=True):
-        rows.append((name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share)))
+    shares = zip(SENSORS, found.held_back.share.tolist(), strict=True)
+    rows = [
+        (name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share))
+        for name, share in shares
+    ]
     return Table("", ("Signal", "Share of variance explained"), rows)
 
 

@@ -144,12 +144,7 @@ def _valve(values: _Values) -> list[Entry]:
         width = "{factor: [0.3, 1.2]}; a pilot stage takes part of the null flow"
     return [
         Entry("valve.model", "spool", "the bandwidth describes spool and drive together"),
-        values.given(
-            "valve.rated_flow",
-            "rated_flow",
-            ("", ""),
-            "{factor: [0.9, 1.1]}; tolerance of valves in series",
-        ),
+        values.given("valve.rated_flow", "rated_flow", ("", ""), "{factor: [0.9, 1.1]}; tolerance of valves in series"),
         values.given(
             "valve.rated_pressure_drop",
             "rated_drop",

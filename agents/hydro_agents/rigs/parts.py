@@ -24,28 +24,20 @@ Floats = NDArray[np.float64]
 WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
 """Length of a window, and number of windows; a recording that is too short for five windows has shorter ones."""
 
-SHORTEST_WINDOW = 0.4
-"""s; shorter windows give too little information, because their start is unknown."""
-
-FITTED_SHARE = 0.7
-"""Share of the recording, from its start, for the fit."""
-
+SHORTEST_WINDOW = 0.4  # s; shorter windows give too little information, because their start is unknown
+FITTED_SHARE = 0.7  # share of the recording, from its start, for the fit
 MOST_WINDOWS = 12
 """More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
 LONGEST_HELD_BACK = 10.0  # s
 
-LONGEST_FILL = 3
-"""Largest number of successive missing commands that are interpolated; their readings stay missing."""
-
+LONGEST_FILL = 3  # largest number of successive missing commands that are interpolated; their readings stay missing
 FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
-START_FROM = 0.2
-"""s; the initial state comes from this first part; afterwards the simulation uses only the commands."""
-
+START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands
 LEAST_MOTION = 20.0
 """Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
 
@@ -63,10 +55,6 @@ class Parts(NamedTuple):
 
 def parts_of(samples: Sampled, source: str) -> Parts:
     """Choose the parts of a recording.
-
-    Args:
-        samples: the recording at the control period.
-        source: of the recording, for messages.
 
     Raises:
         ConfigurationError: the position is missing, the command is saturated, or too few samples are without a gap.

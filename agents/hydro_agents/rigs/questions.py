@@ -10,13 +10,10 @@ from hydro_env.mistakes import one_of
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import UNITS, in_si
 
-SIGNAL = "V or A"
-"""Unit of the question whose answer is a voltage or a current."""
-
+SIGNAL = "V or A"  # unit of the question whose answer is a voltage or a current
 LINE_KINDS = ("pipe", "hose")
 
-DIVISORS = ("rated_drop", "step_time", "full_signal")
-"""Optional answers that must be above zero."""
+DIVISORS = ("rated_drop", "step_time", "full_signal")  # optional answers that must be above zero
 
 
 class Question(NamedTuple):

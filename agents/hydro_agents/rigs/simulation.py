@@ -35,9 +35,7 @@ MOST_SAMPLES = 1_000_000
 LONGEST_RUN = 3600.0
 LARGEST_VOLTAGE = 10.0
 
-LARGEST_TABLE = 50_000_000
-"""Largest size in bytes; about a million rows of four columns."""
-
+LARGEST_TABLE = 50_000_000  # largest size in bytes; about a million rows of four columns
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
 

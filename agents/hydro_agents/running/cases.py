@@ -1,7 +1,8 @@
-"""Runs a controller on a list of independent episodes and returns their trajectories."""
+"""Runs a controller on a list of independent episodes; their trajectories, and its errors on validation plants."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.running.seeds import LEARNING_CURVE, SCALES
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.axes import Axes
 from hydro_env.errors import reason
@@ -260,3 +262,29 @@ def _act(
     if len(bad):
         raise ControllerError(f"{cases.describe(bad[0])}, at {time:.3f} s: predict returned {action[bad[0], 0]}")
     return np.where(alive[:, None], action, 0.0), answer[1]
+
+
+def validation_cases(config: TaskConfig) -> Cases:
+    """One plant for each family of references at three leaks: healthy, incipient, and the largest of the task."""
+    leakage = config.leakage
+    leaks = (math.sqrt(math.prod(leakage.healthy_range)), leakage.class_bounds[1], leakage.faulty_range[1])
+    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
+    grid = [(leak, family) for leak in leaks for family in families]
+    seeds = np.array(LEARNING_CURVE.take(len(grid)))
+    return Cases(seeds, np.array([leak for leak, _ in grid]), np.array([family for _, family in grid]))
+
+
+def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float, float, int]:
+    """Mean absolute tracking error over all cases (mm), that of the worst case (mm), and number of failed cases."""
+    run = run_cases(config, controller, validation_cases(config))
+    errors = 1e3 * np.abs(run.position - run.reference).mean(axis=1)
+    return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())
+
+
+def family_errors(config: TaskConfig, controller: Controller, plants: int = 16) -> dict[str, float]:
+    """Mean absolute tracking error (m) of a controller in each family of references, on training plants."""
+    families = [name for name, weight in config.references.weights.items() if weight > 0.0]
+    seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
+    run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
+    errors = np.abs(run.position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
+    return dict(zip(families, errors.tolist(), strict=True))

@@ -22,11 +22,8 @@ from rich.text import Text
 from hydro_agents.running.text import Table
 
 SECONDS_BETWEEN_LINES = 10.0
-SECONDS_OF_SILENCE = 20.0
-"""Off a terminal a line says that the work goes on when nothing has been printed for so long."""
-
-LONG_PIECE = 45.0
-"""s; if the first piece of work takes longer, the rate includes it."""
+SECONDS_OF_SILENCE = 20.0  # off a terminal a line says that the work goes on when nothing has been printed for so long
+LONG_PIECE = 45.0  # s; if the first piece of work takes longer, the rate includes it
 
 
 class PlainConsole(Console):
@@ -52,10 +49,7 @@ class PlainConsole(Console):
 def console_table(table: Table, left: Collection[int] = (0,), whole: bool = False) -> ConsoleTable:
     """A table for the console: the columns ``left`` hold words, the others numbers, which stand at the right.
 
-    Args:
-        table: its texts.
-        left: numbers of the columns with words.
-        whole: whether a number stays on one line even if the console is narrow.
+    With ``whole`` a number stays on one line even if the console is narrow.
     """
     shown = ConsoleTable(
         title=table.caption or None, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False

@@ -42,9 +42,7 @@ CODE = ("controllers", "running", "learning", "estimation", "detection", "evalua
 
 _JOBS_PER_ROUND = 4
 
-Columns = dict[str, NDArray[Any]]
-"""Numbers by name, arrays of any shape."""
-
+Columns = dict[str, NDArray[Any]]  # numbers by name, arrays of any shape
 Report = Callable[[str, int, int], None]
 """Called with the name of the phase, the number of finished jobs, and their total."""
 

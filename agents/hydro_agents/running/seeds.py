@@ -15,8 +15,7 @@ TRAINING_SEEDS = range(0, 1_000_000)
 VALIDATION_SEEDS = range(1_000_000, 2_000_000)
 TEST_SEEDS = range(2_000_000, 3_000_000)
 
-SEEDS_PER_FAMILY = 10_000
-"""Seeds of each family of references, in ranges that hold plants by family."""
+SEEDS_PER_FAMILY = 10_000  # seeds of each family of references, in ranges that hold plants by family
 
 
 @dataclass(frozen=True, order=True)
@@ -85,5 +84,4 @@ ALARM_GROWTH = SeedRange(2_950_000, 50_000, "leaks that grow under hydro alarms"
 
 LEDGER = {name: each for name, each in vars().items() if isinstance(each, SeedRange)}
 
-SEED_MARK = "#"
-"""Separates the name of a controller from the number of its training seed, as in ``PPO#3``."""
+SEED_MARK = "#"  # separates the name of a controller from the number of its training seed, as in PPO#3

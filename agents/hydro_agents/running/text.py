@@ -48,6 +48,11 @@ def listed(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 
+def capitalised(text: str) -> str:
+    """The text with a capital first letter."""
+    return text[:1].upper() + text[1:]
+
+
 def duration(seconds: float) -> str:
     """A duration in seconds, minutes or hours, as text."""
     if seconds < 60.0:

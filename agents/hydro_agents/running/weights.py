@@ -21,9 +21,7 @@ from hydro_env.files import Group, write_whole
 
 Tensors = Mapping[str, NDArray[Any]]
 FORMAT_VERSION = 1
-LARGEST_FILE = 2**31
-"""Largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake."""
-
+LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
 _DESCRIPTION, _DIGEST = "description", "digest"
 _OPTIMISER = "optimiser."
 

@@ -20,9 +20,9 @@ from hydro_agents.evaluation.participants import Participants, split_name
 from hydro_agents.evaluation.robustness_protocol import PairedCondition
 from hydro_agents.evaluation.runner import Results, run
 from hydro_agents.learning.trainers import Trainer, trainer
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import ERROR as VALIDATION_ERROR
 from hydro_agents.report.training_plots import learning_plots
+from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.jobs import JOBS_FOLDER, Columns, Job, run_jobs
@@ -73,14 +73,13 @@ class LadderSettings(Group):
             if name in self.controllers:
                 raise ValueError(f"rungs.{name}: is the name of a controller")
             if rung.after is not None and rung.after not in earlier:
-                guess = did_you_mean(rung.after, earlier)
-                raise ValueError(f"rungs.{name}: after = '{rung.after}': must be a rung before it{guess}")
+                must = f"must be a rung before it{did_you_mean(rung.after, earlier)}"
+                raise ValueError(f"rungs.{name}: after = '{rung.after}': {must}")
             if rung.kind is None and rung.after is None:
                 raise ValueError(f"rungs.{name}: kind is missing")
             if rung.corrects is not None and rung.corrects not in self.controllers:
-                raise ValueError(
-                    f"rungs.{name}: corrects = '{rung.corrects}': {one_of(rung.corrects, self.controllers)}"
-                )
+                must = one_of(rung.corrects, self.controllers)
+                raise ValueError(f"rungs.{name}: corrects = '{rung.corrects}': {must}")
             earlier.append(name)
         return self
 
@@ -132,9 +131,8 @@ class LadderSettings(Group):
         made = trainer(kind)
         checked = validate(made.settings, settings, f"rungs.{name}")
         if getattr(checked, "residual", False) and corrects is None:
-            raise ConfigurationError(
-                f"rungs.{name}: is trained as a correction (residual: true): give 'corrects: NAME'"
-            )
+            is_correction = "is trained as a correction (residual: true)"
+            raise ConfigurationError(f"rungs.{name}: {is_correction}: give 'corrects: NAME'")
         return Resolved(made, kind, corrects if getattr(checked, "residual", True) else None, checked)
 
     @staticmethod
@@ -144,11 +142,9 @@ class LadderSettings(Group):
 
     def protocol(self, test: bool) -> StudyProtocol:
         """The evaluation of every rung, on validation plants or on test plants."""
-        sizes = self.evaluation.model_dump()
-        task = {"task": PairedCondition()}
-        return StudyProtocol(
-            task=self.task, parts=("tracking",), seeds="EVALUATION" if test else "LADDER", conditions=task, **sizes
-        )
+        sizes, seeds = self.evaluation.model_dump(), "EVALUATION" if test else "LADDER"
+        conditions = {"task": PairedCondition()}
+        return StudyProtocol(task=self.task, parts=("tracking",), seeds=seeds, conditions=conditions, **sizes)
 
 
 class Resolved(NamedTuple):
@@ -194,12 +190,8 @@ def run_ladder(
         if name not in ladder.rungs:
             raise ConfigurationError(f"rung '{name}': {unknown(name, ladder.rungs)}")
     todo = [(name, seed) for seed in range(seeds or ladder.seeds) for name in chosen]
-    writes = [
-        *TABLES,
-        f"{JOBS_FOLDER}/*.npz",
-        f"rungs/*/{CURVE_FILE}",
-        *(f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE)),
-    ]
+    writes = [*TABLES, f"{JOBS_FOLDER}/*.npz", f"rungs/*/{CURVE_FILE}"]
+    writes += [f"rungs/*/*/{file}" for file in (*TRAINING_FILES, JOB_FILE)]
     with output_folder(folder, "ladder", writes, resume=resume, overwrite=overwrite), ProgressDisplay() as display:
         names = {f"{name}{SEED_MARK}{seed}": (name, seed) for name, seed in todo}
         trainings = {key: Job(train_rung, None, (ladder, *names[key], str(folder))) for key in names}
@@ -223,9 +215,8 @@ def run_ladder(
 def write_curve(ladder: LadderSettings, folder: Path, rung: str) -> None:
     """Draw the error of a rung during training, relative to the first controller, with the band of its seeds."""
     own = folder / "rungs" / rung
-    curves = [
-        read_curve(file).assign(controller=f"{rung}{SEED_MARK}{file.name}") for file in sorted(own.glob("seed *"))
-    ]
+    files = sorted(own.glob("seed *"))
+    curves = [read_curve(file).assign(controller=f"{rung}{SEED_MARK}{file.name}") for file in files]
     curve = pd.concat(curves, ignore_index=True) if curves else pd.DataFrame()
     if VALIDATION_ERROR in curve:  # the training has validations
         base = next(iter(ladder.controllers))
@@ -304,17 +295,16 @@ def rung_scores(
     row["mean"], row["geo"] = ratios(cases, reference)
     corrected = ratios(cases, classical[corrects]) if corrects is not None else (math.nan, math.nan)
     row["mean to corrected"], row["geo to corrected"] = corrected
-    for group in ("family", "leakage_flow_lpm"):
+    for group, label in (("family", "{}"), ("leakage_flow_lpm", "{:g} l/min")):
         for value, errors in cases.groupby(group, sort=False)[ERROR]:
-            label = f"{value:g} l/min" if group != "family" else str(value)
-            row[label] = errors.mean() / reference.loc[reference[group] == value, ERROR].mean()
+            row[label.format(value)] = errors.mean() / reference.loc[reference[group] == value, ERROR].mean()
     row["worst case"] = float(np.max(cases[ERROR].to_numpy() / reference[ERROR].to_numpy()))
     for metric in METRICS.values():
         if metric.ratio and metric.name in cases and metric.name in reference:
             there = float(reference[metric.name].mean())
             row[metric.ratio] = float(cases[metric.name].mean()) / there if there > 0.0 else math.nan
     row["failed"] = cases["failed"].sum()
-    row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else float("nan")
+    row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else math.nan
     return pd.DataFrame([row])
 
 
@@ -340,11 +330,8 @@ def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> 
             continue
         means, spread = own[figures].mean(), own[figures].std(ddof=1)
         seeds = int((own["seed"] >= 0).sum())
-        rows.append(
-            {"rung": name, "seeds": seeds, **means.to_dict(), **{f"{k} sd": v for k, v in spread.to_dict().items()}}
-        )
-        cells = [name, str(seeds or "–"), *(_cell(means[figure], spread[figure], figure) for figure in figures)]
-        lines.append(cells)
+        rows.append({"rung": name, "seeds": seeds, **means, **spread.add_suffix(" sd")})
+        lines.append([name, str(seeds or "–"), *(_cell(means[figure], spread[figure], figure) for figure in figures)])
     costs = ", ".join(metric.word.lower() for metric in METRICS.values() if metric.cost and metric.ratio)
     note = (
         f"Ratios to {reference} on the same cases: mean error over all cases; geo, the geometric mean of the families' "

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.training_plots import BASE_ERROR, ERROR, learning_plots
+from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.seeds import SEED_MARK

@@ -18,12 +18,11 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.learning.opponents import shipped_weights
-from hydro_agents.learning.validation import validation_errors
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY, content_of, tables_of
 from hydro_agents.report.traces import Example
-from hydro_agents.running.cases import Cases, run_cases
+from hydro_agents.running.cases import Cases, run_cases, validation_errors
 from hydro_agents.running.console import ProgressDisplay, console_table
 from hydro_agents.running.machine import date_now, machine_description, package_versions
 from hydro_agents.running.seeds import EXPERIMENT_AXES
@@ -190,20 +189,14 @@ def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
         display.console.lines(console_table(_detection(evaluation)))
 
 
-def _ratio_to_first(evaluation: Evaluation, name: str, group: str) -> str:
-    ratios = evaluation.ratios
-    row = ratios[(ratios["controller"] == name) & (ratios["group"] == group)].iloc[0]
-    return f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]"
-
-
 def _errors_in_all(evaluation: Evaluation) -> Table:
     """One row per controller, with its ratio to the first."""
-    first, *others = evaluation.controllers
-    means = evaluation.cases.groupby("controller")["mean_error_mm"].mean()
-    rows = [(first, f"{means[first]:.4f}", "", "")]
-    for name in others:
-        whole, equal = (_ratio_to_first(evaluation, name, group) for group in ("all", "equal_weight"))
-        rows.append((name, f"{means[name]:.4f}", whole, equal))
+    first, content = evaluation.controllers[0], content_of(evaluation)
+    rows = []
+    for name, mean in evaluation.cases.groupby("controller", sort=False)["mean_error_mm"].mean().items():
+        found = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
+        ratios = (f"{row['ratio']:.3f} [{row['low']:.3f}, {row['high']:.3f}]" if row else "" for row in found)
+        rows.append((str(name), f"{mean:.4f}", *ratios))
     header = ("controller", "mm", f"÷ {first} [95 %]", "references weighted equally")
     return Table("Mean absolute tracking error (test plants)", header, rows)
 

@@ -1,7 +1,11 @@
-"""Settings of a study: the task, the controllers, the training of the leakage head, the size of the evaluation."""
+"""Settings of a study: task, controllers, training of the leakage head, size of the evaluation.
+
+On another task or rig gains are tuned first, and controllers that need a sensor that the rig lacks are left out.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 
-from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
@@ -18,7 +22,10 @@ from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.folders import config_file
 from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
+from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import SENSORS
 
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
 
@@ -86,10 +93,9 @@ class StudySettings(Group):
         earlier: list[str] = []
         for name, entry in self.controllers.items():
             if entry.corrects is not None and entry.corrects not in earlier:
-                raise ValueError(
-                    f"controllers.{name}: corrects = '{entry.corrects}': must be a controller before it"
-                    f" ({', '.join(earlier) or 'none'}){did_you_mean(entry.corrects, earlier)}"
-                )
+                known = f"({', '.join(earlier) or 'none'}){did_you_mean(entry.corrects, earlier)}"
+                must = f"must be a controller before it {known}"
+                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}")
             earlier.append(name)
         return self
 
@@ -103,18 +109,14 @@ class StudySettings(Group):
             ConfigurationError: unreadable file, unknown key or impossible value.
         """
         values = read_yaml(path)
-        folder = Path(path).parent
         errors: list[ConfigurationError] = []
         with kept(errors):
             if "task" in values:
                 values["task"] = read_task(values.pop("task"), Path(path))
-        groups: dict[str, type[Group]] = {
-            "leakage_head": HeadTrainingSettings,
-            "evaluation": ProtocolSettings,
-        }
+        groups: dict[str, type[Group]] = {"leakage_head": HeadTrainingSettings, "evaluation": ProtocolSettings}
         for key, group in groups.items():
             if isinstance(values.get(key), str):
-                file = folder / values.pop(key)
+                file = Path(path).parent / values.pop(key)
                 with kept(errors):
                     values[key] = validate(group, read_yaml(file), str(file))
         with kept(errors):
@@ -251,3 +253,97 @@ class StudySettings(Group):
                     others = {key: value for key, value in study.controllers.items() if key != name}
                     study = study.model_copy(update={"controllers": others})
         return study.with_weights(agents), reasons
+
+
+# Another task or rig ------------------------------------------------------------------------------------------------
+
+
+def default_study(
+    path: Path | None = None, task: str | Path | None = None, rig: str | Path | None = None
+) -> StudySettings:
+    """The study of a file or of ``make study``, optionally with another task or rig.
+
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
+    absent sensors are left out, with one line each on standard error.
+
+    Args:
+        path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
+        task: name or file of the task, instead of the study's.
+        rig: name or file of another rig for the task.
+
+    Raises:
+        ConfigurationError: a file is wrong, or settings contradict each other.
+    """
+    study = StudySettings.from_yaml(config_file("studies", path or "default"))
+    if task is None and rig is None:
+        return study
+    changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
+    if rig is not None:
+        changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
+        changes["controllers"] = {
+            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
+            if entry.kind in CONTROLLERS
+            else entry
+            for name, entry in study.controllers.items()
+        }
+    study, notes = without_absent_sensors(study.model_copy(update=changes))
+    for note in notes:
+        print(f"hydro: {note}", file=sys.stderr)
+    study.check("study" if path is None else str(path))
+    return study
+
+
+def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
+    """The part of a study that works with the sensors of its task.
+
+    A classical controller that reads an absent sensor is left out. A policy that corrects such a controller corrects
+    the last classical one before it instead. The leakage head needs all sensors.
+
+    Args:
+        study: the study.
+
+    Returns:
+        The study, and one line per change; the study itself if the rig lacks no sensor.
+
+    Raises:
+        ConfigurationError: no controller is left.
+    """
+    absent = [name for name in SENSORS if not getattr(study.task.sensors, name).fitted]
+    if not absent:
+        return study, []
+    kept: dict[str, ControllerEntry] = {}
+    notes = []
+    for name, entry in study.controllers.items():
+        if entry.kind in CONTROLLERS and (reason := _refusal(entry, study.task)):
+            notes.append(f"{name} is left out: {reason}")
+            continue
+        if entry.corrects is not None and entry.corrects not in kept:
+            others = [other for other, one in kept.items() if one.kind in CONTROLLERS]
+            if not others:
+                notes.append(f"{name} is left out: it corrects {entry.corrects}")
+                continue
+            notes.append(f"{name} corrects {others[-1]} instead of {entry.corrects}")
+            entry = _correcting(entry, others[-1], CONTROLLERS[kept[others[-1]].kind][0])
+        kept[name] = entry
+    if not kept:
+        raise ConfigurationError(f"no controller works with the sensors of this rig: {notes[0]}")
+    changes: dict[str, Any] = {"controllers": kept}
+    if study.leakage_head is not None:
+        notes.append(f"no leakage head: it reads {', '.join(absent)}, but this rig has no such sensor")
+        changes["leakage_head"] = None
+    return study.model_copy(update=changes), notes
+
+
+def _refusal(entry: ControllerEntry, task: TaskConfig) -> str:
+    try:
+        make_controller(entry.kind, task, entry.settings)
+    except ConfigurationError as error:
+        return str(error)
+    return ""
+
+
+def _correcting(entry: ControllerEntry, base: str, controller: type[ClassicalController]) -> ControllerEntry:
+    """The entry of a policy that corrects another controller, whose estimates it sees only if there are any."""
+    estimates = entry.settings.get("see_estimates", False) and hasattr(controller, "estimate_names")
+    settings = entry.settings | ({"see_estimates": estimates} if "see_estimates" in entry.settings else {})
+    return entry.model_copy(update={"corrects": base, "settings": settings})
