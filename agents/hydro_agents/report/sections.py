@@ -30,9 +30,9 @@ from hydro_env.mistakes import unknown
 TEMPLATE = Path(__file__).parent / "page.html.j2"
 MODULES = tuple(
     f"hydro_agents.report.{name}"
-    for name in ("shared", "robustness", "experiments", "leakage", "study", "study_detection", "training_plots")
+    for name in ("shared", "study_detection", "training_plots", "experiments", "robustness", "leakage", "study")
 )
-"""Modules whose sections any list may name."""
+"""Modules whose sections any list may name; parts of pages first, as a page's own module is loaded with its command."""
 
 
 class Finding(NamedTuple):
