@@ -23,7 +23,7 @@ FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 PYTHON = [
     (name, number)
     for name, text in TEXTS.items()
-    if name.startswith("docs/")
+    if name.startswith(("docs/", "README"))
     for number, (kind, _) in enumerate(FENCE.findall(text))
     if kind == "python"
 ]
@@ -57,7 +57,7 @@ def given(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("page", "number"), [pytest.param(*block, marks=pytest.mark.slow if block[0] in SLOW else ()) for block in PYTHON]
 )
-def test_python_runs(page, number, given):
+def test_python_runs(page, number, given, capsys):
     if page in ELSEWHERE:
         compile(FENCE.findall(TEXTS[page])[number][1], page, "exec")
         pytest.skip(f"{ELSEWHERE[page]} is no dependency: tests/robustness/test_backends.py runs this code")
@@ -67,6 +67,14 @@ def test_python_runs(page, number, given):
             pytest.skip(f"{package} is not installed: tests/test_libraries.py uses it where it is")
     space = {**given, "__name__": "__main__"}
     exec(compile(block, f"{page}, block {number}", "exec"), space)
+    assert page != "README.md" or capsys.readouterr().out.strip()
+
+
+def test_the_readme_shows_a_loop_and_targets_that_exist():
+    assert any("gym.make(" in block and "env.step(" in block for _, block in FENCE.findall(TEXTS["README.md"]))
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for target in re.findall(r"`make ([a-z-]+)", TEXTS["README.md"]):
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), target
 
 
 def lines_of_commands():
