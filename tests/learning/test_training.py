@@ -90,7 +90,7 @@ def test_log_of_a_training(tmp_path):
     assert list(pd.read_csv(tmp_path / PROGRESS_FILE)[STEPS]) == [256, 512, 768, 1024]
     rate = [row["train/learning_rate"] for row in rows]
     np.testing.assert_allclose(rate, 0.001 + 0.009 * 0.5 * (1 + np.cos(np.pi * share)))
-    np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * share), rtol=1e-6)
+    np.testing.assert_allclose([row["train/std"] for row in rows], np.exp(-1.5 - 1.5 * (share - 0.25)), rtol=1e-6)
     assert policy.log_standard_deviation == -3.0
     for name in ("approx_kl", "clip_fraction", "explained_variance", "entropy_loss", "value_loss", "loss"):
         assert np.isfinite([row[f"train/{name}"] for row in rows]).all()
@@ -108,6 +108,17 @@ def test_log_of_a_training(tmp_path):
     assert rows[-1]["validation/base_mean_error_mm"] == base[0] != mean
     assert rows[-1]["validation/error_to_corrected"] == mean / base[0]
     assert all(row["reward/tracking"] < 0.0 == row["reward/prices"] for row in rows)
+
+
+def test_an_update_begins_with_the_policy_of_its_rollout(tmp_path):
+    """Ratio 1 in the first minibatch of each update, here the only one, although the exploration falls by e³."""
+    settings = {"epochs": 1, "minibatches": 1, "initial_log_standard_deviation": 0.0}
+    train_ppo(CONFIG, SETTINGS.model_copy(update=settings), BASE, folder=tmp_path)
+    rows = read_progress(tmp_path / PROGRESS_FILE)
+    assert rows[-1]["train/std"] == pytest.approx(np.exp(-2.25))
+    divergence = [row["train/approx_kl"] for row in rows]  # mean of ratio − 1 − ln ratio, 0 where the ratio is 1
+    np.testing.assert_allclose(divergence, 0.0, atol=1e-7)
+    assert all(row["train/clip_fraction"] == 0.0 for row in rows)
 
 
 def test_the_discount_is_that_of_a_time_relative_to_the_rig():
