@@ -1,4 +1,4 @@
-"""Schedules of an episode: the leak past the piston, and the external force."""
+"""Draws and schedules of an episode: the leak past the piston, and the external force."""
 
 from __future__ import annotations
 
