@@ -115,7 +115,8 @@ class FeatureState(NamedTuple):
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
         base = rows(self.base, axes) if self.base is not None else None
-        return self._replace(base=base, **{name: array[axes] for name, array in self.arrays().items()})
+        chosen: dict[str, Any] = {name: array[axes] for name, array in self.arrays().items()}
+        return self._replace(base=base, **chosen)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays with one row per axis, without those of the corrected controller."""

@@ -89,7 +89,7 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
 
 def discount(config: TaskConfig, settings: TrainingSettings) -> float:
     """Discount per control period: that of the settings holds per step of the rig."""
-    return settings.discount ** (1.0 / periods_per_step(config))
+    return math.pow(settings.discount, 1.0 / periods_per_step(config))
 
 
 def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConfig:
