@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.ladder import JOB_FILE, LadderSettings, ratios, run_ladder, rung_scores
 from hydro_env import ConfigurationError
-from hydro_env.files import validate, write_yaml
+from hydro_env.files import read_yaml, validate, write_yaml
 
 SMALL = {"steps_per_rollout": 8, "minibatches": 1, "epochs": 1}
 LADDER = {
@@ -155,6 +156,14 @@ def test_the_shipped_ladder_can_be_trained():
     settings = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml")
     assert len(settings.rungs) >= 10
     assert settings.seeds >= 5
+
+
+def test_the_direct_policy_of_the_ladder_is_that_of_the_studies():
+    """One set of settings, so that the pages do not contradict each other; only the length differs."""
+    rung = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml").resolved("PPO alone").settings
+    study = validate(PPOSettings, read_yaml(config_folder() / "agents" / "ppo_direct.yaml"), "ppo_direct.yaml")
+    shorter = {"total_steps": 1_000_000, "validation_every": 0}
+    assert rung.model_dump() == study.model_dump() | shorter
 
 
 def test_the_task_of_a_file_is_the_name_of_a_task_and_its_plant_that_of_a_rig(tmp_path):
