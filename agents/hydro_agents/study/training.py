@@ -15,7 +15,7 @@ from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.tuning import Tuned, tune
-from hydro_agents.rigs.check import stable_start
+from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
 from hydro_agents.study.settings import StudySettings, TuningSettings
 from hydro_env import TaskConfig
