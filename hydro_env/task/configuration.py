@@ -131,6 +131,12 @@ class Disturbance(TaskGroup):
     kind: Literal["none", "step", "pulse", "sine", "mixed"] = Field(
         "none", description="of the changing force; mixed: step, pulse or sine, drawn per episode"
     )
+    share: Number = Field(
+        1.0,
+        ge=0.0,
+        le=1.0,
+        description="share of episodes with these forces, steady and changing; the others have none",
+    )
     force_range: Range = interval((200.0, 1000.0), "N", "amplitude; the sign is drawn", 0.0, 1e6)
     force_share: Range = interval(
         (0.0, 0.0),

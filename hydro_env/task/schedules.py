@@ -1,4 +1,4 @@
-"""Schedules of an episode: the leak past the piston, and the external force."""
+"""Draws and schedules of an episode: the leak past the piston, and the external force."""
 
 from __future__ import annotations
 
@@ -82,12 +82,18 @@ def set_leak(row, coefficient, time, settings):
 
 
 @inline
+def _disturbed(key, settings):
+    """Whether the forces of the disturbance act in an episode."""
+    return uniform(key, 7) < settings.disturbance.share
+
+
+@inline
 def draw_steady_force(row, coefficient, key, settings):
     """Add the constant part of the disturbance to the plant's own external force."""
     share = settings.disturbance.steady_share
     c = read_coefficients(coefficient)
     out, back = supply_forces(c)
-    part = between(key, 4, share[0], share[1])
+    part = between(key, 4, share[0], share[1]) if _disturbed(key, settings) else 0.0
     row.force_base = c.external_force + (part * out if uniform(key, 5) < 0.5 else -part * back)
     coefficient[_EXTERNAL_FORCE] = row.force_base
 
@@ -96,8 +102,11 @@ def draw_steady_force(row, coefficient, key, settings):
 def draw_changing_force(row, coefficient, key, settings):
     """Draw kind, amplitude, start and frequency of the changing part of the disturbance of an episode."""
     disturbance = settings.disturbance
-    row.force_kind = disturbance.kind
+    row.force_kind, row.force_amplitude = disturbance.kind, 0.0
     if disturbance.kind == _NONE:
+        return
+    if not _disturbed(key, settings):
+        row.force_kind = _NONE
         return
     if disturbance.kind == _MIXED:
         row.force_kind = 1.0 + math.floor(_CHANGING * uniform(key, 6))

@@ -1,7 +1,7 @@
 """The measured signals, and the observation.
 
 To add a measured signal, add a ``Sensor`` to :class:`~hydro_env.task.sensors.Sensors`, its true value to
-:func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`.
+:func:`sample`, and its row and value to :func:`_entries` and :func:`write_observation`; CONTRIBUTING shows every line.
 """
 
 from __future__ import annotations

@@ -128,6 +128,33 @@ def test_a_state_that_was_given_is_never_changed():
         np.testing.assert_array_equal(following.ring, after.ring)
 
 
+def test_exploration_draws_from_the_state():
+    """One state gives one command, and a kept state goes on bit for bit; without exploration nothing is drawn."""
+    features = PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG))
+    layers = [(np.zeros((1, features.size), dtype=np.float32), np.zeros(1, dtype=np.float32))]
+    policy = PolicyController(features, layers, log_standard_deviation=-2.0)
+    rows = np.random.default_rng(0).standard_normal((400, 4, len(LAYOUT.names))).astype(np.float32)
+    state, seen, corrections = None, [], []
+    for row in rows:
+        action, after = policy.predict(row, state, deterministic=False)
+        seen.append((row, state, action))
+        corrections.append(action - policy.predict(row, state)[0])
+        state = after
+    for row, before, action in reversed(seen):
+        np.testing.assert_array_equal(policy.predict(row, before, deterministic=False)[0], action)
+    again = seen[200][1]
+    for row, _, action in seen[200:]:
+        repeated, again = policy.predict(row, again, deterministic=False)
+        np.testing.assert_array_equal(repeated, action)
+    free = np.abs([action for *_, action in seen]) < 1.0  # not at the limit of the command
+    drawn = np.array(corrections)[free] / features.residual_scale
+    assert len(drawn) > 500
+    assert drawn.std() == pytest.approx(np.exp(-2.0), rel=0.1)
+    other = policy.predict(rows[1], seen[1][1]._replace(noise=np.random.default_rng(7)), deterministic=False)[0]
+    assert not np.array_equal(other, seen[1][2])
+    assert policy.predict(rows[0])[1].noise is None
+
+
 def test_memory_of_some_axes_goes_on_alone():
     features = PolicyFeatures(CONFIG, PID(PIDGains(), CONFIG))
     rows = np.random.default_rng(0).standard_normal((50, 4, len(LAYOUT.names))).astype(np.float32)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.learning.features import LASTING_TIME, PolicyFeatures
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings, Prices
@@ -150,6 +151,22 @@ def test_reward_in_units_of_the_family():
     assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
     assert sorted(measured) == sorted(name for name in REFERENCE_FAMILIES if name != "user")
     assert measured["step"] > measured["point_to_point"] > 0.0
+
+
+def test_units_of_the_family_in_the_frame_of_the_sensor():
+    """Without the bias, which no controller sees, a smooth motion has smaller errors."""
+    task = TaskConfig(episode_duration=1.0, references={"weights": {"ramp": 1, "step": 1}})
+    exact = TaskConfig(**task.model_dump() | {"sensors": {"enabled": False}})
+    scales = {}
+    for frame, config in ((True, task), ("sensor", task), (True, exact), ("sensor", exact)):
+        settings = PPOSettings(axes=2, family_units=frame, steps_per_rollout=4)
+        env = make_env(config, settings, PolicyFeatures(config, make_controller("flow_linearising", config)), 0)
+        scales[frame, config.sensors.enabled] = env.env.config.reward.family_scale
+        env.close()
+    assert scales["sensor", True]["ramp"] < 0.9 * scales[True, True]["ramp"]
+    assert scales["sensor", False] == pytest.approx(scales[True, False], rel=1e-6)
+    with pytest.raises(ConfigurationError, match="family_units = 'axis'"):
+        validate(PPOSettings, {"family_units": "axis"}, "ppo.yaml")
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
+from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.learning.features import HISTORY_LAGS, HISTORY_SIGNALS, PolicyFeatures
+from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import Prices
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
 from hydro_env.task.rewards import REWARD_TERMS
 
 CONFIG = TaskConfig(episode_duration=0.1)
@@ -103,6 +106,22 @@ def test_history_holds_differences_at_the_lags():
     columns = [LAYOUT.index(name) for name in HISTORY_SIGNALS]
     for number, lag in enumerate(HISTORY_LAGS):
         np.testing.assert_allclose(past[:, number], rows[-1][:, columns] - rows[-1 - lag][:, columns], rtol=1e-6)
+
+
+def test_history_reaches_back_as_far_relative_to_any_rig(tmp_path):
+    assert PolicyFeatures(TaskConfig(), None).lags == HISTORY_LAGS
+    for task in (task_config(rig="aalborg_svsdp_2017"), task_config("period_2ms"), task_config("period_10ms")):
+        features = PolicyFeatures(task, None)
+        assert max(features.lags) * task.control_period == pytest.approx(
+            36 / 1.54 * pace(task), abs=task.control_period
+        )
+        assert list(features.lags) == sorted(set(features.lags))
+        observation = np.zeros((2, len(ObservationLayout.of(task).names)), dtype=np.float32)
+        assert features(observation, None, None)[0].shape == (2, features.size)
+    stored = PolicyFeatures(task, None, lags=(1, 4))  # weights keep the history of their training
+    layers = [(np.ones((1, stored.size), dtype=np.float32), np.zeros(1, dtype=np.float32))]
+    PolicyController(stored, layers).save(tmp_path / "policy")
+    assert PolicyController.load(tmp_path / "policy").features.lags == (1, 4)
 
 
 def test_history_restarts_with_the_episode():

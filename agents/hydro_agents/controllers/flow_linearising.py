@@ -123,7 +123,7 @@ class FlowLinearising:
         # Without a spool sensor, the last command replaces the spool position.
         self._spool = "spool_position" if "spool_position" in self.layout.names else "previous_command"
         self.delay = _delay(config)
-        self.pace = max(self.delay, math.pi / closed_port_natural_frequency(config.plant))
+        self.pace = pace(config)
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
         self._model = FlowModel(plant)
         self._preview = Preview(config)
@@ -258,6 +258,11 @@ class FlowLinearising:
         wanted = smooth[:, 0] + self._friction / flow.stiffness * (turned[:, 0] - turned[:, 1])
         target = now.reference[:, 1] + smooth[:, 1] + self._jumps.begun(jumps, flow.force, now.supply)
         return wanted, target - place
+
+
+def pace(config: TaskConfig) -> float:
+    """Time in s by which a rig is fast or slow: its delay, or half a period of its oscillation if that is longer."""
+    return max(_delay(config), math.pi / closed_port_natural_frequency(config.plant))
 
 
 def _delay(config: TaskConfig) -> float:

@@ -1,7 +1,8 @@
 """What a leak detector is: it reads windows of measured signals and gives one reading for each.
 
-A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol,
-``hydro alarms`` and ``hydro diagnose`` use all detectors through this interface. A detector of your own::
+A detector is any object with ``threshold``, ``refuses`` and ``read`` (:class:`Detector`). The leakage protocol and
+``hydro alarms`` take any detector through this interface; ``hydro diagnose`` reads its estimator and head through it. A
+detector of your own::
 
     class PressureDrop:
         threshold = None  # the leakage protocol computes it

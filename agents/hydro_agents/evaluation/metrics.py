@@ -28,7 +28,8 @@ ERROR = "mean_error_mm"  # the metric by which controllers are compared
 class Metric(NamedTuple):
     """A figure of one episode: its column in every CSV file, and how tables and pages show it.
 
-    An entry of :data:`METRICS` and its computation in :func:`case_metrics` add a metric to every table and page.
+    An entry of :data:`METRICS` and its computation in :func:`case_metrics` add a metric to every table and page that
+    compares controllers.
     """
 
     name: str

@@ -12,7 +12,7 @@ import pandas as pd
 from hydro_agents.controllers.base import Controller, ObservationLayout
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.evaluation.robustness_protocol import ControllerChoice, PairedProtocol
-from hydro_agents.learning.features import HISTORY_LAGS, PolicyFeatures
+from hydro_agents.learning.features import PolicyFeatures
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, opponent
 from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.cases import Cases, Rollout, check_predict
@@ -184,7 +184,7 @@ def _memory(controller: Controller) -> str:
         return ", ".join(names)
     features = getattr(controller, "features", None)
     if isinstance(features, PolicyFeatures):
-        return f"signals of the last {1e3 * max(HISTORY_LAGS) * features.layout.control_period:g} ms"
+        return f"signals of the last {1e3 * max(features.lags) * features.layout.control_period:g} ms"
     return "unknown"
 
 

@@ -231,7 +231,7 @@ def session(model: BaseAlgorithm, env: AxisVecEnv, callback: SessionCallback) ->
 
 
 class TrainingCallback(SessionCallback):
-    """Logs, writes checkpoints and calls ``check`` between rollouts of PPO; sets the exploration after each."""
+    """Logs, writes checkpoints and calls ``check`` between rollouts of PPO; sets the exploration of each."""
 
     model: PPO
 
@@ -269,10 +269,6 @@ class TrainingCallback(SessionCallback):
         return not self._ended
 
     def _on_rollout_end(self) -> None:
-        settings, steps = self._settings, self.num_timesteps
-        share = min(steps / settings.total_steps, 1.0)
-        with torch.no_grad():
-            self.model.policy.get_parameter("log_std").fill_(settings.log_standard_deviation_at(share))
         self.report()
 
     def _on_training_end(self) -> None:
@@ -281,8 +277,14 @@ class TrainingCallback(SessionCallback):
         self.write_checkpoint()
 
     def _between_rollouts(self) -> None:
-        """Log the last rollout and its update, and copy the state at the start of the next rollout."""
-        steps = self.num_timesteps
+        """Log the last rollout and its update, set the exploration of the next, and copy the state at its start.
+
+        A rollout and its update share one exploration; otherwise the ratio of PPO would not begin at 1.
+        """
+        settings, steps = self._settings, self.num_timesteps
+        share = min(steps / settings.total_steps, 1.0)
+        with torch.no_grad():
+            self.model.policy.get_parameter("log_std").fill_(settings.log_standard_deviation_at(share))
         if steps > self._logged:
             due = self.validates(steps, steps - self._logged) or (self._every and steps >= self._total)
             self._log(steps, self._validate() if due else {})

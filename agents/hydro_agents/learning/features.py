@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import ClassicalController, Floats, ObservationLayout, rows
+from hydro_agents.controllers.flow_linearising import pace
 from hydro_agents.controllers.preview import Preview
 from hydro_agents.controllers.registry import kind_of
 from hydro_agents.running.seeds import SCALES
@@ -34,7 +35,9 @@ HISTORY_SIGNALS = (
     "previous_command",
     "tracking_error",
 )
-HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in control periods
+HISTORY_LAGS = (1, 2, 3, 5, 8, 12, 18, 26, 36)  # ages of the samples in the history, in steps of the rig
+STEPS_PER_PACE = 1.54
+"""A *step of the rig* is this part of its pace; in the default task, whose pace is 7.7 ms, it is a control period."""
 
 LASTING_TIME = 0.2  # s; time constant of the slow average of the correction. Integral action handles slower errors.
 PREVIEW_SCALE = 0.01  # m; scale of the rebuilt samples of the preview, the same as in the observation
@@ -79,6 +82,17 @@ def observed(
     return Normalisation(centre.astype(np.float32), np.where(unit > 1e-9, unit, 1.0).astype(np.float32))
 
 
+def periods_per_step(config: TaskConfig) -> float:
+    """Control periods in a step of the rig; 1 in the default task."""
+    return round(pace(config) / config.control_period / STEPS_PER_PACE, 9)
+
+
+def history_lags(config: TaskConfig) -> tuple[int, ...]:
+    """:data:`HISTORY_LAGS` in control periods, each at least one, equal ones once."""
+    periods = periods_per_step(config)
+    return tuple(sorted({max(round(lag * periods), 1) for lag in HISTORY_LAGS}))
+
+
 class FeatureState(NamedTuple):
     """Memory of N axes; no call changes its argument."""
 
@@ -91,6 +105,7 @@ class FeatureState(NamedTuple):
 
     lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
     reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
+    noise: np.random.Generator | None = None  # of the exploration; whoever draws from it draws from a copy
 
     def aligned(self) -> FeatureState:
         """The same memory with the oldest signals at index 0 of the ring."""
@@ -100,8 +115,12 @@ class FeatureState(NamedTuple):
     def rows(self, axes: NDArray[np.int64]) -> FeatureState:
         """The memory of some axes."""
         base = rows(self.base, axes) if self.base is not None else None
-        arrays = {name: array[axes] for name, array in self._asdict().items() if name not in ("base", "slot")}
-        return FeatureState(base=base, slot=self.slot, **arrays)
+        chosen: dict[str, Any] = {name: array[axes] for name, array in self.arrays().items()}
+        return self._replace(base=base, **chosen)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays with one row per axis, without those of the corrected controller."""
+        return {name: value for name, value in self._asdict().items() if name not in ("base", "slot", "noise")}
 
 
 class PolicyFeatures:
@@ -116,6 +135,7 @@ class PolicyFeatures:
             memory.
         see_estimates: whether the policy sees the estimates of the corrected controller.
         normalisation: of the inputs; ``None`` leaves them as they are.
+        lags: ages of the samples in the history, in control periods; default: :func:`history_lags` of the task.
 
     Raises:
         ConfigurationError: the corrected controller has no estimates.
@@ -130,6 +150,7 @@ class PolicyFeatures:
         full_preview: bool = False,
         see_estimates: bool = False,
         normalisation: Normalisation | None = None,
+        lags: tuple[int, ...] | None = None,
     ) -> None:
         self.config = config
         self.normalisation = normalisation
@@ -142,8 +163,9 @@ class PolicyFeatures:
         self.residual_scale = residual_scale if base is not None else 1.0
         self.history = tuple(name for name in HISTORY_SIGNALS if name in layout.names)  # a rig may lack sensors
         self._columns = np.array([layout.index(name) for name in self.history])
-        self._lags = np.array(HISTORY_LAGS)
-        self._length = max(HISTORY_LAGS) + 1
+        self.lags = lags if lags is not None else history_lags(config)
+        self._lags = np.array(self.lags)
+        self._length = max(self.lags) + 1
         self.see_correction = see_correction and base is not None
         self._command_column = layout.index("previous_command")
         self._blend = np.float32(config.control_period / (config.control_period + LASTING_TIME))
@@ -153,7 +175,7 @@ class PolicyFeatures:
         own = 0 if base is None else 3 if self.see_correction else 1
         rebuilt = len(self._rebuilt) if full_preview else 0
         own += len(estimates) if self.see_estimates else 0
-        self.size = len(layout.names) + own + rebuilt + len(self.history) * len(HISTORY_LAGS)
+        self.size = len(layout.names) + own + rebuilt + len(self.history) * len(self.lags)
 
     def __call__(
         self, observation: Floats, state: FeatureState | None, episode_start: NDArray[np.bool_] | None
@@ -183,7 +205,7 @@ class PolicyFeatures:
             reference[started] = self._preview.start(observation[started])
         ring[:, state.slot] = signals
         past = ring[:, (state.slot - self._lags) % self._length].reshape(len(signals), -1)
-        changes = np.tile(signals, len(HISTORY_LAGS)) - past
+        changes = np.tile(signals, len(self.lags)) - past
         state = state._replace(ring=ring, slot=(state.slot + 1) % self._length, reference=reference)
         seen = [inputs]
         if self.full_preview:
@@ -220,7 +242,7 @@ class PolicyFeatures:
 
     def _with(self, normalisation: Normalisation | None) -> PolicyFeatures:
         options = (self.residual_scale, self.see_correction, self.full_preview, self.see_estimates)
-        return PolicyFeatures(self.config, self.base, *options, normalisation)
+        return PolicyFeatures(self.config, self.base, *options, normalisation, self.lags)
 
     def lasting_after(self, correction: NDArray[np.float32], state: FeatureState) -> NDArray[np.float32]:
         """The slow average of the correction after a period with ``correction``, (N, 1)."""
@@ -249,5 +271,5 @@ class PolicyFeatures:
             "see_estimates": self.see_estimates,
             "normalised": self.normalisation is not None,
             "history_signals": list(self.history),
-            "history_lags": list(HISTORY_LAGS),
+            "history_lags": list(self.lags),
         }

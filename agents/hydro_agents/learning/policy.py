@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from pydantic import ConfigDict, Field
 
 from hydro_agents.controllers.base import Floats, as_batch
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.learning.features import FEATURE_LIMIT, HISTORY_LAGS, FeatureState, Normalisation, PolicyFeatures
+from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from stable_baselines3.common.vec_env import VecEnv
 
 KIND = "policy"
+LONGEST_LAG = 10_000  # control periods; more must be a mistake
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 
@@ -39,7 +41,7 @@ class _StoredFeatures(Group):
     see_estimates: bool = False
     normalised: bool = False
     history_signals: tuple[str, ...]
-    history_lags: tuple[int, ...]
+    history_lags: tuple[Annotated[int, Field(ge=1, le=LONGEST_LAG)], ...] = Field(min_length=1, max_length=100)
 
 
 class _StoredPolicy(Group):
@@ -58,7 +60,8 @@ class PolicyController:
     """An actor network of dense layers from features to a command, trained by PPO or A2C.
 
     It has the interface of every controller; see :class:`~hydro_agents.controllers.base.Controller`.
-    ``deterministic=False`` adds Gaussian exploration noise of the trained size.
+    ``deterministic=False`` adds Gaussian exploration noise of the trained size. Its generator is part of the state; a
+    new one begins with seed 0, and ``state._replace(noise=np.random.default_rng(7))`` gives it another.
 
     Args:
         features: map observations to policy inputs, and outputs to commands.
@@ -98,7 +101,6 @@ class PolicyController:
         self.activation = activation
         self.critic = critic
         self.output = output
-        self._generator = np.random.default_rng(0)
 
     def predict(
         self,
@@ -117,7 +119,9 @@ class PolicyController:
         weight, bias = self.layers[-1]
         output = values @ weight.T + bias
         if not deterministic:
-            output = output + np.exp(self.log_standard_deviation) * self._generator.standard_normal(output.shape)
+            generator = deepcopy(state.noise) or np.random.default_rng(0)
+            output = output + np.exp(self.log_standard_deviation) * generator.standard_normal(output.shape)
+            state = state._replace(noise=generator)
         command = self.features.command(np.tanh(output) if self.output == "tanh" else output, state)
         return (command[0] if single else command), state
 
@@ -252,10 +256,11 @@ class PolicyController:
                 described.see_correction,
                 described.full_preview,
                 described.see_estimates,
+                lags=described.history_lags,
             )
         except ConfigurationError as error:
             raise ConfigurationError(f"{path}: {error}") from None
-        if (described.history_signals, described.history_lags) != (features.history, HISTORY_LAGS):
+        if described.history_signals != features.history:
             raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         critic_sizes = stored.critic_layer_sizes or sizes
         for name, found in (("layer_sizes", sizes), ("critic_layer_sizes", critic_sizes)):

@@ -48,8 +48,10 @@ class TrainingSettings(Group):
     paired: bool = Field(
         True, description="reward relative to a twin under the corrected controller (residual form only)"
     )
-    family_units: bool = Field(
-        False, description="reward relative to the corrected controller's mean error in the family of the reference"
+    family_units: Literal[False, True, "sensor"] = Field(
+        False,
+        description="reward relative to the corrected controller's mean error in the family of the reference: true: of "
+        "the true position; sensor: of the position with its sensor's bias",
     )
     prices: Prices = Field(default_factory=Prices)
     practice: dict[str, Any] = Field(
@@ -62,7 +64,12 @@ class TrainingSettings(Group):
     activation: Literal["tanh", "relu"] = Field(
         "relu", description="of the hidden layers; relu takes a third less time"
     )
-    discount: float = Field(0.98, gt=0.0, lt=1.0)
+    discount: float = Field(
+        0.98,
+        gt=0.0,
+        lt=1.0,
+        description="per step of the rig, 1/1.54 of its pace: a control period in the default task",
+    )
     validation_every: int = Field(1_000_000, ge=0, description="steps between validations; 0: none")
     torch_threads: int = Field(1, ge=1, le=256)
 

@@ -24,7 +24,7 @@ from hydro_agents.learning.checkpoint import (
     save,
     session,
 )
-from hydro_agents.learning.features import PolicyFeatures
+from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, training_logger
@@ -61,12 +61,17 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
 def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFeatures, seed: int) -> AxisVecEnv:
     """The axes of a training; ``practice`` may change their episodes, but not the observations.
 
+    Its ``randomisation`` changes single parameters; the task's ranges of the others stay.
+
     Raises:
         ConfigurationError: ``practice`` has no valid fields of a task, or changes the observations or the control
             period.
     """
+    practice = dict(settings.practice)
+    if isinstance(ranges := practice.get("randomisation"), Mapping):
+        practice["randomisation"] = config.model_dump()["randomisation"] | dict(ranges)
     try:
-        practised = task_config(config, **settings.practice)
+        practised = task_config(config, **practice)
     except ConfigurationError as error:
         raise ConfigurationError(f"practice: {error}") from None
     if ObservationLayout.of(practised) != ObservationLayout.of(config):
@@ -76,9 +81,15 @@ def make_env(config: TaskConfig, settings: TrainingSettings, features: PolicyFea
         )
     paired = settings.residual and settings.paired
     if settings.family_units and features.base is not None:
-        practised = in_family_units(practised, family_errors(practised, features.base))
+        errors = family_errors(practised, features.base, sensor_frame=settings.family_units == "sensor")
+        practised = in_family_units(practised, errors)
     told, scale = isinstance(settings, PPOSettings) and settings.told_critic, settings.reward_scale
     return AxisVecEnv(practised, settings.axes, features, seed, scale, paired, True, told, settings.prices)
+
+
+def discount(config: TaskConfig, settings: TrainingSettings) -> float:
+    """Discount per control period: that of the settings holds per step of the rig."""
+    return math.pow(settings.discount, 1.0 / periods_per_step(config))
 
 
 def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConfig:
@@ -103,7 +114,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
         n_steps=settings.steps_per_rollout,
         batch_size=settings.axes * settings.steps_per_rollout // settings.minibatches,
         n_epochs=settings.epochs,
-        gamma=settings.discount,
+        gamma=discount(env.features.config, settings),
         gae_lambda=settings.advantage_decay,
         clip_range=settings.clip_range,
         ent_coef=settings.entropy_weight,
@@ -272,7 +283,7 @@ def train_off_policy(
         buffer_size=settings.buffer_size,
         learning_starts=settings.learning_starts,
         batch_size=settings.batch_size,
-        gamma=settings.discount,
+        gamma=discount(features.config, settings),
         train_freq=1,
         gradient_steps=settings.gradient_steps,
         ent_coef=f"auto_{settings.initial_entropy_weight}",

@@ -224,8 +224,7 @@ class AxisVecEnv(VecEnv):
         arrays = {f"{ENV}{name}": array for name, array in self.env.get_state().arrays.items()}
         arrays |= {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
         if self._state is not None:
-            stored = self._state._asdict()
-            arrays |= {name: np.asarray(stored[name]) for name in FeatureState._fields if name != "base"}
+            arrays |= self._state.arrays() | {"slot": np.asarray(self._state.slot)}
         for name, memory in (("base", self._state.base if self._state is not None else None), ("twin", self._twins)):
             if memory is not None:
                 arrays |= {f"{name}.{field}": value for field, value in memory._asdict().items()}
@@ -257,8 +256,9 @@ class AxisVecEnv(VecEnv):
             slot = int(state["slot"])
             if not 0 <= slot < state["ring"].shape[1]:
                 raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            arrays = {name: state[name] for name in FeatureState._fields if name not in ("base", "slot")}
-            self._state = FeatureState(base=memory("base"), slot=slot, **arrays)
+            names = [name for name in FeatureState._fields if name not in ("base", "slot", "noise")]
+            stored: dict[str, Any] = {name: state[name] for name in names}
+            self._state = FeatureState(base=memory("base"), slot=slot, **stored)
 
     def close(self) -> None:
         """Stop the worker threads."""

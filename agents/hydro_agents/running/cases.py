@@ -281,10 +281,16 @@ def validation_errors(config: TaskConfig, controller: Controller) -> tuple[float
     return float(errors.mean()), float(errors.max()), int((run.failed_at >= 0).sum())
 
 
-def family_errors(config: TaskConfig, controller: Controller, plants: int = 16) -> dict[str, float]:
-    """Mean absolute tracking error (m) of a controller in each family of references, on training plants."""
+def family_errors(
+    config: TaskConfig, controller: Controller, plants: int = 16, sensor_frame: bool = False
+) -> dict[str, float]:
+    """Mean absolute tracking error (m) of a controller in each family of references, on training plants.
+
+    The error is that of the true position, or, with ``sensor_frame``, of the position with the bias of its sensor.
+    """
     families = [name for name, weight in config.references.weights.items() if weight > 0.0]
     seeds = np.tile(np.array(SCALES.take(plants, SCALES.count - plants)), len(families))
     run = run_cases(config, controller, Cases(seeds, families=np.repeat(families, plants)))
-    errors = np.abs(run.position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
+    position = run.position + run.position_bias[:, None] if sensor_frame else run.position
+    errors = np.abs(position - run.reference).mean(axis=1).reshape(len(families), plants).mean(axis=1)
     return dict(zip(families, errors.tolist(), strict=True))
