@@ -245,7 +245,7 @@ def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_p
     cases = pd.read_csv(tables / "cases.csv")  # the seeds replace the study's controller, which has no weights
     assert cases.groupby("controller", sort=False)["training_seed"].nunique().to_dict() == {"PID": 1, "mine": 2}
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Tracking: 6 runs per controller. Training seeds, each with all runs: 2 of mine on PID; intervals include" in page
+    assert "6 runs per controller. Training seeds, each with all runs: 2 of mine on PID; intervals include" in page
     for options, message in (
         ({"no_detection": True, "head": tmp_path / "head"}, "--no-detection: .* without --head"),
         ({"no_detection": True, "protocol": "quick"}, "--no-detection: a protocol takes it from its file"),

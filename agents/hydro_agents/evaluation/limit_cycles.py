@@ -139,7 +139,7 @@ def counted_at_rest(controller: Controller, config: TaskConfig, seeds: SeedRange
 
 def comes_to_rest(found: Mapping[str, Any]) -> bool:
     """Whether all standstills of :func:`counted` are without a limit cycle and without a failure."""
-    return found["limit_cycles"] == 0 and found["failures"] == 0
+    return bool(found["limit_cycles"] == 0 and found["failures"] == 0)
 
 
 def is_broken(found: Mapping[str, Any]) -> bool:
