@@ -137,7 +137,7 @@ def test_every_part_of_the_result_is_made_from_its_own_cases(evaluation):
     assert set(result.curves["curve"]) == {"roc", "precision_recall"}
     assert set(result.detection_rates["controller"]) == {"strong", "weak"}
     assert result.bounds == (0.03, 0.1, 0.3)
-    assert phases == [("evaluation", done, 4) for done in range(5)]  # both controllers track and are watched
+    assert phases == [("evaluation", done, 6) for done in range(7)]  # both controllers track, rest and are watched
 
 
 def test_the_head_sees_each_episode_under_each_controller(evaluation):

@@ -22,7 +22,7 @@ from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.report.content import interval_text, verdict
 from hydro_agents.report.palette import LEAK_LOOKS, LEAKS, NEUTRALS, SERIES, VARIABLES, looks_of
 from hydro_agents.report.sections import render_page
-from hydro_agents.report.study import STUDY, content_of
+from hydro_agents.report.study import STUDY, content_of, overview
 from hydro_agents.report.study_findings import caution, failed_runs, findings_of
 from hydro_agents.report.traces import Example, example_plot
 from hydro_agents.report.training_plots import learning_plots, training_plots
@@ -189,7 +189,7 @@ def test_one_controller_without_a_head(tmp_path):
     for absent in ("Detecting the leak", "Ratio of errors", "Difference to", "nan", "AUROC"):
         assert absent not in text
     names = [path.name for path in write_tables(tmp_path / "tables", lonely)]
-    assert names == ["cases.csv", "levels.csv", "families.csv"]
+    assert names == [f"{name}.csv" for name in ("cases", "levels", "families", "limit_cycles", "limit_cycle_summary")]
 
 
 def test_tables_hold_all_numbers(evaluation, tmp_path):
@@ -281,6 +281,63 @@ def test_who_copes_better(evaluation, whole, levels, families, lead, sentences):
         assert sentence in text
 
 
+def at_rest(evaluation, *, cycles, largest, failures=0):
+    """The evaluation with made-up limit cycles of the first controller and none of the second."""
+    summary = pd.DataFrame(
+        {
+            "controller": evaluation.controllers,
+            "limit_cycles": [cycles, 0],
+            "standstills": 16,
+            "failures": [failures, 0],
+            "largest_amplitude_um": [largest, 0.0],
+            "frequency_hz": [8.0, np.nan],
+        }
+    )
+    return replace(evaluation, limit_cycle_summary=summary)
+
+
+@pytest.mark.parametrize(
+    ("unrest", "clause"),
+    [
+        (
+            {"cycles": 14, "largest": 7900.0},
+            ", which cannot hold this axis (limit cycle at 14 of 16 standstills, up to 7.9 mm)",
+        ),
+        (
+            {"cycles": 3, "largest": 45.0},
+            ", which does not come to rest (limit cycle at 3 of 16 standstills, up to 45 µm)",
+        ),
+        ({"cycles": 0, "largest": 0.0}, ""),
+    ],
+)
+def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sentence(evaluation, unrest, clause):
+    ratios = evaluation.ratios.copy()
+    for (value, low, high), lead in (
+        (WIN, f"{ODD_NAME} positions better than PID{clause}: 20 % less error.\n"),
+        (LOSS, f"{ODD_NAME} loses to PID{clause}: 25 % more error.\n"),
+        (OPEN, f"No clear difference between {ODD_NAME} and PID{clause}{',' if clause else ''} over all runs.\n"),
+    ):
+        ratios[["ratio", "low", "high"]] = value, low, high
+        assert told(at_rest(replace(evaluation, ratios=ratios), **unrest), 1).startswith(lead)
+
+
+def test_the_page_tells_who_comes_to_rest(evaluation):
+    oscillating = at_rest(evaluation, cycles=14, largest=7900.0, failures=1)
+    assert told(oscillating, 2) == (
+        "Without sensor noise PID does not come to rest at every standstill.\n"
+        "PID: limit cycle at 14 of 16 standstills, up to 7.9 mm and failure at 1 of 16 standstills; "
+        f"{ODD_NAME}: no limit cycle at 16 standstills. Ratios to PID compare with a controller in this state."
+    )
+    quiet = told(at_rest(evaluation, cycles=0, largest=0.0), 2)
+    assert quiet.startswith("Without sensor noise every controller comes to rest at every standstill.\n")
+    assert "Ratios" not in quiet
+    table = overview(content_of(oscillating))
+    assert table.header[-1] == "limit cycles at rest"
+    assert [row[-1] for row in table.rows] == ["14 of 16 (to 7.9 mm)", "0 of 16"]
+    text = Page(rendered(oscillating).html).text
+    assert "Standstills: 8 plants, each at 0.01 and 4 l/min, without sensor noise." in text
+
+
 @pytest.mark.parametrize(
     ("value", "word"),
     [
@@ -314,7 +371,7 @@ def with_detection(evaluation, found, alarms):
     ],
 )
 def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
-    text = told(with_detection(evaluation, found, alarms), 2)
+    text = told(with_detection(evaluation, found, alarms), 3)
     assert text.startswith(f"Leaks from 0.3 l/min {lead}\n")
     assert (f"clearly more under PID and {ODD_NAME}" in text) == (alarms > 0.03)
     assert ", 25.0 % (20.0 to 30.0) of those of 0.1–0.2" in text
@@ -325,7 +382,7 @@ def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
 
 
 def test_how_well_the_size_is_estimated(evaluation):
-    text = told(with_detection(evaluation, 0.97, 0.012), 3)
+    text = told(with_detection(evaluation, 0.97, 0.012), 4)
     assert text.startswith("The size of a leak is estimated within a factor of 1.42 for half of the leaks.\n")
     assert f"2.50 under PID and 3.00 under {ODD_NAME}" in text
 

@@ -11,6 +11,7 @@ from command_line import COMMAND, ROOT, assert_one_clear_line, environment, hydr
 
 from hydro_agents.rigs.new_rig import new_rig
 from hydro_agents.rigs.questions import QUESTIONS, answers_from
+from hydro_agents.rigs.remarks import position_accuracy
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, equilibrium, simulate
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
@@ -132,6 +133,25 @@ def test_sensors_are_those_that_were_given(tmp_path):
     assert (sensors.pressure_a.bias, sensors.pressure_b.bias) == pytest.approx((1.25e5, 1.25e5))
 
 
+@pytest.mark.parametrize("given", ["0.05 %", None])
+def test_the_accuracy_of_the_position_is_asked_for_written_and_told(given, tmp_path):
+    """Without an answer, the file and the table say what every study then assumes."""
+    text, rig = made(**({"position_accuracy": given} if given else {}))
+    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
+    largest, share, origin = (0.25, 0.05, "given") if given else (0.1, 0.02, "assumed")
+    last = text.splitlines()[-1]
+    assert last.startswith("#")
+    assert last.endswith(f"(bias), {origin}: {largest} mm, {share} % of the stroke")
+    task = task_config(rig=tmp_path / "rig.yaml")
+    assert task.sensors.position.bias == pytest.approx(largest * 1e-3)
+    row = position_accuracy(rig, task)
+    assert row.value == pytest.approx(largest)
+    assert row.at == f"{'from the file' if given else 'assumed'}: {share} % of stroke"
+    if given is None:
+        printed = " ".join(hydro("check-rig", "--rig", tmp_path / "rig.yaml").stdout.split())
+        assert "assumed: 0.02 % of stroke" in printed
+
+
 def test_every_question_has_an_answer_that_is_read(tmp_path):
     text, rig = new_rig(answers_from(EVERYTHING), EVERYTHING, "rig.yaml")
     (tmp_path / "rig.yaml").write_text(text)
@@ -174,6 +194,11 @@ WRONG = {
     "half a line": ({"line_length": "2 m"}, "--line-length and --line-diameter: give both, or none"),
     "a share without a unit": ({"overlap": "20"}, "--overlap '20': needs a unit, such as 10 %"),
     "more than everything": ({"overlap": "120 %"}, "--overlap '120 %': must be below 100 %"),
+    "an accuracy beyond the stroke": (
+        {"position_accuracy": "120 %"},
+        "--position-accuracy '120 %': must be below 100 %",
+    ),
+    "an accuracy in mm": ({"position_accuracy": "1 mm"}, "--position-accuracy '1 mm': unit 'mm': must be one of %"),
     "an accuracy of nothing": ({"pressure_accuracy": "0.5 %"}, "--pressure-accuracy: needs --pressure-range"),
     "an unknown sensor": ({"absent": "position"}, "--absent 'position': 'position': must be one of pressure_a"),
     "an unknown line": ({"line_kind": "wire"}, "--line-kind 'wire': 'wire': must be one of pipe, hose"),

@@ -214,6 +214,49 @@ def test_evaluate_keeps_the_results_of_the_others(algorithm, tmp_path, capsys):
         evaluate(tmp_path / "out", file, agents)
 
 
+def test_a_controller_that_oscillates_at_rest_is_named_on_the_console_and_on_the_page(algorithm, tmp_path, capsys):
+    entries = {"PID": {"kind": "pid", "settings": {"proportional": 1500.0}}, "calm": {"kind": "flow_linearising"}}
+    file = tmp_path / "study.yaml"
+    file.write_text(yaml.safe_dump({**VALUES, "controllers": entries, "leakage_head": None}))
+    run_study(default_study(file), tmp_path / "out", seed=0)
+    warned = [line for line in capsys.readouterr().out.splitlines() if "ratios to it compare" in line]
+    assert len(warned) == 1
+    assert re.fullmatch(
+        r"PID: limit cycle at 16 of 16 standstills, up to 1\.\d mm: ratios to it compare with a broken controller",
+        warned[0],
+    )
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "better than PID, which cannot hold this axis (limit cycle at 16 of 16 standstills" in page
+    file.write_text(yaml.safe_dump({**VALUES, "controllers": {"calm": entries["calm"]}, "leakage_head": None}))
+    run_study(default_study(file), tmp_path / "calm", seed=0)
+    printed = capsys.readouterr().out
+    assert "0 of 16" in printed
+    assert "ratios to it" not in printed
+    assert "comes to rest at every standstill" in (tmp_path / "calm" / "report.html").read_text()
+
+
+def test_evaluate_leaves_detection_out_and_joins_training_seeds(algorithm, tmp_path, capsys):
+    file, seeds = study_file(tmp_path), ["mine#0=pid", "mine#1=flow_linearising"]
+    evaluate(tmp_path / "out", file, seeds, no_detection=True)
+    assert "Leakage head" not in capsys.readouterr().out
+    tables = tmp_path / "out" / "tables"
+    assert not (tables / "detection.csv").exists()
+    assert pd.read_csv(tables / "limit_cycle_summary.csv")["standstills"].tolist() == [16, 32]
+    cases = pd.read_csv(tables / "cases.csv")  # the seeds replace the study's controller, which has no weights
+    assert cases.groupby("controller", sort=False)["training_seed"].nunique().to_dict() == {"PID": 1, "mine": 2}
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "6 runs per controller. Training seeds, each with all runs: 2 of mine on PID; intervals include" in page
+    for options, message in (
+        ({"no_detection": True, "head": tmp_path / "head"}, "--no-detection: .* without --head"),
+        ({"no_detection": True, "protocol": "quick"}, "--no-detection: a protocol takes it from its file"),
+        ({"no_detection": True, "agent": ["mine#a=pid"]}, r"'mine#a': must be NAME, or NAME#0"),
+        ({"no_detection": True, "agent": ["mine#0=pid", "mine=pid"]}, "name the same training seed"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            evaluate(tmp_path / "new", **{"config": file, **options} if "protocol" not in options else options)
+    assert not (tmp_path / "new" / "tables").exists()
+
+
 def test_train_takes_any_trained_controller_of_the_study(algorithm, tmp_path):
     file = study_file(tmp_path)
     train("MINE", tmp_path / "out", file, steps=7, seed=3)
@@ -250,6 +293,12 @@ def test_a_study_on_another_rig_tunes_first_and_can_be_resumed(algorithm, settin
     algorithm.fate = "late"
     stopped(study, folder, seed=2)
     gains = (folder / "controllers" / "PID" / "gains.yaml").read_text()
+    note = re.search(
+        r"^# (.*standstills.*) \(drawn plants and leaks, without sensor noise\)$", gains, flags=re.MULTILINE
+    )
+    assert note[1].endswith("at 16 standstills") or " of 16 standstills" in note[1]
+    told = f"pid, tuned: {note[1][0].lower()}{note[1][1:]}"
+    assert (told in capsys.readouterr().out) == (not note[1].startswith("No limit cycle"))
     base = algorithm.calls[0]["base"]
     assert base.config.plant == study.task.plant
     assert base.gains.model_dump() == yaml.safe_load(gains) != study.make("PID").gains.model_dump()

@@ -36,6 +36,7 @@ def evaluate(
     task: Task = None,
     rig: Rig = None,
     head: Annotated[Path | None, typer.Option(help="Weights of a leakage head; default: the shipped one.")] = None,
+    no_detection: Annotated[bool, typer.Option("--no-detection", help="Leave the leakage head out.")] = False,
     plants: Annotated[
         int | None, typer.Option(min=3, max=10_000, help="Plants per leak level and reference family.")
     ] = None,
@@ -56,16 +57,17 @@ def evaluate(
 
     All controllers get the same plants, references and noise. Trained controllers take the shipped weights unless
     `--agent` gives others. The command writes CSV tables with all numbers and a report, and prints the main figures. If
-    a controller fails, the results of the others are kept.
+    a controller fails, the results of the others are kept. `--agent NAME#0=…` and `NAME#1=…` give training seeds of one
+    controller, which share its row. One line names each controller that oscillates at rest.
 
     With `--rig` the task is moved to another rig. The command tunes nothing. It takes the gains and weights that ship
     for this rig; without them it keeps the gains of the study and leaves out shipped weights that do not fit. One line
     names what was made for another rig, and what is left out.
 
     With `--protocol` the shipped controllers (or those of `--config`) and your own run under every condition of a
-    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME#0=…` and `NAME#1=…` give
-    training seeds of one controller, `--agent NAME@CONDITION=…` one that was made for this condition. `--task` and
-    `--rig` replace those of the protocol. Ctrl-C keeps the finished jobs, and `--resume` goes on.
+    protocol: leaks, parameters beyond their bounds, latency, forces, other rigs. `--agent NAME@CONDITION=…` gives a
+    controller that was made for this condition. `--task` and `--rig` replace those of the protocol. Ctrl-C keeps the
+    finished jobs, and `--resume` goes on.
 
     With `--protocol leakage` the leakage head (that of `--head`, or the shipped one) and the estimator read windows of
     healthy, leaking and otherwise faulty axes under many motions and controllers. The command writes tables and a page
@@ -83,7 +85,7 @@ def evaluate(
         about_leaks = read_yaml(file).get("kind") == "leakage"
         # Controllers of a leakage protocol stand in its file; a robustness protocol has no detector.
         foreign = {"--agent": agent, "--config": config} if about_leaks else {"--head": head}
-        for option, value in {**foreign, "--plants": plants}.items():
+        for option, value in {**foreign, "--plants": plants, "--no-detection": no_detection or None}.items():
             if value is not None:
                 raise ConfigurationError(f"{option}: a protocol takes it from its file")
         if about_leaks:
@@ -93,7 +95,10 @@ def evaluate(
         return
     if resume or jobs is not None:
         raise ConfigurationError(f"{'--resume' if resume else '--jobs'}: needs --protocol")
+    if no_detection and head is not None:
+        raise ConfigurationError("--no-detection: leaves the leakage head out; give it without --head")
     from hydro_agents.evaluation.evaluate import ProtocolSettings
+    from hydro_agents.evaluation.participants import split_name
     from hydro_agents.learning.opponents import SHIPPED_WEIGHTS
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
@@ -108,12 +113,14 @@ def evaluate(
         study = study.model_copy(update={"evaluation": changed})
     if rig is not None:
         study = study.with_shipped_gains()
-    agents = {**_trained_beside(config, study), **named_agents(agent)}
+    own = named_agents(agent)
+    given = {split_name(name)[0] for name in own}
+    agents = {name: what for name, what in _trained_beside(config, study).items() if name not in given} | own
     controllers, unfit = study.fitting(agents)
     for reason in unfit:
         print(f"hydro: left out: {reason}", file=sys.stderr)
     tell_rigs(study, controllers)
-    watching = _watching(head, study.task)
+    watching = None if no_detection else _watching(head, study.task)
     weights = {name: what for name, what in agents.items() if what not in SHIPPED_WEIGHTS}
     weights |= {"leakage_head": str(head)} if head is not None else {}
     settings_file = "evaluation.yaml"

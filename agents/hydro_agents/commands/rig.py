@@ -126,14 +126,22 @@ def check_rig(
         Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
     ] = None,
     overwrite: Overwrite = False,
+    period: Annotated[
+        str | None, typer.Option("--period", metavar="1ms", help="Control period; default: that of the task, 5 ms.")
+    ] = None,
+    latency: Annotated[
+        str | None,
+        typer.Option("--latency", metavar="0.5ms", help="From sampling to the new command; default: 1 ms."),
+    ] = None,
 ) -> None:
     """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
 
     The figures are areas, flows, speeds, forces, reach, natural frequency and damping, the largest stable proportional
-    gain of the sampled position loop with a tight and a leaking seal, and the inner steps of the integrator.
+    gain of the sampled position loop with a tight and a leaking seal and on the worst plant within the rig's ranges,
+    gain and phase margin, and the inner steps of the integrator.
     """
     from hydro_agents.rigs.check_table import check_to_console
 
-    files = check_to_console(rig, output, overwrite)
+    files = check_to_console(rig, output, overwrite, period, latency)
     if files:
         say(*files)

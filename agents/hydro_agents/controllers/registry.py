@@ -146,9 +146,13 @@ def gain_rows(gains: Group) -> list[GainRow]:
     return rows
 
 
-def gains_text(gains: Group) -> str:
-    """The gains as YAML; beside each a comment with its value in the units of a PLC, and its meaning."""
+def gains_text(gains: Group, note: str = "") -> str:
+    """The gains as YAML; beside each a comment with its value in the units of a PLC, and its meaning.
+
+    A ``note`` about all of them is a comment above them.
+    """
     lines = ["# A command of 1 is 10 V; lengths in m, times in s. Beside each gain: the same for a PLC."]
+    lines += [f"# {note}"] if note else []
     for row in gain_rows(gains):
         entry = yaml.safe_dump({row.name: row.value}).strip()
         lines.append(f"{entry}  # {', '.join(part for part in (row.in_practice, row.meaning) if part)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,39 +49,56 @@ class SampledLoop:
     position_size: float  # m
     control_period: float = CONTROL_PERIOD  # s
 
-    def closed(self, gain: float) -> Array:
-        """Transition matrix of one period with the loop closed, states and last command, (n + 1, n + 1)."""
-        n = len(self.input_new)
-        feedback = np.zeros(n + 1)
-        feedback[0] = -gain * self.position_size
-        matrix = np.zeros((n + 1, n + 1))
-        matrix[:n, :n] = self.transition
-        matrix[:n, n] = self.input_old
-        matrix[:n] += np.outer(self.input_new, feedback)
-        matrix[n] = feedback
+    def closed(self, gain: complex | NDArray[Any]) -> NDArray[Any]:
+        """Transition matrix of one period with the loop closed, states and last command, (..., n + 1, n + 1).
+
+        A complex gain turns the phase of the loop at every frequency alike.
+        """
+        n, feedback = len(self.input_new), -np.asarray(gain) * self.position_size
+        matrix = np.zeros((*feedback.shape, n + 1, n + 1), dtype=feedback.dtype)
+        matrix[..., :n, :n] = self.transition
+        matrix[..., :n, n] = self.input_old
+        matrix[..., :n, 0] += self.input_new * feedback[..., None]
+        matrix[..., n, 0] = feedback
         return matrix
 
-    def spectral_radius(self, gain: float) -> float:
+    def spectral_radius(self, gain: complex) -> float:
         """Largest |z| of the closed loop; above 1 the loop is unstable."""
         return float(np.abs(np.linalg.eigvals(self.closed(gain))).max())
 
-    def largest_stable_gain(self) -> float:
+    def is_stable(self, gain: float) -> bool:
+        """Whether the closed loop is stable; rounding at the limit counts as stable."""
+        return self._first_unstable(np.array([gain])) is None
+
+    def _first_unstable(self, gains: NDArray[Any]) -> int | None:
+        """Index of the first of some gains with which the closed loop is unstable."""
+        radii = np.abs(np.linalg.eigvals(self.closed(gains))).max(axis=-1)
+        unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)
+        return int(unstable[0]) if len(unstable) else None
+
+    def largest_stable_gain(self, limit: float = 1e6) -> float:
         """Gain in command per metre (1 = 10 V) at which an eigenvalue of the closed loop leaves the unit circle.
 
-        It is 0 if the axis is unstable in open loop, and infinite if no gain up to 1e6 per metre makes it unstable.
+        It is 0 if the axis is unstable in open loop, and infinite if no gain up to a limit per metre makes it unstable.
         """
         gains = np.geomspace(1e-2, 1e6, 161)
-        radii = np.abs(np.linalg.eigvals(np.array([self.closed(gain) for gain in gains]))).max(axis=1)
-        unstable = np.flatnonzero(radii > 1.0 + _NEUTRAL)
-        if len(unstable) == 0:
+        gains = np.append(gains[gains < limit], limit)
+        first = self._first_unstable(gains)
+        if first is None:
             return float("inf")
-        if unstable[0] == 0:
+        if first == 0:
             return 0.0
-        low, high = gains[unstable[0] - 1], gains[unstable[0]]
+        low, high = gains[first - 1], gains[first]
         while high / low > 1.0 + 1e-9:
             middle = float(np.sqrt(low * high))
             low, high = (low, middle) if self.spectral_radius(middle) > 1.0 + _NEUTRAL else (middle, high)
         return float(low)
+
+    def phase_margin(self, gain: float) -> float:
+        """Least phase in degrees, lag or lead, that makes the closed loop unstable; infinite if none does."""
+        angles = np.arange(0.0, 180.5, 0.5)
+        first = self._first_unstable(gain * np.exp(-1j * np.radians(angles)))
+        return float("inf") if first is None else float(angles[max(first - 1, 0)])
 
     def response(self, gain: float, frequencies: Array) -> NDArray[np.complex128]:
         """Reference to position of the closed loop at frequencies in Hz, shape (n,), complex, m per m.

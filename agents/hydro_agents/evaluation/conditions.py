@@ -64,7 +64,7 @@ class Part(NamedTuple):
 PARTS = {
     "tracking": Part("cases", "tracking:tracking", ("robustness", "study")),
     "episodes": Part("detection", "detection:episodes", ("study",)),
-    "standstill": Part("limit_cycles", "limit_cycles:standstill"),
+    "standstill": Part("limit_cycles", "limit_cycles:standstill", ("robustness", "study")),
     "best_found": Part("bound", "tracking:best"),
     "frequency": Part("frequency", "experiments:frequency"),
     "force_step": Part("force_step", "experiments:force_step"),

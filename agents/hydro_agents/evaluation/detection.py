@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.detector import Detector, MeasuredColumns, Windows, threshold_at_false_alarm_rate
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.participants import split_name
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_agents.running.seeds import DETECTION, EVALUATION
@@ -69,7 +70,8 @@ def episodes(protocol: StudyProtocol, chosen: Participants) -> Iterator[Cell]:
     for name, controller in chosen.controllers.items():
         digest = fingerprint(controller, chosen.head)
         job = Job(watched, (controller, chosen.head), (protocol.task, cases), digest)
-        yield Cell(name, next(iter(protocol.conditions)), {"controller": name}, (job,))
+        known = dict(zip(("controller", "training_seed"), split_name(name), strict=True))
+        yield Cell(name, next(iter(protocol.conditions)), known, (job,))
 
 
 def watched(pair: tuple[Controller, LeakageHead], config: TaskConfig, cases: Cases) -> Columns:

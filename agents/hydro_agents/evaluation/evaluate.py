@@ -20,8 +20,9 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
+from hydro_agents.evaluation.limit_cycles import counted
 from hydro_agents.evaluation.metrics import METRICS
-from hydro_agents.evaluation.participants import Participants
+from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
     DRAWN_FAMILIES,
     PairedCases,
@@ -30,7 +31,6 @@ from hydro_agents.evaluation.robustness_protocol import (
     PlantSeeds,
 )
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
-from hydro_agents.learning.opponents import opponent
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_agents.running.statistics import conditional_value_at_risk
@@ -54,6 +54,12 @@ class ProtocolSettings(PairedCases):
     )
     families: tuple[Annotated[str, known_name(DRAWN_FAMILIES, "family")], ...] = Field(DRAWN_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
+    standstill_plants: int = Field(
+        8,
+        ge=0,
+        le=SEEDS_PER_FAMILY,
+        description="plants of the search for limit cycles, each at the smallest and the largest leak; 0: no search",
+    )
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
 
@@ -64,21 +70,28 @@ class StudyProtocol(PairedProtocol):
     title: str = "Evaluation"
     seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
+    standstill_plants: int = 8
     detection_episodes: int = 4000
 
     def asked(self) -> tuple[str, ...]:
-        """Tracking; detection needs a head, which the participants have."""
-        return ("tracking", "episodes")
+        """Tracking and standstills; detection needs a head, which the participants have."""
+        return ("tracking", *(["standstill"] if self.standstill_plants else []), "episodes")
+
+    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
+        """The smallest and the largest leak."""
+        return sorted({min(self.leak_levels), max(self.leak_levels)}), self.standstill_plants
 
 
 @dataclass(frozen=True)
 class Evaluation:
     """All numbers of an evaluation, as tables."""
 
-    cases: pd.DataFrame  # one row per controller, level, family, plant
+    cases: pd.DataFrame  # one row per controller, training seed, level, family, plant
     levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
+    limit_cycles: pd.DataFrame  # one row per controller, training seed, level, plant: an axis at rest without noise
+    limit_cycle_summary: pd.DataFrame  # per controller: standstills with a limit cycle, and the largest amplitude
     detection: pd.DataFrame  # one row per episode for the head
     detection_rates: pd.DataFrame  # per controller and class or level
     detection_summary: pd.DataFrame  # per controller: AUROC, average precision, false alarms, size error
@@ -107,7 +120,8 @@ def evaluate(
     Args:
         task: ``"default"``, a YAML file, a mapping, or a TaskConfig.
         controllers: by name, objects with stable-baselines3's ``predict``, or texts for
-            :func:`~hydro_agents.learning.opponents.opponent`. The first one is the baseline of the ratios.
+            :func:`~hydro_agents.learning.opponents.opponent`. The first one is the baseline of the ratios. ``NAME#0``,
+            ``NAME#1``, … are training seeds of one controller: they share its rows, whose intervals include the seeds.
         head: leakage head, run under every controller; ``None`` leaves detection out.
         settings: size of the evaluation, :class:`ProtocolSettings` or its fields.
         progress: called with the name of the phase, the number of cases done, and their total.
@@ -132,18 +146,19 @@ def evaluate(
         raise ConfigurationError("evaluate: needs at least one controller")
     if head is not None:
         check_head(head, config, "leakage head")
-    ready = {name: opponent(controller, config, name) for name, controller in controllers.items()}
     protocol = StudyProtocol(task=config, conditions={"task": PairedCondition()}, **settings.model_dump())
     report = None if progress is None else lambda _, done, total: progress("evaluation", done, total)
-    results = run(protocol, Participants(ready, head=head), jobs=1, progress=report)
+    chosen = replace(participants(controllers, protocol), head=head)
+    results = run(protocol, chosen, jobs=1, progress=report)
     errors: dict[str, str] = {}
     for row in results.status[results.status["status"] == FAILED].to_dict("records"):
         errors.setdefault(str(row["controller"]), f"{row['controller']}: {row['message']}")
     for message in errors.values():
         warnings.warn(message, stacklevel=2)
-    if len(errors) == len(ready):
+    if len(errors) == len(controllers):
         raise ControllerError("; ".join(errors.values()))
-    rows = {part: table[~table["controller"].isin(list(errors))] for part, table in results.rows.items()}
+    failed = pd.MultiIndex.from_tuples([split_name(name) for name in errors], names=["controller", "training_seed"])
+    rows = {part: table[~table.set_index(failed.names).index.isin(failed)] for part, table in results.rows.items()}
     results = replace(results, rows={part: table.reset_index(drop=True) for part, table in rows.items()})
     tables = {name: results.table(name) for name in tables_of("study")}
     return Evaluation(**tables, bounds=LeakBounds.of(config), errors=errors)
@@ -155,9 +170,9 @@ RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "hig
 
 @table("cases", KIND)
 def cases(results: Results) -> pd.DataFrame:
-    """One row per controller, level, family and plant."""
+    """One row per controller, training seed, level, family and plant."""
     rows = results.part("tracking")
-    return rows[["leakage_flow_lpm", "family", "plant", "controller", "seed", *METRICS]]
+    return rows[["leakage_flow_lpm", "family", "plant", "controller", "training_seed", "seed", *METRICS]]
 
 
 @table("levels", KIND)
@@ -176,6 +191,21 @@ def families(results: Results) -> pd.DataFrame:
 def ratios(results: Results) -> pd.DataFrame:
     """Mean error of every controller over that of the first."""
     return ratio_table(results.part("tracking"), results.grid.controllers)
+
+
+@table("limit_cycles", KIND)
+def standstills(results: Results) -> pd.DataFrame:
+    """One row per controller, training seed, level and plant: the axis after a small step and back, without noise."""
+    rows = results.part("standstill")
+    return rows if rows.empty else rows.drop(columns=["family", "condition", "group"])
+
+
+@table("limit_cycle_summary", KIND)
+def standstill_summary(results: Results) -> pd.DataFrame:
+    """Number and largest amplitude of the limit cycles, per controller."""
+    rows = results.part("standstill")
+    groups = () if rows.empty else rows.groupby("controller", sort=False)
+    return pd.DataFrame([{"controller": name, **counted(own)} for name, own in groups])
 
 
 @table("detection_rates", KIND)

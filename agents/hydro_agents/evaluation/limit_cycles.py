@@ -6,20 +6,24 @@ noise: a small step of the reference and back excites it, then it must come to r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell
+from hydro_agents.evaluation.metrics import SETTLING_BAND
 from hydro_agents.evaluation.participants import Participants
-from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedProtocol
 from hydro_agents.evaluation.tracking import begun, paired_cells
 from hydro_agents.running.cases import Cases, Rollout, run_cases
 from hydro_agents.running.jobs import Columns
+from hydro_agents.running.seeds import SeedRange
 from hydro_agents.running.tasks import noiseless, own_reference
+from hydro_agents.running.text import number
 from hydro_env import TaskConfig
 
 Array = NDArray[np.floating[Any]]
@@ -86,7 +90,7 @@ def standstill_metrics(rollout: Rollout, config: TaskConfig) -> dict[str, NDArra
     return {name: values.astype(np.float64) for name, values in found.items()}
 
 
-def standstill(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+def standstill(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Every controller after a small step of the reference and back, under every condition."""
     for condition in protocol.conditions:
         task, cases = standstill_task(protocol.task_in(condition)), protocol.standstill_cases_in(condition)
@@ -97,3 +101,76 @@ def at_rest(controller: Controller, config: TaskConfig, cases: Cases, families: 
     """Limit cycles of cases whose task is a standstill."""
     del families
     return standstill_metrics(begun(run_cases, config, controller, cases), config)
+
+
+# Counted per controller ---------------------------------------------------------------------------------------------
+
+
+def counted(rows: pd.DataFrame) -> dict[str, float]:
+    """The standstills of one controller, counted.
+
+    Args:
+        rows: one per standstill, with the columns of :func:`standstill_metrics`.
+
+    Returns:
+        ``limit_cycles`` and ``failures`` of ``standstills``; ``largest_amplitude_um`` of a limit cycle (0: there is
+        none) and its ``frequency_hz``.
+    """
+    cycles = rows[rows["limit_cycle"].astype(bool)].sort_values("amplitude_um")
+    return {
+        "limit_cycles": len(cycles),
+        "standstills": len(rows),
+        "failures": int(rows["failed"].sum()),
+        "largest_amplitude_um": float(cycles["amplitude_um"].iloc[-1]) if len(cycles) else 0.0,
+        "frequency_hz": float(cycles["frequency_hz"].iloc[-1]) if len(cycles) else np.nan,
+    }
+
+
+def counted_at_rest(controller: Controller, config: TaskConfig, seeds: SeedRange, count: int) -> dict[str, float]:
+    """The same for a controller of a task, on plants and leaks that the task draws.
+
+    Raises:
+        ControllerError: the controller failed.
+    """
+    task = standstill_task(config)
+    rollout = run_cases(task, controller, Cases(np.array(seeds.take(count))))
+    return counted(pd.DataFrame(standstill_metrics(rollout, task)))
+
+
+def comes_to_rest(found: Mapping[str, Any]) -> bool:
+    """Whether all standstills of :func:`counted` are without a limit cycle and without a failure."""
+    return bool(found["limit_cycles"] == 0 and found["failures"] == 0)
+
+
+def is_broken(found: Mapping[str, Any]) -> bool:
+    """Whether :func:`counted` shows a controller that cannot do the axis.
+
+    At half of the standstills or more it has a limit cycle or fails, and some axis fails or leaves the band in which it
+    would count as settled.
+    """
+    often = 2 * (found["limit_cycles"] + found["failures"]) >= found["standstills"]
+    return bool(often and (found["failures"] > 0 or found["largest_amplitude_um"] > 1e6 * SETTLING_BAND))
+
+
+def rest_text(found: Mapping[str, Any]) -> str:
+    """What :func:`counted` found, as a phrase: limit cycle at 14 of 16 standstills, up to 7.9 mm."""
+    places, parts = int(found["standstills"]), []
+    if found["limit_cycles"]:
+        size = amplitude_text(found["largest_amplitude_um"])
+        parts.append(f"limit cycle at {int(found['limit_cycles'])} of {places} standstills, up to {size}")
+    if found["failures"]:
+        parts.append(f"failure at {int(found['failures'])} of {places} standstills")
+    return " and ".join(parts) or f"no limit cycle at {places} standstills"
+
+
+def amplitude_text(micrometres: float) -> str:
+    """An amplitude in µm, or in mm if it is larger than one."""
+    return f"{number(micrometres / 1e3, digits=2)} mm" if micrometres >= 1e3 else f"{number(micrometres, 0)} µm"
+
+
+def rest_warning(controller: str, found: Mapping[str, Any], baseline: bool) -> str:
+    """One line about a controller that does not come to rest; empty for one that does."""
+    if comes_to_rest(found):
+        return ""
+    which = "a broken controller" if is_broken(found) else "a controller that does not come to rest"
+    return f"{controller}: {rest_text(found)}{f': ratios to it compare with {which}' if baseline else ''}"

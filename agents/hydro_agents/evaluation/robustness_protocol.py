@@ -139,6 +139,16 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         table = paired(levels, families, plants, LEDGER[self.seeds])
         return self.cases_of(name, table), table
 
+    def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
+        levels, plants = self.standstills_in(name)
+        table = paired(levels, ("user",), plants, LEDGER[self.seeds])
+        return self.cases_of(name, table), table
+
+    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
+        """Leak levels of the search for limit cycles under a condition, and its plants per level."""
+        raise NotImplementedError
+
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
         """The cases of such a table under a condition."""
         return replace(cases_of(table), parameters=self.parameters_in(name))
@@ -223,11 +233,9 @@ class RobustnessProtocol(PairedProtocol):
                     own = file.parent / choice["weights"]
                     choice["weights"] = str(shipped if shipped.with_suffix(".safetensors").exists() else own)
 
-    def standstill_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of the search for limit cycles under a condition, and their table as in :meth:`cases_in`."""
-        levels = self.conditions[name].leak_levels or self.standstill_leak_levels
-        table = paired(levels, ("user",), self.standstill_plants, LEDGER[self.seeds])
-        return self.cases_of(name, table), table
+    def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
+        """The leaks of the condition, or else those of the protocol."""
+        return self.conditions[name].leak_levels or self.standstill_leak_levels, self.standstill_plants
 
     def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
         """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
+from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.report.content import Content, interval, interval_text, verdict
 from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, cards, section
@@ -151,9 +152,12 @@ def study_method(content: Content) -> list[Block]:
     cases = content.table("cases")
     levels = [setting(level) for level in sorted(cases["leakage_flow_lpm"].unique())]
     families = [family_name(str(name)) for name in cases["family"].unique()]
-    runs = len(cases) // len(content.controllers)
+    runs = len(cases.drop_duplicates(["leakage_flow_lpm", "family", "plant"]))
+    seeds = cases.groupby("controller", sort=False)["training_seed"].nunique()
+    several = [f"{count} of {name}" for name, count in seeds.items() if count > 1]
+    shared = f" Training seeds, each with all runs: {listed(several)}; intervals include them." if several else ""
     sentences = [
-        f"Tracking: {runs} runs per controller. For each kind of reference ({listed(families)}) there are "
+        f"Tracking: {runs} runs per controller.{shared} For each kind of reference ({listed(families)}) there are "
         f"{cases['plant'].nunique()} plants, each run at every leak size ({listed(levels)} l/min at 100 bar across the "
         "piston).",
         "Every controller runs on the same plants, references and sensor noise: all comparisons are paired.",
@@ -161,6 +165,15 @@ def study_method(content: Content) -> list[Block]:
         f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings); of shares: 95 %, "
         "Wilson. About one in twenty of many such intervals misses its true value.",
     ]
+    if content.has("limit_cycles"):
+        still = content.table("limit_cycles")
+        leaks = listed([setting(level) for level in sorted(still["leakage_flow_lpm"].unique())])
+        sentences.append(
+            f"Standstills: {still['plant'].nunique()} plants, each at {leaks} l/min, without sensor noise. The "
+            "reference makes a small step and returns; then the axis must come to rest. A limit cycle has at least "
+            f"{LEAST_CYCLES} periods within {JUDGED:g} s, is larger than one step of the position sensor, and does "
+            "not decay."
+        )
     if content.has("detection_summary"):
         row = content.table("detection_summary").iloc[0]
         sentences.append(
@@ -197,10 +210,18 @@ def overview(content: Content) -> Table:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
         mean, *costs = _means(own)
         tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
-        rows.append((name, mean, interval_text(interval(ratio, "ratio"), decimals=3), tail, *costs))
+        still = [_limit_cycles(content, name)] if content.has("limit_cycle_summary") else []
+        rows.append((name, mean, interval_text(interval(ratio, "ratio"), decimals=3), tail, *costs, *still))
     error, *others = _overview_header()
+    others += ["limit cycles at rest"] if content.has("limit_cycle_summary") else []
     header = ("Controller", error, f"÷ {content.baseline}'s", "worst 5 %, mm", *others)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
+
+
+def _limit_cycles(content: Content, name: str) -> str:
+    row = content.row("limit_cycle_summary", controller=name)
+    size = f" (to {amplitude_text(row['largest_amplitude_um'])})" if row["limit_cycles"] else ""
+    return f"{row['limit_cycles']} of {row['standstills']}{size}"
 
 
 def level_tables(content: Content) -> dict[float, Table]:

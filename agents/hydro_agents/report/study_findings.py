@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from hydro_agents.evaluation.limit_cycles import comes_to_rest, is_broken, rest_text
 from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import (
@@ -27,6 +28,7 @@ FALSE_ALARM_TARGET = 0.01
 def findings_of(content: Content) -> list[Finding]:
     """The findings, in the order of a user's questions."""
     items = [_leak(content), *(_comparison(content, name) for name in content.controllers[1:])]
+    items += [_standstill(content)] if content.has("limit_cycle_summary") else []
     return [*items, _detection(content), _size(content)] if content.has("detection_summary") else items
 
 
@@ -111,10 +113,11 @@ def _growth_by_family(cases: pd.DataFrame, base: str) -> str:
 def _comparison(content: Content, name: str) -> Finding:
     row, equal = (content.row("ratios", controller=name, group=group) for group in ("all", "equal_weight"))
     whole, base = interval(row, "ratio"), row["against"]
+    rest = _unrest(content, base)
     lead = {
-        "better": f"{name} positions better than {base}: {_change(whole.value)}.",
-        "worse": f"{name} loses to {base}: {_change(whole.value)}.",
-        "same": f"No clear difference between {name} and {base} over all runs.",
+        "better": f"{name} positions better than {base}{rest}: {_change(whole.value)}.",
+        "worse": f"{name} loses to {base}{rest}: {_change(whole.value)}.",
+        "same": f"No clear difference between {name} and {base}{rest and f'{rest},'} over all runs.",
     }[verdict(whole)]
     mine, theirs = (
         number(conditional_value_at_risk(content.rows("cases", controller=who)["mean_error_mm"].to_numpy()))
@@ -145,6 +148,32 @@ def _breakdown(content: Content, name: str, group: str) -> str:
         return f"It {words[kinds[0]]} {'at every leak size' if group == 'level' else 'on every kind of reference'}."
     at, unit, what = ("at", " l/min", "By leak size") if group == "level" else ("on", "", "By reference")
     return f"{what} it " + "; ".join(f"{words[kind]} {at} {listed(labels[kind])}{unit}" for kind in kinds) + "."
+
+
+# At rest ------------------------------------------------------------------------------------------------------------
+
+
+def _unrest(content: Content, name: str) -> str:
+    """A clause about a controller that does not come to rest, else an empty text."""
+    found = content.row("limit_cycle_summary", controller=name)
+    if not found or comes_to_rest(found):
+        return ""
+    return f", which {'cannot hold this axis' if is_broken(found) else 'does not come to rest'} ({rest_text(found)})"
+
+
+def _standstill(content: Content) -> Finding:
+    rows = content.table("limit_cycle_summary").to_dict("records")
+    restless = [str(row["controller"]) for row in rows if not comes_to_rest(row)]
+    lead = f"Without sensor noise {listed(restless or ['every controller'])} "
+    if restless:
+        lead += f"{'do' if len(restless) > 1 else 'does'} not come to rest at every standstill."
+    else:
+        lead += "comes to rest at every standstill."
+    parts = [f"{row['controller']}: {rest_text(row)}" for row in rows]
+    text = f"{'; '.join(parts)}."
+    if content.baseline in restless and len(rows) > 1:
+        text += f" Ratios to {content.baseline} compare with a controller in this state."
+    return Finding(lead, text)
 
 
 # Noticing the leak --------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The hand calculations of an engineer for a rig, and the gains of a PID that follow from them."""
+"""The hand calculations of an engineer for a rig."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydro_agents.controllers.pid import PIDGains
-from hydro_agents.controllers.sampled_loop import COMMAND_LATENCY, CONTROL_PERIOD, places_in_reach, sampled_loop
+from hydro_agents.controllers.sampled_loop import places_in_reach, sampled_loop
+from hydro_agents.rigs.stable_gain import (
+    DRAWN,
+    HEALTHY_LEAK,
+    Weakest,
+    beyond_dead_band,
+    leaking,
+    loops_within_ranges,
+    nominal_loops,
+    weakest,
+)
 from hydro_env import HydroError, PlantParameters, TaskConfig
-from hydro_env.files import Group
 from hydro_env.plant.analysis import (
     chamber_volumes,
     closed_port_natural_frequency,
@@ -25,16 +33,13 @@ from hydro_env.plant.analysis import (
 from hydro_env.plant.arrays import equilibrium, plant_coefficients
 from hydro_env.plant.kernel import TOLERANCE
 from hydro_env.plant.linearisation import fastest_eigenvalue, linearise
-from hydro_env.plant.parts.leakage import leak_past_piston
 from hydro_env.plant.probe import ALLOWED_ERROR, PERIOD, probe
 from hydro_env.plant.states import State
 from hydro_env.plant.workable import inner_step, refuse_unworkable, shortest_inner_step
+from hydro_env.task.randomisation import default_randomisation
 from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE
 
-LEAKS = (0.01, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
-
-SHARE_OF_STABLE = 0.5  # proportional gain over the largest stable one: a gain margin of 6 dB
-INTEGRAL_SHARE = 0.1  # rate of the integral over the crossover frequency: it costs 6° of phase there
+LEAKS = (HEALTHY_LEAK, 0.3, 1.0, 4.0)  # l/min at 100 bar: a healthy seal, and three leaking ones
 
 BAR, MILLIMETRE, CUBIC_CENTIMETRE, SQUARE_CENTIMETRE = 1e5, 1e-3, 1e-6, 1e-4
 
@@ -53,8 +58,13 @@ class Row(NamedTuple):
         return self.value if isinstance(self.value, str) else f"{self.value:.{digits}g}"
 
 
-def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
+def check_rig(parameters: PlantParameters, source: str = "rig", task: TaskConfig | None = None) -> list[Row]:
     """All figures of a rig, in the units of practice.
+
+    Args:
+        parameters: the rig.
+        source: its name, for messages.
+        task: gives control period, latency and ranges of the rig; default: those of the default task.
 
     Raises:
         ConfigurationError: the rig cannot work; one line names the impossible figure.
@@ -73,7 +83,7 @@ def check_rig(parameters: PlantParameters, source: str = "rig") -> list[Row]:
         *_flows_and_speeds(parameters),
         *_forces(parameters),
         *_oscillation(parameters, place),
-        *_loop(parameters, place),
+        *_loop(task or TaskConfig(plant=parameters, randomisation=default_randomisation(parameters)), place),
         *_integration(parameters, place),
     ]
 
@@ -188,29 +198,55 @@ def _oscillation(parameters: PlantParameters, place: float) -> list[Row]:
         stiffness = closed_port_stiffness(parameters, position) * MILLIMETRE / 1e3
         rows.append(Row("oil column", "stiffness, ports shut", _position(position), stiffness, "kN/mm"))
     for leak in LEAKS:
-        damping = _figure(_damping, _leaking(parameters, leak), place)
+        damping = _figure(_damping, leaking(parameters, leak), place)
         rows.append(
             Row("oil column", "damping ratio, linearised", f"{_position(place)}, {leak_text(leak)}", damping, "1")
         )
     return rows
 
 
-def _loop(parameters: PlantParameters, place: float) -> list[Row]:
-    places = places_in_reach(parameters)
+def _loop(task: TaskConfig, place: float) -> list[Row]:
+    places = places_in_reach(task.plant)
     span = f"worst, {places[0] / MILLIMETRE:+.0f} to {places[-1] / MILLIMETRE:+.0f} mm"
-    timing = f"({1e3 * CONTROL_PERIOD:g} ms, {1e3 * COMMAND_LATENCY:g} ms late)"
-    thumb, stable = "gain 2 ζ ω / speed (no sampling)", f"largest stable gain {timing}"
+    thumb = "gain 2 ζ ω / speed (no sampling)"
+    stable = f"largest stable gain ({1e3 * task.control_period:g} ms, {1e3 * task.command_latency:g} ms late)"
+    found = {leak: weakest(nominal_loops(task, leak)) for leak in LEAKS}
+    worst = weakest(loops_within_ranges(task))
     rows, sampled = [], []
-    for leak in LEAKS:
-        plant, at = beyond_dead_band(_leaking(parameters, leak)), f"{_position(place)}, {leak_text(leak)}"
+    for leak, over_reach in found.items():
+        plant, at = beyond_dead_band(leaking(task.plant, leak)), f"{_position(place)}, {leak_text(leak)}"
         rows.append(Row("position loop", thumb, at, _figure(_rule_of_thumb, plant, place), "1/m"))
-        sampled.append(Row("position loop", stable, at, _figure(_largest_gain, plant, place), "1/m"))
-        worst = worst_gain(plant, places)
-        sampled.append(Row("position loop", "largest stable gain", f"{span}, {leak_text(leak)}", worst, "1/m"))
-        if isinstance(worst, float) and worst > 0.0:
-            stiffness = _figure(partial(_static_stiffness, 0.5 * worst), plant, place)
-            sampled.append(Row("position loop", "static stiffness", f"half of it, {at}", stiffness, "kN/mm"))
+        largest = _figure(partial(_largest_gain, task), plant, place)
+        sampled += [
+            Row("position loop", stable, at, largest, "1/m"),
+            Row("position loop", "largest stable gain", f"{span}, {leak_text(leak)}", _gain(over_reach), "1/m"),
+        ]
+    within = f"worst of {DRAWN} plants in the ranges, {leak_text(HEALTHY_LEAK)}"
+    sampled.append(Row("position loop", "largest stable gain", within, _gain(worst), "1/m"))
+    if worst is None or not 0.0 < worst.gain < math.inf:
+        return [*rows, *sampled]
+    gain = worst.recommended
+    sampled.append(Row("position loop", "recommended gain", "half of the worst in the ranges", gain, "1/m"))
+    for which, weak in (("own values", found[HEALTHY_LEAK]), ("worst in the ranges", worst)):
+        if weak is not None:
+            at, phase = f"recommended gain, {which}", weak.loop.phase_margin(gain)
+            sampled += [
+                Row("position loop", "gain margin", at, _text(weak.gain_margin(gain)), "dB"),
+                Row("position loop", "phase margin", at, _text(phase), "°"),
+            ]
+    for leak in LEAKS:
+        plant, at = beyond_dead_band(leaking(task.plant, leak)), f"{_position(place)}, {leak_text(leak)}"
+        stiffness = _figure(partial(_static_stiffness, gain), plant, place)
+        sampled.append(Row("position loop", "static stiffness", f"recommended gain, {at}", stiffness, "kN/mm"))
     return [*rows, *sampled]
+
+
+def _gain(found: Weakest | None) -> float | str:
+    return "cannot be held" if found is None else _text(found.gain)
+
+
+def _text(value: float) -> float | str:
+    return value if math.isfinite(value) else "unlimited"
 
 
 def _integration(parameters: PlantParameters, place: float) -> list[Row]:
@@ -245,32 +281,12 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def beyond_dead_band(parameters: PlantParameters) -> PlantParameters:
-    """The rig with a controller that jumps over the dead band of its valve; without an overlap the rig itself.
-
-    Within the dead band the valve passes next to nothing, so that almost any gain seems stable there. Each edge opens
-    as before, from where its overlap ends: y = (o + √(o² + x_0²)) / 2 with o = x_s / (1 − x_d).
-    """
-    valve = parameters.valve
-    if valve.overlap == 0.0:
-        return parameters
-    rest = 1.0 - valve.overlap
-    return parameters.replace(
-        valve={"overlap": 0.0, "rated_flow": valve.rated_flow / rest, "underlap": valve.underlap * rest}
-    )
-
-
-def _leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
-    return parameters.replace(leakage=leak_past_piston(leak, "laminar"))
-
-
 def _figure(
     compute: Callable[[PlantParameters, float], float], parameters: PlantParameters, place: float
 ) -> float | str:
     """A figure, or the reason for its absence."""
     try:
-        value = compute(parameters, place)
-        return value if math.isfinite(value) else "unlimited"
+        return _text(compute(parameters, place))
     except ArithmeticError:
         return "overdamped"
     except HydroError:
@@ -287,24 +303,12 @@ def _rule_of_thumb(parameters: PlantParameters, place: float) -> float:
     return 4.0 * mode.damping_ratio * mode.natural_frequency / sum(speed_limits(parameters))
 
 
-def _largest_gain(parameters: PlantParameters, place: float, *timing: float) -> float:
-    return sampled_loop(parameters, place, *timing).largest_stable_gain()
+def _largest_gain(task: TaskConfig, parameters: PlantParameters, place: float) -> float:
+    return sampled_loop(parameters, place, task.control_period, task.command_latency).largest_stable_gain()
 
 
 def _static_stiffness(gain: float, parameters: PlantParameters, place: float) -> float:
     return sampled_loop(parameters, place).static_stiffness(gain) * MILLIMETRE / 1e3
-
-
-def worst_gain(
-    parameters: PlantParameters,
-    places: list[float],
-    control_period: float = CONTROL_PERIOD,
-    latency: float = COMMAND_LATENCY,
-) -> float | str:
-    """The smallest of the largest stable proportional gains (1/m) over some positions, or why it does not exist."""
-    gains = [_figure(lambda *at: _largest_gain(*at, control_period, latency), parameters, place) for place in places]
-    numbers = [gain for gain in gains if isinstance(gain, float)]
-    return min(numbers) if numbers else max(map(str, gains))  # "unlimited" comes after "cannot be held"
 
 
 def _fastest(parameters: PlantParameters, place: float) -> float:
@@ -319,32 +323,3 @@ def _position(position: float) -> str:
 def leak_text(leak: float) -> str:
     """A leak as text."""
     return f"{leak:g} l/min"
-
-
-def pid_from_figures(task: TaskConfig) -> PIDGains | None:
-    """Half of the largest stable gain, and the inverse of the no-load speeds as feed-forward; no derivative.
-
-    ``None`` if no gain makes the loop of the task's plant, control period and latency unstable, or each gain does.
-    """
-    plant = beyond_dead_band(task.plant)
-    stable = worst_gain(plant, places_in_reach(task.plant), task.control_period, task.command_latency)
-    out, back = speed_limits(plant)
-    if not isinstance(stable, float) or stable <= 0.0 or min(out, back) <= 0.0:
-        return None
-    proportional = SHARE_OF_STABLE * stable
-    crossover = proportional * 0.5 * (out + back)
-    return PIDGains(
-        proportional=proportional,
-        integral=INTEGRAL_SHARE * crossover * proportional,
-        feedforward_extending=1.0 / out,
-        feedforward_retracting=1.0 / back,
-        lead_in_integral=False,
-    )
-
-
-def stable_start(task: TaskConfig, given: Group) -> Group:
-    """The given gains; for a PID whose gains would make the position loop unstable, those from the rig's figures."""
-    if not isinstance(given, PIDGains):
-        return given
-    own = pid_from_figures(task)
-    return own if own is not None and given.proportional > own.proportional / SHARE_OF_STABLE else given

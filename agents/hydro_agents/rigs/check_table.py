@@ -11,14 +11,17 @@ import pandas as pd
 from rich.padding import Padding
 from rich.table import Table as ConsoleTable
 
-from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, Row, beyond_dead_band, check_rig, leak_text
+from hydro_agents.rigs.check import BAR, LEAKS, MILLIMETRE, Row, check_rig, leak_text
+from hydro_agents.rigs.remarks import implausible, position_accuracy, stability_note
+from hydro_agents.rigs.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.text import Table, markdown
-from hydro_env import PlantParameters
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure, speed_limits
 from hydro_env.plant.parameters import PARAMETER_PATHS
+from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import Rig, read_rig
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE
@@ -32,13 +35,20 @@ NOTE = (
 )
 
 WEAK_DAMPING = 0.05  # damping ratio below which an axis rings: after five periods a step still oscillates by a fifth
+_PUMP = ("supply.model", ("pump", "accumulator"))
+_ACCUMULATOR = ("supply.model", ("accumulator",))
 USED_WITH = {
-    "valve.coil_inductance": ("valve.model", "drive"),
-    "friction.bristle_stiffness": ("friction.model", "lugre"),
-    "friction.bristle_damping": ("friction.model", "lugre"),
-    "supply.line_volume": ("supply.model", "pump"),
+    "valve.coil_inductance": ("valve.model", ("drive",)),
+    "friction.bristle_stiffness": ("friction.model", ("lugre",)),
+    "friction.bristle_damping": ("friction.model", ("lugre",)),
+    "supply.line_volume": ("supply.model", ("pump",)),
+    "supply.pump_flow": _PUMP,
+    "supply.relief_slope": _PUMP,
+    "supply.accumulator_volume": _ACCUMULATOR,
+    "supply.precharge_pressure": _ACCUMULATOR,
+    "supply.polytropic_index": _ACCUMULATOR,
 }
-"""Fields that act with one choice of another field alone."""
+"""Fields that act with some choices of another field alone."""
 
 
 def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, str]]:
@@ -58,7 +68,6 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
     damping = {
         leak: next(row for row in by_name["damping ratio, linearised"] if leak in row.at) for leak in (healthy, leaking)
     }
-    worst = {leak: next(row for row in by_name["largest stable gain"] if leak in row.at) for leak in (healthy, leaking)}
     return [
         (
             "speeds",
@@ -76,21 +85,38 @@ def brief(rows: Sequence[Row], parameters: PlantParameters) -> list[tuple[str, s
             f"{damping[healthy].text(2)} with a healthy seal, {damping[leaking].text(2)} with a leak of {leaking}, "
             "without friction",
         ),
-        ("largest stable gain", _gains(worst[healthy], worst[leaking], leaking, parameters)),
+        *_gains(by_name, parameters),
         ("verdict", _verdict(by_name, damping[healthy])),
     ]
 
 
-def _gains(healthy: Row, leaking: Row, leak: str, parameters: PlantParameters) -> str:
-    """The gain in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band."""
+def _gains(rows: Mapping[str, Sequence[Row]], parameters: PlantParameters) -> list[tuple[str, str]]:
+    """Gains in V/mm, and as velocity gain K_v in 1/s from the mean no-load speed; beyond a dead band."""
+    full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
 
-    def both(row: Row) -> str:
-        if isinstance(row.value, str):
-            return row.value
-        full_speed = sum(speed_limits(beyond_dead_band(parameters))) / 2.0
-        return f"{row.value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {row.value * full_speed:.3g} 1/s)"
+    def both(value: float | str) -> str:
+        if isinstance(value, str):
+            return value
+        return f"{value * FULL_VOLTAGE * MILLIMETRE:.3g} V/mm (K_v = {value * full_speed:.3g} 1/s)"
 
-    return f"{both(healthy)} with a healthy seal, {both(leaking)} with {leak}; use half of it"
+    healthy, within = rows["largest stable gain"][0], rows["largest stable gain"][-1]
+    lines = [
+        (
+            "largest stable gain",
+            f"{both(healthy.value)} with the file's own values, {both(within.value)} on the worst of {DRAWN} plants "
+            "drawn from their ranges; healthy seal",
+        )
+    ]
+    if recommended := rows.get("recommended gain"):
+        margins = [row.text(2) for row in rows["gain margin"]], [row.text(2) for row in rows["phase margin"]]
+        lines.append(
+            (
+                "recommended gain",
+                f"{both(recommended[0].value)}: half of the worst; gain margin {' and '.join(margins[0])} dB, phase "
+                f"margin {'° and '.join(margins[1])}° (own values and worst)",
+            )
+        )
+    return lines
 
 
 def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
@@ -127,7 +153,7 @@ def assumed(values: Mapping[str, Any], parameters: PlantParameters) -> list[tupl
     own = parameters.model_dump()
     for path, (choice, needed) in USED_WITH.items():
         group, field = choice.split(".")
-        if own[group][field] != needed:
+        if own[group][field] not in needed:
             missing = [parts for parts in missing if ".".join(parts) != path]
     result = []
     for group, fields in groupby(missing, key=lambda path: path[0]):
@@ -140,31 +166,60 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def check_to_console(rig: Path | None, folder: Path | None, overwrite: bool) -> list[Path]:
+def check_to_console(
+    rig: Path | None, folder: Path | None, overwrite: bool, period: str | None = None, latency: str | None = None
+) -> list[Path]:
     """Print the table of a rig; write ``check.csv`` and ``check.md`` into a folder if one is given.
 
+    Args:
+        rig: its file; ``None`` is the paper's.
+        folder: for the files.
+        overwrite: replace earlier files.
+        period: control period with its unit; default: that of the task.
+        latency: of the command, the same.
+
     Raises:
-        ConfigurationError: the rig is wrong or cannot work, or the folder cannot be used.
+        ConfigurationError: the rig is wrong or cannot work, the timing is impossible, or the folder cannot be used.
     """
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
-    rows = check_rig(given.plant, given.source)
+    task = _task(rig, period, latency)
+    rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
+    warnings = implausible(given.plant)
+    notes = [note for note in (stability_note(rows),) if note]
     title = f"{rig.name if rig is not None else 'the rig of Kovari (2015)'}: {_summary(given)}"
     files = []
     if folder is not None:
         with output_folder(folder, "check-rig", (CSV_FILE, TABLE_FILE), overwrite=overwrite):
             write_text(folder / CSV_FILE, check_csv(rows))
-            write_text(folder / TABLE_FILE, check_markdown(rows, title))
+            write_text(folder / TABLE_FILE, check_markdown(rows, title, [*warnings, *notes]))
         files = [folder / CSV_FILE, folder / TABLE_FILE]
     console = PlainConsole()
-    console.print(title, soft_wrap=True)
+    for told in (title, *warnings):
+        console.print(told, soft_wrap=True)
     facts = ConsoleTable(box=None, show_header=False, padding=(0, 2, 0, 0))
     for name, text in brief(rows, given.plant):
         facts.add_row(name, text)
     console.print(facts)
+    for note in notes:
+        console.print("", note, sep="\n")
     for line in _assumed(rig, given.plant):
         console.print(line)
     console.print(console_table(_table(rows), left=(0, 1, 3)))
     return files
+
+
+def _task(rig: Path | None, period: str | None, latency: str | None) -> TaskConfig:
+    """The default task on the rig with another timing.
+
+    Raises:
+        ConfigurationError: period or latency is impossible; the message names the option.
+    """
+    timing = {"control_period": period, "command_latency": latency}
+    try:
+        return task_config({name: text for name, text in timing.items() if text is not None}, rig=rig)
+    except ConfigurationError as error:
+        fault = str(error).replace("control_period", "--period").replace("command_latency", "--latency")
+        raise ConfigurationError(fault.replace("task: --", "check-rig: --")) from None
 
 
 def _summary(rig: Rig) -> str:
@@ -204,8 +259,8 @@ def check_csv(rows: list[Row]) -> str:
     return text
 
 
-def check_markdown(rows: list[Row], title: str) -> str:
-    """The table as Markdown."""
+def check_markdown(rows: list[Row], title: str, remarks: Sequence[str] = ()) -> str:
+    """The table as Markdown, with remarks below it."""
     cells = [(row.group, row.quantity, row.at, row.text(4), row.unit) for row in rows]
     table = markdown(HEADINGS, cells, left=(0, 1, 2, 4))
-    return f"# {title}\n\n{table}\n\n{NOTE}\n"
+    return "\n\n".join([f"# {title}", table, NOTE, *remarks]) + "\n"

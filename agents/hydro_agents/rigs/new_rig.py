@@ -14,6 +14,7 @@ from hydro_env.units import FULL_VOLTAGE, LITRE_PER_MINUTE, UNITS
 
 BAR = 1e5
 STEEL = 7850.0  # kg/m³
+ASSUMED_ACCURACY = 2e-4  # of the stroke: largest constant error of the position sensor that follows from a rig
 
 Answers = Mapping[str, float | str]
 
@@ -300,25 +301,36 @@ def _supply(values: _Values) -> list[Entry]:
     ]
 
 
-def _sensors(values: _Values) -> dict[str, dict[str, str]]:
-    """Fields of each sensor as text; an empty one follows from the rig."""
+def _sensors(values: _Values) -> list[str]:
+    """Lines of the sensors, with the accuracy of the position; what is not given follows from the rig."""
     texts = values.texts
     sensors: dict[str, dict[str, str]] = {"position": {}, "pressure_a": {}, "pressure_b": {}, "spool_position": {}}
     for field, what in (("noise", "noise"), ("resolution", "resolution"), ("high", "range")):
         for channel, key in (("position", "position"), ("pressure_a", "pressure"), ("pressure_b", "pressure")):
             if f"{key}_{what}" in texts:
                 sensors[channel][field] = texts[f"{key}_{what}"].strip()
+    share, known = values.number("position_accuracy", ASSUMED_ACCURACY), "position_accuracy" in values.answers
+    largest = in_unit(share * values.number("stroke"), "mm", "m")
+    if known:
+        sensors["position"]["bias"] = largest
     if "pressure_accuracy" in values.answers:
-        largest = values.number("pressure_accuracy") * values.number("pressure_range")
+        error = values.number("pressure_accuracy") * values.number("pressure_range")
         for channel in ("pressure_a", "pressure_b"):
-            sensors[channel]["bias"] = in_unit(largest, "bar", "Pa")
+            sensors[channel]["bias"] = in_unit(error, "bar", "Pa")
     for channel in str(values.answers.get("absent", "")).split(","):
         if channel:
             sensors[channel] = {"fitted": "false"}
-    return {channel: fields for channel, fields in sensors.items() if fields}
+    lines = [
+        f"  {channel}: {{{', '.join(f'{name}: {value}' for name, value in fields.items())}}}"
+        for channel, fields in sensors.items()
+        if fields
+    ]
+    heading = ["sensors:  # as given; the rest follows from stroke and supply pressure"] if lines else []
+    origin = f"{'given' if known else 'assumed'}: {largest}, {100.0 * share:.3g} % of the stroke"
+    return [*heading, *lines, f"# largest constant error of the position sensor (bias), {origin}"]
 
 
-def _written(entries: list[Entry], sensors: dict[str, dict[str, str]], source: str) -> str:
+def _written(entries: list[Entry], sensors: list[str], source: str) -> str:
     lines = [
         "# A rig, written by hydro new-rig. Each value has its origin: given, computed, or assumed. Correct each",
         "# value that you know better. A value without a unit is in SI; pressures are gauge pressures.",
@@ -335,8 +347,4 @@ def _written(entries: list[Entry], sensors: dict[str, dict[str, str]], source: s
         "randomisation:  # uncertain values: each episode draws them; hydro identify narrows them with a recording",
         *(f"  {entry.path}: {entry.range}  # {entry.reason}" for entry in entries if entry.range),
     ]
-    if sensors:
-        lines.append("sensors:  # as given; the rest follows from stroke and supply pressure")
-        for channel, fields in sensors.items():
-            lines.append(f"  {channel}: {{{', '.join(f'{name}: {value}' for name, value in fields.items())}}}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *sensors]) + "\n"

@@ -59,6 +59,7 @@ QUESTIONS = (
     Question("line-diameter", "lines", "m", "12 mm", "Inner diameter of these lines."),
     Question("line-kind", "lines", "", "hose", f"Kind of these lines: {' or '.join(LINE_KINDS)}."),
     Question("position-noise", "sensors", "m", "0.02 mm", "Noise of the position sensor (standard deviation)."),
+    Question("position-accuracy", "sensors", "1", "0.02 %", "Accuracy of the position sensor, of the stroke."),
     Question("position-resolution", "sensors", "m", "5 um", "Smallest step of the position reading."),
     Question("pressure-range", "sensors", "Pa", "250 bar", "Upper end of the range of the pressure sensors."),
     Question("pressure-noise", "sensors", "Pa", "0.2 bar", "Noise of the pressure sensors (standard deviation)."),

@@ -65,6 +65,7 @@ LEARNING_CURVE = SeedRange(1_600_000, 10_000, "the errors of policies while they
 ALARM_CALIBRATION_ONSETS = SeedRange(1_610_000, 90_000, "the calibration of alarms on leaks that begin")
 CONTROLLER_VECTORS = SeedRange(1_700_000, 10_000, "the test vectors of exported controllers")
 HEAD_VECTORS = SeedRange(1_710_000, 10_000, "the test vectors of an exported leakage head")
+STANDSTILLS = SeedRange(1_720_000, 10_000, "the limit cycles of tuned gains")
 LEAK_THRESHOLDS = SeedRange(1_800_000, 100_000, "the thresholds of the leakage protocol")
 TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
 

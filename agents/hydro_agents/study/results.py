@@ -17,6 +17,8 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
+from hydro_agents.evaluation.limit_cycles import amplitude_text, rest_warning
+from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
@@ -110,7 +112,9 @@ def evaluate_study(
 
     evaluation = phases.run("evaluate", work) if phases is not None else work()
     display.update("report", 0, 1)
-    working = {name: controller for name, controller in controllers.items() if name not in evaluation.errors}
+    working: dict[str, Controller] = {}  # of several training seeds the first
+    for name in (name for name in controllers if name not in evaluation.errors):
+        working.setdefault(split_name(name)[0], controllers[name])
     levels = sorted(study.evaluation.leak_levels)
     price = leak_price(study.task, levels)
     write_tables(folder / "tables", evaluation)
@@ -132,6 +136,7 @@ def evaluate_study(
     cards = {
         name: controller_card(name, controller, evaluation, command, corrects.get(name), paths.get(name), ships)
         for name, controller in working.items()
+        if name in controllers  # a card is about the weights of one training
     }
     if head is not None:
         cards["leakage_head"] = head_card(head, evaluation, command, paths.get("leakage_head"))
@@ -181,12 +186,17 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
-    """Print the main figures as tables on the console."""
+    """Print the main figures as tables on the console, and one line for each controller that does not come to rest."""
     if len(evaluation.controllers) <= MOST_COLUMNS:
         display.console.lines(console_table(_errors_by_leak(evaluation)))
     display.console.lines(console_table(_errors_in_all(evaluation)))
     if not evaluation.detection_summary.empty:
         display.console.lines(console_table(_detection(evaluation)))
+    if not evaluation.limit_cycle_summary.empty:
+        display.console.lines(console_table(_standstills(evaluation)))
+    for row in evaluation.limit_cycle_summary.to_dict("records"):
+        if warning := rest_warning(row["controller"], row, baseline=row["controller"] == evaluation.controllers[0]):
+            display.say(warning)
 
 
 def _errors_in_all(evaluation: Evaluation) -> Table:
@@ -209,6 +219,20 @@ def _errors_by_leak(evaluation: Evaluation) -> Table:
         for level in evaluation.cases["leakage_flow_lpm"].unique()
     ]
     return Table("Mean absolute tracking error, mm (test plants)", ("leak, l/min", *evaluation.controllers), rows)
+
+
+def _standstills(evaluation: Evaluation) -> Table:
+    rows = [
+        (
+            str(row["controller"]),
+            f"{row['limit_cycles']} of {row['standstills']}",
+            amplitude_text(row["largest_amplitude_um"]) if row["limit_cycles"] else "–",
+            str(row["failures"]),
+        )
+        for row in evaluation.limit_cycle_summary.to_dict("records")
+    ]
+    header = ("controller", "limit cycles", "largest amplitude", "failures")
+    return Table("Standstills without sensor noise, after a small step and back (test plants)", header, rows)
 
 
 def _detection(evaluation: Evaluation) -> Table:

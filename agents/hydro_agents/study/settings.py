@@ -17,6 +17,7 @@ from hydro_agents.controllers.base import ClassicalController, Controller
 from hydro_agents.controllers.registry import CONTROLLERS, imported, make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
+from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
@@ -210,16 +211,16 @@ class StudySettings(Group):
 
         Args:
             agents: additional controllers, or replacements of those of the study, as texts for
-                :func:`~hydro_agents.learning.opponents.opponent`. Any other trained controller takes the shipped
-                weights.
+                :func:`~hydro_agents.learning.opponents.opponent`. ``NAME#0``, ``NAME#1``, … are training seeds, which
+                replace a controller NAME of the study. Any other trained controller takes the shipped weights.
 
         Raises:
             ConfigurationError: a controller cannot be made or has no weights.
         """
         controllers: dict[str, Controller] = {}
         for name, entry in self.controllers.items():
-            if name in agents:
-                controllers[name] = opponent(agents[name], self.task, name, entry.trainer)
+            if seeds := [agent for agent in agents if split_name(agent)[0] == name]:
+                controllers |= {seed: opponent(agents[seed], self.task, seed, entry.trainer) for seed in seeds}
             elif entry.trainer is None:
                 controllers[name] = opponent(self.make(name), self.task, name)
             elif entry.kind in SHIPPED_WEIGHTS:
@@ -243,9 +244,9 @@ class StudySettings(Group):
     def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
         """Like :meth:`with_weights`, but weights that need other observations are left out, with the reason."""
         reasons = []
-        study = self
+        study, given = self, {split_name(agent)[0] for agent in agents}
         for name, entry in self.controllers.items():
-            if entry.trainer is not None and name not in agents:
+            if entry.trainer is not None and name not in given:
                 try:
                     opponent(shipped(entry.kind, self.task), self.task, name)
                 except ConfigurationError as error:

@@ -13,10 +13,12 @@ from hydro_agents.controllers.registry import CONTROLLERS, GAINS_FILE, gains_tex
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.head_training import train_head
 from hydro_agents.detection.training_settings import HeadTrainingSettings
+from hydro_agents.evaluation.limit_cycles import comes_to_rest, counted_at_rest, rest_text
 from hydro_agents.learning.progress import PROGRESS_FILE, Progress, read_progress
 from hydro_agents.learning.tuning import Tuned, tune
-from hydro_agents.rigs.check import stable_start
+from hydro_agents.rigs.stable_gain import stable_start
 from hydro_agents.running.console import ProgressDisplay
+from hydro_agents.running.seeds import STANDSTILLS
 from hydro_agents.study.settings import StudySettings, TuningSettings
 from hydro_env import TaskConfig
 from hydro_env.files import Group, validate, write_text
@@ -30,6 +32,7 @@ TRAINING_FILES = (f"{WEIGHTS}.*", CHECKPOINTS, PROGRESS_FILE, "events.out.tfeven
 
 TUNING_LOG = "tuning.csv"
 TUNING_FILES = (GAINS_FILE, TUNING_LOG)  # files that the tuning of a controller writes
+STANDSTILL_CASES = 16  # at which the tuned gains are searched for limit cycles
 HEAD_FILES = (f"{HEAD_WEIGHTS}.*", HEAD_CHECKPOINTS)
 
 
@@ -121,6 +124,8 @@ def tune_gains(
 ) -> Tuned:
     """Tune gains with progress on the console; the best gains so far are written after every generation.
 
+    The file of the final gains says in a comment whether an axis under them comes to rest without sensor noise.
+
     Args:
         kind: of the controller.
         task: the task.
@@ -138,13 +143,10 @@ def tune_gains(
         KeyboardInterrupt: Ctrl-C; the log keeps the finished generations.
     """
 
-    def write(best: Tuned) -> None:
-        write_text(file, gains_text(best.gains))
-
     def report(best: Tuned) -> None:
         note = f"mean {1e3 * best.score.mean:.4f} mm, equal weights {1e3 * best.score.equal:.4f} mm"
         display.update(phase, min(best.evaluations, budget.evaluations), budget.evaluations, note)
-        write(best)
+        write_text(file, gains_text(best.gains))
 
     display.update(phase, 0, budget.evaluations)
     tuned = tune(
@@ -159,7 +161,12 @@ def tune_gains(
         resume=resume,
         progress=report,
     )
-    write(tuned)
+    made = make_controller(kind, task, tuned.gains.model_dump())
+    found = counted_at_rest(made, task, STANDSTILLS, STANDSTILL_CASES)
+    note = f"{rest_text(found)} (drawn plants and leaks, without sensor noise)"
+    write_text(file, gains_text(tuned.gains, note[0].upper() + note[1:]))
+    if not comes_to_rest(found):
+        display.say(f"{kind}, tuned: {note}")
     return tuned
 
 
