@@ -266,7 +266,7 @@ TINY = {
     ],
 )
 def test_a_stopped_command_says_what_it_keeps(tmp_path, monkeypatch, number, code, resume, files, words):
-    def stopped(rig, folder, overwrite):
+    def stopped(rig, folder, *_):
         with output_folder(folder, "check-rig", ["checkpoint.json", "check.csv"], resume=resume):
             for name in files:
                 (folder / name).write_text("")
