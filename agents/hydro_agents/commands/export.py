@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say
+from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, write_files
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
@@ -76,12 +76,10 @@ Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files 
 def _write(output: Path, overwrite: bool, names: Sequence[str], make: Callable[[], Exported]) -> None:
     """Make files in a folder that is claimed for them, and say what was written."""
     from hydro_agents.running.folders import output_folder
-    from hydro_env.files import write_whole
 
     with output_folder(output, JOB, names, overwrite=overwrite):
         files, report = make()
-        for name, content in files.items():
-            write_whole(output / name, content if isinstance(content, bytes) else content.encode())
+        write_files(output, files)
     say(*report, *(f"written: {output / name}" for name in names))
 
 

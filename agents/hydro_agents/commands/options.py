@@ -137,20 +137,26 @@ def write_results(
     """
     from hydro_agents.running.console import ProgressDisplay
     from hydro_agents.running.folders import output_folder
-    from hydro_env.files import write_text, write_whole
 
     with (
         output_folder(output, command, files, resume=resume, overwrite=overwrite),
         ProgressDisplay() as display,
     ):
         text, contents = work(display)
-        for name, content in contents.items():
-            if isinstance(content, bytes):
-                write_whole(output / name, content)
-            else:
-                write_text(output / name, content)
+        write_files(output, contents)
     show(text)
     say(f"results in {output}")
+
+
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> None:
+    """Write files, by name, into a folder."""
+    from hydro_env.files import write_text, write_whole
+
+    for name, content in contents.items():
+        if isinstance(content, bytes):
+            write_whole(folder / name, content)
+        else:
+            write_text(folder / name, content)
 
 
 def named_agents(texts: Sequence[str] | None) -> dict[str, str]:

@@ -73,7 +73,7 @@ class PolicyTrainer:
     """A trainer of stable-baselines3, which is imported when a training begins.
 
     Args:
-        algorithm: PPO, or an algorithm of :data:`~hydro_agents.learning.training.PACKAGES`.
+        algorithm: PPO, or an algorithm of :data:`~hydro_agents.learning.off_policy.PACKAGES`.
         settings: class of its settings.
     """
 
@@ -92,7 +92,8 @@ class PolicyTrainer:
         progress: Callable[[Progress], None] | None,
     ) -> PolicyController:
         """Train a policy; the residual form corrects ``base``, a classical controller."""
-        from hydro_agents.learning.training import train_off_policy, train_ppo
+        from hydro_agents.learning.off_policy import train_off_policy
+        from hydro_agents.learning.training import train_ppo
 
         if isinstance(settings, PPOSettings):
             return train_ppo(config, settings, base, seed, folder, resume=resume, progress=progress)

@@ -113,12 +113,13 @@ def leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
     return parameters.replace(leakage=leak_past_piston(leak, "laminar"))
 
 
-def pid_from_figures(task: TaskConfig) -> PIDGains | None:
+def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = None) -> PIDGains | None:
     """Half of the largest stable gain of the weakest plant within the task's ranges, and feed-forward; no derivative.
 
     The feed-forward is the inverse of the no-load speeds. ``None`` if no gain makes a loop unstable, or each gain does.
+    ``loops`` are those of :func:`loops_within_ranges`, if they are known.
     """
-    found = weakest(loops_within_ranges(task))
+    found = weakest(loops_within_ranges(task) if loops is None else loops)
     out, back = speed_limits(beyond_dead_band(task.plant))
     if found is None or not 0.0 < found.gain < math.inf or min(out, back) <= 0.0:
         return None
@@ -136,7 +137,7 @@ def stable_start(task: TaskConfig, given: Group) -> Group:
     """The given gains; for a PID that would be unstable on this rig and its ranges, those from the rig's figures."""
     if not isinstance(given, PIDGains):
         return given
-    stable = [loop.is_stable(given.proportional) for loop in loops_within_ranges(task)]
-    if stable.count(False) <= FEW_UNSTABLE * len(stable):
+    loops = list(loops_within_ranges(task))
+    if sum(not loop.is_stable(given.proportional) for loop in loops) <= FEW_UNSTABLE * len(loops):
         return given
-    return pid_from_figures(task) or given
+    return pid_from_figures(task, loops) or given
