@@ -22,7 +22,7 @@ from hydro_env.task.faults import Faults
 from hydro_env.task.groups import Range, TaskGroup, interval
 from hydro_env.task.randomisation import Randomisation, check_draws, default_randomisation
 from hydro_env.task.record import OPTION_NAMES
-from hydro_env.task.reference_signals import REFERENCE_FAMILIES
+from hydro_env.task.reference_signals import MOVING_FAMILIES, REFERENCE_FAMILIES
 from hydro_env.task.rig import task_from
 from hydro_env.task.sensors import Sensors
 from hydro_env.units import Number, quantity
@@ -68,7 +68,7 @@ class References(TaskGroup):
     """The references, within the force and the speed of each plant."""
 
     weights: dict[Family, Annotated[float, Field(ge=0.0, le=1e6)]] = Field(
-        default_factory=lambda: {name: 1.0 for name in REFERENCE_FAMILIES if name != "user"},
+        default_factory=lambda: dict.fromkeys(MOVING_FAMILIES, 1.0),
         description="relative frequency of each family; absent families do not occur",
     )
     user: list[Number] | None = Field(

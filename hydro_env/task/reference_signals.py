@@ -72,6 +72,11 @@ def _target(key, index, f):
 
 
 @inline
+def _farther_end(start, f):
+    return f.high if f.high - start > start - f.low else f.low
+
+
+@inline
 def fill_step(row, key, start, period, f, limits):
     """One to four steps at random times, each of a size within the configured range."""
     value = start
@@ -199,8 +204,7 @@ def fill_multi_sine(row, key, start, period, f, limits):
 @inline
 def fill_start_stop(row, key, start, period, f, limits):
     """Start–stop: consecutive short runs at constant speed with abrupt ends, towards a far target and back."""
-    value = start
-    target = f.high if f.high - start > start - f.low else f.low
+    value, target = start, _farther_end(start, f)
     speed = _speed_limit(f.low, f.high, f, limits) * between(key, 0, 0.5, 1.0)
     running = False
     left = between(key, 1, 0.05, 0.2)
@@ -219,6 +223,46 @@ def fill_start_stop(row, key, start, period, f, limits):
             draw += 1
 
 
+@inline
+def fill_pause(row, key, start, period, f, limits):
+    """A pause until about the last second, then one smooth move (quintic) towards the farther end."""
+    target = start + between(key, 0, 0.1, 1.0) * (_farther_end(start, f) - start)
+    speed = _speed_limit(start, target, f, limits) * between(key, 1, 0.4, 1.0)
+    distance = abs(target - start)
+    duration = max(1.875 * distance / speed, math.sqrt(5.774 * distance / limits.acceleration_limit), 2.0 * period)
+    begin = max((row.shape[0] - 1) * period - between(key, 2, 0.8, 1.0), 0.05)
+    for sample in range(row.shape[0]):
+        share = min(max((sample * period - begin) / duration, 0.0), 1.0)
+        row[sample] = start + (target - start) * share * share * share * (10.0 + share * (6.0 * share - 15.0))
+
+
+@inline
+def fill_creep(row, key, start, period, f, limits):
+    """One slow run at constant speed, 0.5 to 1.5 % of the largest, towards the farther end."""
+    target = _farther_end(start, f)
+    speed = _speed_limit(f.low, f.high, f, limits) * log_between(key, 0, 0.005, 0.015)
+    begin = between(key, 1, 0.05, 0.25)
+    for sample in range(row.shape[0]):
+        travel = min(max(sample * period - begin, 0.0) * speed, abs(target - start))
+        row[sample] = start + (travel if target > start else -travel)
+
+
+@inline
+def fill_staircase(row, key, start, period, f, limits):
+    """Small steps of one size, 2.5 to 10 % of the smallest step, back and forth at random times."""
+    size = limits.step_range[0] * log_between(key, 0, 0.025, 0.1)
+    value, change = start, between(key, 1, 0.05, 0.25)
+    draw = 2
+    for sample in range(row.shape[0]):
+        if sample * period >= change:
+            up = uniform(key, draw) < 0.5
+            rise = value + size <= f.high if up else value - size < f.low
+            value += size if rise else -size
+            change += between(key, draw + 1, 0.1, 0.3)
+            draw += 2
+        row[sample] = value
+
+
 FAMILIES = {
     "step": fill_step,
     "point_to_point": fill_point_to_point,
@@ -226,8 +270,14 @@ FAMILIES = {
     "sine": fill_sine,
     "multi_sine": fill_multi_sine,
     "start_stop": fill_start_stop,
+    "pause": fill_pause,
+    "creep": fill_creep,
+    "staircase": fill_staircase,
 }
 """The function that writes each family of references; append a new one at the end."""
+
+MOVING_FAMILIES = ("step", "point_to_point", "ramp", "sine", "multi_sine", "start_stop")
+"""Families that a task draws unless told otherwise; at the others the axis hardly moves for most of the time."""
 
 REFERENCE_FAMILIES = (*FAMILIES, "user")
 """Families of references; ``user`` is an array given by the user."""

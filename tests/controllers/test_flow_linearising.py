@@ -45,22 +45,24 @@ def test_the_opening_inverts_the_speed():
     np.testing.assert_allclose(model.opening(model.speed(opening, flow), flow), opening, atol=1e-12)
 
 
-def test_the_pressures_at_rest_tell_the_supply():
-    env = ServoHydraulicVectorEnv(20, TaskConfig(sensors={"enabled": False}), info=False)
-    env.reset(seed=3)
+def test_the_pressures_at_rest_tell_the_supply_within_the_bounds_of_the_data_sheet():
+    env = ServoHydraulicVectorEnv(40, TaskConfig(sensors={"enabled": False}), info=False)
+    env.reset(seed=3, options={"parameters": {"leakage": {"external_resistance": np.inf}}})
     state = dict(zip(STATE_NAMES, env.axes.state.T, strict=True))
-    sealed = np.array([np.isinf(env.axes.parameters(axis).leakage.external_resistance) for axis in range(20)])
-    supply = FlowModel(PlantParameters()).supply(np.array([state["pressure_a"], state["pressure_b"]]))
-    assert sealed.sum() > 10
-    np.testing.assert_allclose(supply[sealed], state["supply_pressure"][sealed], rtol=2e-3)
+    pressures, model = np.array([state["pressure_a"], state["pressure_b"]]), FlowModel(PlantParameters())
+    nominal = PlantParameters().supply.pressure
+    known = np.clip(state["supply_pressure"], 0.8 * nominal, 1.5 * nominal)
+    np.testing.assert_allclose(model.supply(pressures, np.zeros(40)), known, rtol=2e-3)
+    np.testing.assert_array_equal(model.supply(pressures, np.full(40, 0.05)), nominal)
 
 
 def test_the_filter_is_the_kalman_filter_of_the_textbook():
     period, noise = 0.005, 3e-5
-    spread, drift = np.array([3e-5, 0.1, 1e-12, 0.01]), np.array([1e-4, 0.05, 0.0, 0.02])
+    spread, motion, memory = np.array([3e-5, 0.1, 1e-12, 0.01]), 1e-4, np.array([2.0, 10.0, 0.5])
+    kept = np.append(1.0, np.exp(-period / memory))  # the position is a random walk
     axes, generator = 3, np.random.default_rng(1)
-    watched = MotionFilter(noise, spread, drift, period)
-    x, p = watched.start(np.zeros(axes), np.full(axes, 0.001))
+    watched = MotionFilter(noise, spread, motion, memory, period)
+    x, p = watched.start(np.zeros(axes), np.full(axes, 0.02), np.full(axes, 3e9), np.full(axes, 0.001))
     expected = [(x[i].copy(), p[i].copy()) for i in range(axes)]
     for _ in range(40):
         way, leak, other, y = (scale * generator.standard_normal(axes) for scale in (1e-3, 1e6, 1e-5, 1e-3))
@@ -69,11 +71,41 @@ def test_the_filter_is_the_kalman_filter_of_the_textbook():
             f = np.eye(4)
             f[0] = 1.0, way[i], leak[i], period
             mean = f @ mean + np.array([way[i] + other[i], 0.0, 0.0, 0.0])
-            covariance = f @ covariance @ f.T + np.diag(drift**2 * period)
+            covariance = f @ covariance @ f.T + np.diag(
+                np.r_[motion**2 * period, spread[1:] ** 2 * (1.0 - kept[1:] ** 2)]
+            )
             k = covariance[:, 0] / (covariance[0, 0] + noise**2)
-            expected[i] = mean + k * (y[i] - mean[0]), covariance - np.outer(k, covariance[0])
+            expected[i] = (
+                kept * (mean + k * (y[i] - mean[0])),
+                kept[:, None] * (covariance - np.outer(k, covariance[0])) * kept,
+            )
     np.testing.assert_allclose(x, [mean for mean, _ in expected], rtol=1e-9)
     np.testing.assert_allclose(p, [covariance for _, covariance in expected], rtol=1e-7, atol=1e-30)
+
+
+def test_at_the_start_the_uncertainties_share_the_speed_that_the_data_sheet_does_not_explain():
+    spread = np.array([3e-5, 0.1, 1e-12, 0.01])
+    speed, leak, unexplained = np.array([0.1, 0.0, 0.0]), np.array([0.0, 1e10, -1e10]), np.array([0.02, 0.03, 0.03])
+    x, p = MotionFilter(3e-5, spread, 1e-4, np.ones(3), 0.005).start(np.full(3, 0.01), speed, leak, unexplained)
+    slope = np.stack([speed, leak, np.ones(3)], axis=1)
+    np.testing.assert_allclose((x[:, 1:] * slope).sum(axis=1), unexplained)  # they explain it together
+    np.testing.assert_allclose(x[0, 1:], [0.1, 0.0, 0.01])  # gain and offset are equally uncertain
+    np.testing.assert_allclose(x[1:, 2], [1.5e-12, -1.5e-12])
+    np.testing.assert_allclose(np.einsum("ni,nij,nj->n", slope, p[:, 1:, 1:], slope), 0.0, atol=1e-18)
+
+
+def test_without_measurements_the_unknowns_return_to_the_data_sheet_and_their_spread_stays():
+    spread, memory, period = np.array([3e-5, 0.1, 1e-12, 0.01]), np.array([2.0, 10.0, 0.5]), 0.005
+    watched = MotionFilter(1e3, spread, 1e-4, memory, period)  # m; the position tells nothing
+    x, p = watched.start(np.zeros(1), np.zeros(1), np.zeros(1), np.array([0.02]))
+    assert x[0, 3] == 0.02  # alone explains the speed, which leaves no doubt
+    assert p[0, 3, 3] == 0.0
+    zero = np.zeros(1)
+    for _ in range(200):
+        x, p = watched.advanced(x, p, zero, zero, zero, zero)
+    assert x[0, 3] == pytest.approx(0.02 * np.exp(-1.0 / memory[2]), rel=1e-6)
+    np.testing.assert_allclose(np.sqrt(np.diag(p[0])[1:3]), spread[1:3], rtol=0.02)
+    assert np.sqrt(p[0, 3, 3]) == pytest.approx(spread[3] * np.sqrt(1.0 - np.exp(-2.0 / memory[2])), rel=0.02)
 
 
 @pytest.mark.parametrize("speed", [0.05, -0.05])

@@ -47,8 +47,22 @@ def test_feedforward_takes_the_speed_from_the_preview_and_knows_the_direction():
     pid = PID(gains, CONFIG)
     for speed, gain in ((0.06, 5.0), (-0.06, 8.0)):
         ahead = {f"reference_preview_{1e3 * t:g}ms": speed * t for t in LAYOUT.preview_times}
-        action, _ = pid.predict(observation(**ahead))
+        _, at_rest = pid.predict(observation())
+        action, _ = pid.predict(observation(**ahead), at_rest)
         assert action[0] == pytest.approx(gain * speed, rel=1e-4)
+        taken_over, _ = pid.predict(observation(previous_command=0.4, **ahead))
+        assert taken_over[0] == pytest.approx(0.4, rel=1e-5)
+
+
+def test_a_jump_of_the_reference_does_not_wind_up_the_integral():
+    pid = PID(
+        PIDGains(proportional=0.0, **PLAIN | {"feedforward_extending": 5.0, "feedforward_retracting": 5.0}), CONFIG
+    )
+    jump = {f"reference_preview_{1e3 * t:g}ms": -0.01 for t in LAYOUT.preview_times if t > 0.005}
+    _, at_rest = pid.predict(observation())
+    action, memory = pid.predict(observation(**jump), at_rest)
+    assert action[0] == -1.0
+    assert memory.integral[0] == 0.0
 
 
 def test_anti_windup_lets_the_integral_recover():

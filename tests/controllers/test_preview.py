@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers.preview import Preview, path_weights
-from hydro_env import REFERENCE_FAMILIES, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
-FAMILIES = [name for name in REFERENCE_FAMILIES if name != "user"]
+FAMILIES = list(MOVING_FAMILIES)
 
 
 @pytest.mark.parametrize(

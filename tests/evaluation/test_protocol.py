@@ -13,6 +13,7 @@ from hydro_agents.evaluation.evaluate import ProtocolSettings, evaluate
 from hydro_agents.running.cases import ControllerError, run_cases
 from hydro_agents.running.seeds import EVALUATION, TEST_SEEDS
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, TaskConfig
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 CONFIG = TaskConfig(episode_duration=0.4)
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -43,7 +44,7 @@ def test_seeds_of_the_protocol_do_not_move():
     for row, seed in zip(table.itertuples(), cases.seeds, strict=True):
         assert seed == 2_000_000 + 10_000 * REFERENCE_FAMILIES.index(row.family) + row.plant
     assert list(table["plant"][:3]) == [0, 1, 2]
-    assert list(dict.fromkeys(table["family"])) == list(REFERENCE_FAMILIES[:-1])
+    assert list(dict.fromkeys(table["family"])) == list(MOVING_FAMILIES)
     largest, _ = ProtocolSettings(plants=10_000, leak_levels=(1.0,)).cases(EVALUATION)
     assert len(set(largest.seeds)) == 60_000
     watched = detection_cases(CONFIG, 200_000).seeds

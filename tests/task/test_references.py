@@ -7,6 +7,7 @@ from scipy import stats
 
 from hydro_env import REFERENCE_FAMILIES, ServoHydraulicEnv, ServoHydraulicVectorEnv
 from hydro_env.plant.analysis import reachable_range, speed_limits
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 FAMILIES = REFERENCE_FAMILIES[:-1]
 COUNT, PERIOD = 200, 5e-3
@@ -48,11 +49,11 @@ def test_references_start_at_the_axis_and_stay_within_reach(family):
         low, high = allowed_range(axes.parameters(axis))
         assert rows[axis].min() >= low - 1e-12
         assert rows[axis].max() <= high + 1e-12
-    assert (np.ptp(rows, axis=1) > 1e-3).all()  # every one asks for something
+    assert (np.ptp(rows, axis=1) > (1e-3 if family in MOVING_FAMILIES else 1e-4)).all()  # every one asks for something
     assert len(np.unique(rows[:, 200])) == COUNT
 
 
-@pytest.mark.parametrize("family", ["point_to_point", "ramp", "sine", "multi_sine", "start_stop"])
+@pytest.mark.parametrize("family", ["point_to_point", "ramp", "sine", "multi_sine", "start_stop", "pause"])
 def test_references_ask_for_no_more_speed_than_their_share(family):
     rows, axes = drawn(family, count=60)
     ratios = [speed_ratio(rows[axis], axes.parameters(axis)) for axis in range(60)]
@@ -60,7 +61,7 @@ def test_references_ask_for_no_more_speed_than_their_share(family):
     assert max(ratios) > 0.5  # and they do use it
 
 
-@pytest.mark.parametrize("family", ["point_to_point", "sine", "multi_sine"])
+@pytest.mark.parametrize("family", ["point_to_point", "sine", "multi_sine", "pause"])
 def test_smooth_references_keep_the_acceleration_limit(family):
     rows, _ = drawn(family)
     acceleration = np.abs(np.diff(rows, 2)).max(axis=1) / PERIOD**2
@@ -68,6 +69,18 @@ def test_smooth_references_keep_the_acceleration_limit(family):
     assert acceleration.max() > 0.25 * ACCELERATION
     slow, _ = drawn(family, references={"acceleration_limit": 0.5})
     assert np.abs(np.diff(slow, 2)).max() / PERIOD**2 < 0.5 * (1 + 1e-3)
+
+
+def test_the_axis_hardly_moves_at_a_pause_a_slow_run_and_small_steps():
+    pause, creep, staircase = (drawn(family)[0] for family in ("pause", "creep", "staircase"))
+    assert np.ptp(pause[:, : round(1.0 / PERIOD)], axis=1).max() == 0.0  # then about a second for the move
+    speeds = np.abs(np.diff(creep)).max(axis=1) / PERIOD
+    assert 2e-4 < speeds.min() < speeds.max() < 2e-3  # m/s
+    for row in staircase:
+        sizes = np.abs(np.diff(row))
+        sizes = sizes[sizes > 0.0]
+        np.testing.assert_allclose(sizes, sizes[0])
+        assert 0.05e-3 <= sizes[0] <= 0.2e-3
 
 
 def test_ramps_and_start_stop_runs_have_one_speed_at_a_time():
@@ -160,7 +173,7 @@ def test_families_are_equally_frequent_by_default():
     count = 3000
     envs = ServoHydraulicVectorEnv(count)
     _, info = envs.reset(seed=6)
-    observed = [int((info["reference_family"] == name).sum()) for name in FAMILIES]
+    observed = [int((info["reference_family"] == name).sum()) for name in MOVING_FAMILIES]
     assert sum(observed) == count
     assert stats.chisquare(observed).pvalue > 1e-3
 

@@ -102,7 +102,8 @@ def record(
     family: Annotated[
         str | None,
         typer.Option(
-            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop; default: drawn."
+            help="Kind of reference: step, point_to_point, ramp, sine, multi_sine, start_stop, pause, creep or "
+            "staircase; default: drawn."
         ),
     ] = None,
     seed: PlantSeed = 0,

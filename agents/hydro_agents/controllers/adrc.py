@@ -57,9 +57,9 @@ class ADRC(ObserverFeedback):
         shares = [[np.interp(at, middles, step) for step in np.eye(len(middles))] for at in (0.0, lead - 1.0, lead)]
         self._reference_speeds = np.array(shares).T / period
 
-    def at_rest(self, measured: Array, command: Array) -> Array:
-        """See :meth:`ObserverFeedback.at_rest`."""
-        return np.stack([measured[:, 0], np.zeros(len(command)), -command], axis=1)
+    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+        """See :meth:`ObserverFeedback.following`."""
+        return np.stack([measured[:, 0], speed, speed - command], axis=1)
 
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
         """See :meth:`ObserverFeedback.speed`."""

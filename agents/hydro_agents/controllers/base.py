@@ -16,6 +16,9 @@ from hydro_env.task.signals import observation_layout
 
 Floats = NDArray[np.floating[Any]]
 
+MOVING = 0.04
+"""Estimated speed, as a fraction of full speed, from which an axis moves; below it may be noise."""
+
 
 class Controller(Protocol):
     """Turns measured signals into commands; the same signature as a stable-baselines3 model.
@@ -105,6 +108,11 @@ class ObservationLayout:
         column = self.index(name)
         values: NDArray[np.float64] = observation[:, column].astype(np.float64) * self.scale[column]
         return values
+
+    def speed_at_start(self, observation: Floats, full_speed: float) -> NDArray[np.float64]:
+        """Measured speed of axes that a controller takes over, m/s, (N,); 0 for those that rest but for noise."""
+        speed = self.si(observation, "velocity_estimate")
+        return np.where(np.abs(speed) > MOVING * full_speed, speed, 0.0)
 
     def needs(self, names: Sequence[str], reader: str) -> None:
         """Check that the observation holds the signals that a controller reads.

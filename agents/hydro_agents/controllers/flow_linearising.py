@@ -50,6 +50,7 @@ class FlowLinearisingGains(Group):
     lead: float = gain(1.25, (0.5, 2.0), "1", "of the reference speed, in delays", high=10.0)
     smoothing: float = gain(0.8, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
     prediction: float = gain(0.2, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
+    force_rate: float = gain(0.0, (0.0, 2.0), "1", "of the rate of the accelerating force, fed forward", high=10.0)
     set_off_share: float = gain(
         1.1, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
     )
@@ -62,20 +63,26 @@ class FlowLinearisingGains(Group):
     flow_gain_spread: float = gain(
         0.14, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
     )
-    flow_gain_drift: float = gain(
-        0.1, (1e-3, 1.0), "1/√s", "drift of the flow gain", low=1e-9, high=10.0, logarithmic=True
+    flow_gain_memory: float = gain(
+        4.0,
+        (0.3, 10.0),
+        "s",
+        "time in which the flow gain returns to the data sheet's",
+        low=1e-3,
+        high=1e6,
+        logarithmic=True,
     )
     leak_spread: float = gain(
         3.0, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
     )
-    leak_drift: float = gain(
-        0.7, (0.01, 20.0), "l/min at 100 bar per √s", "drift of the leak", low=1e-9, high=1e3, logarithmic=True
+    leak_memory: float = gain(
+        30.0, (1.0, 60.0), "s", "time in which the leak returns to 0", low=1e-3, high=1e6, logarithmic=True
     )
     offset_spread: float = gain(
         0.05, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
     )
-    offset_drift: float = gain(
-        1e-3, (1e-4, 0.3), "1/√s", "drift of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+    offset_memory: float = gain(
+        3.0, (0.1, 5.0), "s", "time in which the offset returns to 0", low=1e-3, high=1e6, logarithmic=True
     )
     motion_spread: float = gain(
         1e-3, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
@@ -105,10 +112,11 @@ class FlowLinearising:
       are no speed; the axis sets off before a jump by about half the time of the move.
     * φ is linear near zero and a square root beyond: the speed from which the axis can still brake within the error.
     * At a reversal friction changes its sign. The flow that compresses the oil accordingly is fed forward.
+    * The force that accelerates the load changes with the jerk of the reference; its flow is fed forward as well.
     * Damping subtracts the high-passed force of the oil (dynamic pressure feedback).
 
-    The start is bumpless: the offset takes over the command that holds the axis. The supply pressure follows from the
-    pressures at rest.
+    The start is bumpless, at rest and in motion: what the flow of the valve does not explain of the speed is shared
+    between flow gain, leak and offset according to their uncertainty. The supply pressure follows from the pressures.
     """
 
     memory = FlowLinearisingState
@@ -126,13 +134,14 @@ class FlowLinearising:
         self.pace = pace(config)
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
         self._model = FlowModel(plant)
+        jump = max(speed_limits(plant)) * period
         self._preview = Preview(config)
         self._full_speed = full_speed = float(np.mean(speed_limits(plant)))
         self._ahead = g.prediction * delay
         self._weights = self._reference_weights()
         self._jumps = Jumps(
             self._model,
-            max(speed_limits(plant)) * period,
+            jump,
             g.set_off_delay * delay,
             g.set_off_share,
             self._preview.times,
@@ -141,20 +150,20 @@ class FlowLinearising:
         self._blend = period / (period + g.damping_filter * self.pace)
         self._damping = g.damping * closed_port_natural_frequency(plant)
         self._friction = g.friction * plant.friction.largest_force / period
+        self._mass = g.force_rate * (plant.load.mass + plant.cylinder.piston_mass) / period**2
         self._turned = _REVERSAL * plant.friction.stribeck_velocity
         noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
         leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
         self._filter = MotionFilter(
             noise,
             np.array([noise, g.flow_gain_spread, g.leak_spread * leak, g.offset_spread * full_speed]),
-            np.array(
-                [g.motion_spread * full_speed, g.flow_gain_drift, g.leak_drift * leak, g.offset_drift * full_speed]
-            ),
+            g.motion_spread * full_speed,
+            np.array([g.flow_gain_memory, g.leak_memory, g.offset_memory]),
             period,
         )
 
     def _reference_weights(self) -> Array:
-        """Weights (horizon + 1, 3) of the reference's steps: speed, travel to the predicted position, earlier speed."""
+        """Weights (horizon + 1, 4) of the reference's steps: travel to the predicted position; speed, before, after."""
         period, horizon, lead = self.config.control_period, self._preview.horizon, self.gains.lead * self.delay
         width = self.gains.smoothing * self.delay
 
@@ -163,7 +172,8 @@ class FlowLinearising:
             weights: Array = (ends[1] - ends[0]) / (2.0 * width)
             return weights
 
-        return np.stack([speed(lead), path_weights(self._ahead, horizon, period), speed(lead - period)], axis=1)
+        speeds = [speed(lead), speed(lead - period), speed(lead + period)]
+        return np.stack([path_weights(self._ahead, horizon, period), *speeds], axis=1)
 
     def predict(
         self,
@@ -186,7 +196,7 @@ class FlowLinearising:
         started = np.ones(len(batch), np.bool_) if state is None else episode_start
         old = state
         if old is None or (started is not None and np.any(started)):
-            old = restarted(state, self._fresh(batch, position, pressures, command_before), started)
+            old = restarted(state, self._fresh(batch, position, pressures, spool), started)
             started = np.asarray(started, dtype=np.bool_)
         else:
             started = None
@@ -225,13 +235,14 @@ class FlowLinearising:
         ]
         return np.stack(columns, axis=1).astype(np.float32)
 
-    def _fresh(self, batch: Floats, position: Array, pressures: Array, command: Array) -> FlowLinearisingState:
-        """Memory of axes at rest."""
-        supply = self._model.supply(pressures)
-        flow = self._model.at(position, pressures, supply)
-        speed = self._model.speed(command, flow)
-        estimate, covariance = self._filter.start(position, -speed)
+    def _fresh(self, batch: Floats, position: Array, pressures: Array, spool: Array) -> FlowLinearisingState:
+        """Memory at the start, at rest or in motion."""
         reference = self._preview.start(batch)
+        true_speed = self.layout.speed_at_start(batch, self._full_speed)
+        supply = self._model.supply(pressures, true_speed)
+        flow = self._model.at(position, pressures, supply)
+        speed = self._model.speed(spool, flow)
+        estimate, covariance = self._filter.start(position, speed, flow.leak, true_speed - speed)
         return FlowLinearisingState(reference, supply, flow.force, flow.force, speed, flow.leak, estimate, covariance)
 
     def _observed(
@@ -253,10 +264,11 @@ class FlowLinearising:
     def _wanted(self, now: FlowLinearisingState, place: Array, flow: Flow) -> tuple[Array, Array]:
         """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
         steps, jumps = self._jumps.split(now.reference)
-        smooth = steps @ self._weights
-        turned = np.tanh(smooth[:, ::2] / self._turned)
-        wanted = smooth[:, 0] + self._friction / flow.stiffness * (turned[:, 0] - turned[:, 1])
-        target = now.reference[:, 1] + smooth[:, 1] + self._jumps.begun(jumps, flow.force, now.supply)
+        travel, speed, before, after = (steps @ self._weights).T
+        rate = self._friction * (np.tanh(speed / self._turned) - np.tanh(before / self._turned))
+        rate += self._mass * (after - 2.0 * speed + before)
+        wanted = speed + rate / flow.stiffness
+        target = now.reference[:, 1] + travel + self._jumps.begun(jumps, flow.force, now.supply)
         return wanted, target - place
 
 

@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 _LOWEST_DROP = 0.02
 """Lower limit of the pressure drop over an edge, as a fraction of the supply; below it the opening would saturate."""
 
+_SUPPLIES = (0.8, 1.5)
+"""Range of the supply pressure, as fractions of the data sheet's."""
+
 
 class Flow(NamedTuple):
     """Effect of the pressures of N axes on their motion, each (N,)."""
@@ -50,14 +53,17 @@ class FlowModel:
         self._walls = np.array([[c.wall_compliance_a], [c.wall_compliance_b]])
         self._straight = c.overlap == 0.0 and c.slope_change == 0.0
         self._lowest = _LOWEST_DROP * (c.relief_pressure - c.tank_pressure)
+        self._supplies = _SUPPLIES[0] * c.relief_pressure, _SUPPLIES[1] * c.relief_pressure
         self._full = c.edge_gain / math.sqrt(c.area_a**3 + c.area_b**3 / c.edge_ratio**2)
 
-    def supply(self, pressures: Array) -> Array:
-        """Supply pressure (Pa), (N,), of axes at rest whose pressures are ``pressures``, (2, N).
+    def supply(self, pressures: Array, speed: Array) -> Array:
+        """Supply pressure (Pa), (N,), of axes with pressures (2, N) in Pa and speeds in m/s, (N,).
 
-        At rest the valve holds both chambers with equal openings: P_s − p_a = p_b − P_T, for any internal leak.
+        At rest the valve holds both chambers with equal openings: P_s − p_a = p_b − P_T, for any internal leak. In
+        motion the data sheet tells more. It also bounds the estimate.
         """
-        supply: Array = pressures.sum(axis=0) - self._c.tank_pressure
+        at_rest = np.clip(pressures.sum(axis=0) - self._c.tank_pressure, *self._supplies)
+        supply: Array = np.where(speed == 0.0, at_rest, self._c.relief_pressure)
         return supply
 
     def at(self, position: Array, pressures: Array, supply: Array) -> Flow:
@@ -81,14 +87,17 @@ class FlowModel:
 
     def speed(self, spool: Array, flow: Flow) -> Array:
         """Speed (m/s) at a position of the spool (−1 to 1) without leak and at constant force, (N,)."""
+        forward, backward = self._edges(spool)
+        speed: Array = flow.extending * forward - flow.retracting * backward
+        return speed
+
+    def _edges(self, spool: Array) -> tuple[Array, Array]:
+        """Openings of the edges P→A and B→T, and of A→T and P→B, each (N,)."""
         opening = spool - self._c.null_shift
         if not self._straight:
-            forward, backward = _edge_opening(opening, self._c), _edge_opening(-opening, self._c)
-            bent: Array = flow.extending * forward - flow.retracting * backward
-            return bent
+            return _edge_opening(opening, self._c), _edge_opening(-opening, self._c)
         width = np.sqrt(opening * opening + self._c.underlap_squared)
-        speed: Array = 0.5 * (flow.extending * (width + opening) - flow.retracting * (width - opening))
-        return speed
+        return 0.5 * (width + opening), 0.5 * (width - opening)
 
     def opening(self, speed: Array, flow: Flow) -> Array:
         """Position of the spool that gives a speed (m/s): the inverse of :meth:`speed`, (N,)."""

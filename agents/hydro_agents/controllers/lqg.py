@@ -112,12 +112,13 @@ class LQG(ObserverFeedback):
         self._preview = np.append(0.0, later[:horizon])
         self._preview[-1] += later[horizon:].sum()
 
-    def at_rest(self, measured: Array, command: Array) -> Array:
-        """See :meth:`ObserverFeedback.at_rest`."""
+    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+        """See :meth:`ObserverFeedback.following`."""
         estimate = np.zeros_like(measured, shape=(len(measured), 9))
         estimate[:, POSITION] = measured[:, 0]
         estimate[:, VALVE] = command[:, None] * self._valve_at_rest
-        estimate[:, FLOW] = -command
+        estimate[:, SPEED] = speed
+        estimate[:, FLOW] = speed - command
         estimate[:, FORCE] = (measured[:, 1] - self._spring * measured[:, 0]) / self._mass
         estimate[:, SPOOL_OFFSET] = measured[:, 2] - command
         return estimate

@@ -1,7 +1,7 @@
 """A Kalman filter for the unknowns beside the data sheet: flow gain, leak and offset of the speed.
 
-Source: Ljung & Söderström, *Theory and Practice of Recursive Identification* (1983), chapter 2: parameters that drift,
-estimated as states.
+Sources: Ljung & Söderström, *Theory and Practice of Recursive Identification* (1983), chapter 2: parameters that drift,
+estimated as states. Gelb, *Applied Optimal Estimation* (1974), section 3.8: the first-order Markov process.
 """
 
 from __future__ import annotations
@@ -22,24 +22,44 @@ class MotionFilter:
     In each period the position changes by its known part, by the flow gain's deviation times the travel of the flow, by
     the leak and by the offset. The measured position has white noise.
 
+    The position is a random walk. The other unknowns drift as well, but return to the data sheet: their spread never
+    grows beyond that at the start (first-order Markov processes). An axis at rest hardly shows its flow gain, and
+    shows leak and offset only as a sum. Random walks would carry these estimates away during a pause.
+
     Args:
         noise: standard deviation of the measured position, m.
         spread: standard deviations of the estimate at the start, (4,).
-        drift: standard deviations of the random walks, (4,), each per √s.
+        motion: standard deviation of the motion that nothing explains, m per √s.
+        memory: times in which flow gain, leak and offset return to the data sheet, s, (3,).
         period: control period, s.
     """
 
-    def __init__(self, noise: float, spread: Array, drift: Array, period: float) -> None:
+    def __init__(self, noise: float, spread: Array, motion: float, memory: Array, period: float) -> None:
         self._noise = noise**2
         self._spread = np.diag(spread**2)
-        self._drift = np.diag(drift**2 * period)
+        self._kept = kept = np.append(1.0, np.exp(-period / memory))
+        change = spread**2 * (1.0 - kept**2)
+        change[POSITION] = motion**2 * period
+        self._drift = np.diag(change)
+        self._kept_pairs = kept[:, None] * kept
         self._period = period
 
-    def start(self, position: Array, offset: Array) -> tuple[Array, Array]:
-        """Estimate and covariance at the start from measured positions (m) and known offsets (m/s), each (N,)."""
+    def start(self, position: Array, speed: Array, leak: Array, unexplained: Array) -> tuple[Array, Array]:
+        """Estimate and covariance at the start: those of the data sheet, given the speed that it does not explain.
+
+        Args:
+            position: measured, m, (N,).
+            speed: of the valve's flow according to the data sheet, m/s, (N,).
+            leak: speed per leak conductance, (N,).
+            unexplained: true speed minus ``speed``, m/s, (N,).
+        """
         zeros = np.zeros_like(position)
-        estimate = np.stack([position, zeros, zeros, offset], axis=1)
-        return estimate, zeros[:, None, None] + self._spread
+        slope = np.stack([zeros, speed, leak, zeros + 1.0], axis=1)
+        row = slope * np.diag(self._spread)
+        gain = row / np.einsum("ni,ni->n", row, slope)[:, None]
+        estimate = gain * unexplained[:, None]
+        estimate[:, POSITION] = position
+        return estimate, self._spread - gain[:, :, None] * row[:, None, :]
 
     def advanced(
         self, estimate: Array, covariance: Array, travel: Array, leak_travel: Array, other: Array, measured: Array
@@ -68,4 +88,4 @@ class MotionFilter:
         gain = row / (row[:, :1] + self._noise)
         predicted += gain * (measured - predicted[:, POSITION])[:, None]
         spread -= gain[:, :, None] * row[:, None, :]
-        return predicted, spread
+        return predicted * self._kept, spread * self._kept_pairs

@@ -60,7 +60,7 @@ class ObserverState(NamedTuple):
 
     estimate: Array  # (N, states), of the observer
     command_before: Array  # (N,), m/s, speed command before the last one
-    supply: Array  # (N,), Pa, at the start
+    supply: Array  # (N,), Pa, at the start or the take-over
     adapted: Array  # (N, 3), relative flow gains extending and retracting; leak at full pressure over full speed
     reference: Array  # (N, horizon + 2), m; see Preview
 
@@ -97,7 +97,7 @@ class ObserverFeedback:
     signals: position (m), force of the oil (N), speed at the measured opening (m/s), or the first m of them. The state
         ``disturbance`` of the model is the part of the speed (m/s) that the command does not explain. The subclass
         defines
-    :meth:`at_rest` and :meth:`speed`.
+    :meth:`following` and :meth:`speed`.
 
     The flow gain of each direction and the leak adapt along their gradients (Åström & Wittenmark, *Adaptive Control*
     (1995), chapter 5): a disturbance that grows with the speed is an error of the flow gain, one that grows with the
@@ -118,7 +118,6 @@ class ObserverFeedback:
         self.config = config
         self.layout = ObservationLayout.of(config)
         self.layout.needs(("pressure_a", "pressure_b", "spool_position"), type(self).__name__)
-        self.preview = Preview(config)
         plant, period, c = config.plant, config.control_period, plant_coefficients(config.plant)
         self.flow = FlowModel(plant)
         # Dry friction blocks a resting axis and hardly damps a moving one.
@@ -136,16 +135,24 @@ class ObserverFeedback:
         rates = np.array([gains.gain_adaptation, gains.gain_adaptation, gains.leak_adaptation])
         self._rates = rates * period / self.full_speed**2
         self._near = gains.braking * self.full_speed * self.delay
+        jump = JUMP * self.full_speed * period
+        self.preview = Preview(config)
         self._jumps = Jumps(
             self.flow,
-            JUMP * self.full_speed * period,
+            jump,
             gains.set_off_delay * self.delay,
             gains.set_off_share,
             self.preview.times,
         )
 
-    def at_rest(self, measured: Array, command: Array) -> Array:
-        """Estimate (N, n) of an axis at rest from the measured signals (N, 3) and its speed command (N,)."""
+    def following(self, measured: Array, command: Array, speed: Array) -> Array:
+        """Estimate (N, n) of an axis at a known speed from its measured signals and its speed command.
+
+        Args:
+            measured: position (m), force of the oil (N), speed at the measured opening (m/s), (N, 3).
+            command: m/s, (N,).
+            speed: of the axis, m/s, (N,).
+        """
         raise NotImplementedError
 
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
@@ -178,13 +185,13 @@ class ObserverFeedback:
 
         now = None if state is None else state._replace(reference=self.preview.advanced(state.reference, batch))
         if now is None or (episode_start is not None and np.any(episode_start)):
-            supply, adapted = self.flow.supply(pressures), np.tile(self._rest, (len(batch), 1))
+            reference, adapted = self.preview.start(batch), np.tile(self._rest, (len(batch), 1))
+            speed = self.layout.speed_at_start(batch, self.full_speed)
+            supply = self.flow.supply(pressures, speed)
             flow = self.flow.at(position, pressures, supply)
             spool, command = self._speeds(openings, flow, adapted, difference)
-            rest = self.at_rest(np.stack([position, flow.force, spool], axis=1), command)
-            now = restarted(
-                now, ObserverState(rest, command, supply, adapted, self.preview.start(batch)), episode_start
-            )
+            start = self.following(np.stack([position, flow.force, spool], axis=1), command, speed)
+            now = restarted(now, ObserverState(start, command, supply, adapted, reference), episode_start)
 
         flow = self.flow.at(position, pressures, now.supply)
         spool, command = self._speeds(openings, flow, now.adapted, difference)

@@ -12,6 +12,7 @@ from pydantic import Field
 from hydro_agents.controllers.base import Floats, ObservationLayout, as_batch, gain, restarted
 from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate, write_yaml
+from hydro_env.plant.analysis import speed_limits
 
 
 class PIDGains(Group):
@@ -70,8 +71,9 @@ class PID:
 
     The preview gives e and ẋ_ref with a lead that compensates latency and valve. Without a preview there is no lead,
     and ẋ_ref is the backward difference of the reference. The derivative acts on the filtered difference of the
-    measured position. While the command saturates, back-calculation unwinds the integral. The start is bumpless: the
-    integral takes over the command that holds the axis.
+    measured position. While the command saturates, back-calculation unwinds the integral. The start is bumpless, at
+    rest and in motion: the axis is taken to follow its reference, and the integral takes over the rest of the last
+    command.
 
     Example:
         >>> from hydro_agents.controllers import PID, PIDGains
@@ -92,6 +94,7 @@ class PID:
         self.layout = ObservationLayout.of(config)
         counts, self._shown = np.unique(np.array(config.preview_samples, dtype=np.int64), return_index=True)
         self._times = config.control_period * np.array([0, *counts])
+        self._jump = max(speed_limits(config.plant))
         self._middles = 0.5 * (self._times[1:] + self._times[:-1])
 
     def predict(
@@ -109,30 +112,36 @@ class PID:
         position = self.layout.si(batch, "position")
         command_before = self.layout.si(batch, "previous_command")
         reference = self.layout.si(batch, "reference")
-        fresh = PIDState(command_before, np.zeros(len(batch)), position, reference)
-        state = restarted(state, fresh, episode_start)
-
         if len(self._shown):
             ahead = np.concatenate([np.zeros((len(batch), 1)), self.layout.previews(batch)[:, self._shown]], axis=1)
             speeds = np.diff(ahead, axis=1) / np.diff(self._times)
             reference_speed = _interpolate(g.feedforward_lead, self._middles, speeds)
             leading = error + _interpolate(g.reference_lead, self._times, ahead)
-        else:
+        if state is None or (episode_start is not None and np.any(episode_start)):
+            following = speeds[:, 0] if len(self._shown) else np.zeros(len(batch))
+            following = np.where(np.abs(following) > self._jump, 0.0, following)
+            integral = command_before - self._feedforward(following)
+            state = restarted(state, PIDState(integral, following, position, reference), episode_start)
+        if not len(self._shown):
             reference_speed, leading = (reference - state.reference) / period, error
         blend = period / (period + g.derivative_filter_time)
         velocity = state.velocity + blend * ((position - state.position) / period - state.velocity)
-        feedforward = np.where(reference_speed > 0.0, g.feedforward_extending, g.feedforward_retracting)
         integral = state.integral + g.integral * period * (leading if g.lead_in_integral else error)
-        wanted = (
-            g.proportional * leading
-            + integral
-            + g.derivative * (reference_speed - velocity)
-            + feedforward * reference_speed
-        )
+        feedback = g.proportional * leading + integral - g.derivative * velocity
+        wanted = feedback + g.derivative * reference_speed + self._feedforward(reference_speed)
+        # A jump of the reference saturates the command for a period, but is no wind-up.
+        smooth = np.clip(reference_speed, -self._jump, self._jump)
+        lasting = feedback + g.derivative * smooth + self._feedforward(smooth)
+        integral = integral + (np.clip(lasting, -1.0, 1.0) - lasting) * min(period / g.anti_windup_time, 1.0)
         command = np.clip(wanted, -1.0, 1.0)
-        integral = integral + (command - wanted) * min(period / g.anti_windup_time, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), PIDState(integral, velocity, position, reference)
+
+    def _feedforward(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Command for a speed of the reference in m/s, (N,)."""
+        per_speed = np.where(speed > 0.0, self.gains.feedforward_extending, self.gains.feedforward_retracting)
+        command: NDArray[np.float64] = per_speed * speed
+        return command
 
 
 def _interpolate(time: float, times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

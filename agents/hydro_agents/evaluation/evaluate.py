@@ -24,7 +24,6 @@ from hydro_agents.evaluation.limit_cycles import counted
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
-    DRAWN_FAMILIES,
     PairedCases,
     PairedCondition,
     PairedProtocol,
@@ -38,6 +37,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import task_config
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 
 class ProtocolSettings(PairedCases):
@@ -52,7 +52,7 @@ class ProtocolSettings(PairedCases):
     leak_levels: tuple[float, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
-    families: tuple[Annotated[str, known_name(DRAWN_FAMILIES, "family")], ...] = Field(DRAWN_FAMILIES, min_length=1)
+    families: tuple[Annotated[str, known_name(MOVING_FAMILIES, "family")], ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     standstill_plants: int = Field(
         8,

@@ -22,11 +22,11 @@ from hydro_env.files import Group, validate
 from hydro_env.folders import config_file
 from hydro_env.mistakes import kept, known_name
 from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
 
 FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count > len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
-DRAWN_FAMILIES = tuple(name for name in REFERENCE_FAMILIES if name != "user")
 
 
 class ControllerChoice(Group):
@@ -96,7 +96,7 @@ class PairedCases(Group):
     """Number and kind of paired cases."""
 
     leak_levels: tuple[float, ...] = Field((0.03, 1.0, 4.0), min_length=1, description="l/min at 100 bar")
-    families: tuple[Family, ...] = Field(DRAWN_FAMILIES, min_length=1)
+    families: tuple[Family, ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(8, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
 
     @model_validator(mode="after")

@@ -14,10 +14,10 @@ from hydro_agents.estimation.information import TASK, ratios_to_bound
 from hydro_agents.estimation.known_windows import MOTIONS, KnownWindows
 from hydro_agents.estimation.move_design import Design, Move
 from hydro_agents.evaluation.leak_bound import ALL_SENSORS
-from hydro_agents.evaluation.robustness_protocol import DRAWN_FAMILIES
 from hydro_agents.report.canvas import GREY, WIDE, render, row_axis, ticks
 from hydro_agents.report.palette import COLOURS, looks_of
 from hydro_agents.running.text import frame_markdown, number, setting
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 ORDINARY = next(iter(MOTIONS))
 
@@ -131,7 +131,7 @@ def convergence_picture(table: pd.DataFrame) -> bytes:
 
     def paint(figure: Figure) -> None:
         settings = list(table["setting"].unique())
-        smooth = [name for name in DRAWN_FAMILIES if name in table and name != "step"]
+        smooth = [name for name in MOVING_FAMILIES if name in table and name != "step"]
         looks = looks_of(["steps", "other families"])
         panels = figure.subplots(1, len(settings), squeeze=False, sharey=True)[0]
         for place, varied in zip(panels, settings, strict=True):

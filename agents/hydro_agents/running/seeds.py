@@ -70,9 +70,9 @@ LEAK_THRESHOLDS = SeedRange(1_800_000, 100_000, "the thresholds of the leakage p
 TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
 
 # Test -----------------------------------------------------------------------------------------------------------------
-EVALUATION = SeedRange(2_000_000, 80_000, "controllers, best found, leak bound and estimator on the same plants")
-DIAGNOSIS = SeedRange(2_080_000, 20_000, "diagnosed recordings")
-ROBUSTNESS = SeedRange(2_200_000, 100_000, "the robustness protocol")
+EVALUATION = SeedRange(2_000_000, 120_000, "controllers, best found, leak bound and estimator on the same plants")
+DIAGNOSIS = SeedRange(2_120_000, 20_000, "diagnosed recordings")
+ROBUSTNESS = SeedRange(2_200_000, 120_000, "the robustness protocol")
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
 LEAKAGE_ALARMS = SeedRange(2_450_000, 30_000, "the false alarms of the leakage protocol")
 LEAKAGE_ONSETS = SeedRange(2_480_000, 20_000, "the delays of the leakage protocol")

@@ -74,6 +74,9 @@ FAMILY_NAMES = {
     "sine": "sines",
     "multi_sine": "sums of sines",
     "start_stop": "start–stop runs",
+    "pause": "moves after a pause",
+    "creep": "slow runs",
+    "staircase": "small steps",
     "user": "own reference",
 }
 
