@@ -29,7 +29,7 @@ from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.task.configuration import task_config
 
-KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")
+KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo", "mpc")
 TASK = TaskConfig(episode_duration=0.6)
 FAMILIES = ("step", "point_to_point", "multi_sine", "start_stop")
 SEED = VALIDATION_SEEDS.start + 710_000
