@@ -91,7 +91,8 @@ def test_the_gap_is_a_share_of_the_way_to_the_best_found(cases):
 
 
 def test_families_of_the_leak_conditions(cases):
-    mixed = joined(cases, rows("PID", 1.0, "odd", "force"), rows("good", 9.0, "odd", "force"))
+    other = [rows(name, error, "odd", "force") for name, error in (("PID", 1.0), ("good", 9.0))]
+    mixed = joined(cases, *other, *(each.assign(family="creep", condition="slow") for each in other))
     table = results_of(mixed).table("families")
     assert table["family"].tolist() == ["step", "sine"]
     np.testing.assert_allclose(table["ratio"], 0.5)

@@ -90,6 +90,13 @@ METRICS = by_name(
         "mean of |reference − reading|, without the sensor's noise: visible to a controller",
     ),
     Metric(
+        "peak_error_sensor_mm",
+        "mm",
+        "Peak error in the frame of the sensor",
+        "largest |reference − reading|, without the sensor's noise",
+        ratio="peak",
+    ),
+    Metric(
         "steady_state_error_sensor_mm",
         "mm",
         "Steady-state error in the frame of the sensor",
@@ -239,6 +246,7 @@ def case_metrics(
         "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
         "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
         "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
+        "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
         "steady_state_error_sensor_mm": 1e3 * float(np.mean(steady_sensor)) if steady_sensor else math.nan,
         "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
         "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),

@@ -25,7 +25,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
 
-FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count > len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
+FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
 
 

@@ -93,23 +93,18 @@ def comparison(results: Results) -> pd.DataFrame:
 def families(results: Results) -> pd.DataFrame:
     """Each controller against the first, per family of references, over the conditions of the group ``leak``.
 
-    Without such a group it is over all conditions.
+    Without such a group it is over all conditions. A family that does not occur there has no row.
     """
     grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
     situations = np.isin(grid.condition, leaks) if len(leaks) else np.ones(len(grid.condition), dtype=np.bool_)
-    return pd.DataFrame(
-        [
-            {
-                "controller": controller,
-                "against": grid.controllers[0],
-                "family": family,
-                **grid.compare(controller, grid.controllers[0], grid.family == family, situations),
-            }
-            for controller in grid.controllers[1:]
-            for family in dict.fromkeys(grid.family.tolist())
-        ]
-    )
+    rows = []
+    for controller in grid.controllers[1:]:
+        for family in dict.fromkeys(grid.family.tolist()):
+            row = grid.compare(controller, grid.controllers[0], grid.family == family, situations)
+            if row["cases"]:
+                rows.append({"controller": controller, "against": grid.controllers[0], "family": family, **row})
+    return pd.DataFrame(rows)
 
 
 @table("ranking", KIND)

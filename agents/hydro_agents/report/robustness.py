@@ -56,6 +56,7 @@ GROUPS = {
     "timing": "Timing",
     "sensors": "Sensors",
     "force": "External force",
+    "day": "Through a day: moves after a pause, slow runs, small steps",
     "rig": "Other rigs",
     "parameter": "Assumed parameters, one at a time",
 }
