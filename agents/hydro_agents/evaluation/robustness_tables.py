@@ -14,6 +14,7 @@ from hydro_agents.running.statistics import interquartile_means, interval, means
 KIND = "robustness"
 ALL = "all"
 LEAK_GROUP = "leak"
+CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
@@ -115,11 +116,12 @@ def ranking(results: Results) -> pd.DataFrame:
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
     by_condition = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
     best = by_condition.idxmin(axis=1)
-    copied = ("equal_weight", "equal_weight_low", "equal_weight_high", "worst_ratio", *COMPARED, "gap")
+    equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
+    copied = (*equal, "worst_ratio", *COMPARED, *CLOSED)
     rows = []
     for controller in grid.controllers:
         if controller == baseline:
-            shared = {name: 0.0 if name == "gap" else 1.0 for name in (*copied, "mean_ratio")}
+            shared = {name: 0.0 if name in CLOSED else 1.0 for name in (*copied, "mean_ratio")}
         else:
             found = compared[(compared["controller"] == controller) & (compared["condition"] == ALL)]
             row = found.iloc[0].to_dict() if len(found) else {}
