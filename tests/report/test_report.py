@@ -425,6 +425,7 @@ def test_numbers_and_names_as_a_person_writes_them():
     assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
     assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
     assert correction_name("PPO", "PID mended") == "PPO on PID mended"
+    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
 
 
 # Colours and figures ------------------------------------------------------------------------------------------------
