@@ -100,6 +100,9 @@ def test_a_kind_of_reference_counts_in_the_score_as_much_as_it_can_be_improved(c
     bound["mean_error_sensor_mm"] *= np.where(bound["family"] == "step", 3.99, 0.0)  # ratios 0.9975 and 0
     table = results_of(cases, bound).table("comparison").set_index("condition")
     assert table.loc["plain", "score"] == pytest.approx(100.0 * (0.5 + 0.5) / (0.0025 + 1.0))
+    few = results_of(cases, bound[bound["plant"] < 2]).table("comparison").set_index("condition").loc["plain"]
+    assert few["score"] == pytest.approx(table.loc["plain", "score"])
+    assert np.isnan([few["score_low"], few["gap_high"]]).all()  # two plants of a family give no interval
     bound["mean_error_sensor_mm"] = 0.99 * rows("PID", 1.0)["mean_error_sensor_mm"]
     full = results_of(cases, bound).table("comparison").set_index("condition")
     assert np.isnan(full.loc["plain", "score"])  # hardly anything is left to improve

@@ -102,7 +102,7 @@ class Grid:
             self.weights(name, len(values), plants) for name, values in ((controller, mine), (against, theirs))
         )
         strata = (self.family[plants], self.condition[situations])
-        count = int(np.any(~absent, axis=1).sum())
+        count, searched = int(np.any(~absent, axis=1).sum()), self._searched(part)
         expected = _mean_over_seeds(theirs)
         ratios = mine / expected
         better = np.where(np.isnan(ratios), np.nan, mine < expected)
@@ -119,7 +119,7 @@ class Grid:
         }
         row: dict[str, float] = {}
         for name, resampled in found.items():
-            row |= interval(resampled, count).named(name)
+            row |= interval(resampled, searched if name in ("gap", "score") else count).named(name)
         row["worst_ratio"] = float(np.nanmax(ratios, initial=-np.inf)) if not absent.all() else np.nan
         for name, metric in COMPARED.items():
             row[name] = _ratio(*(self.values(who, metric.name)[:, part[0], part[1]] for who in (controller, against)))
@@ -131,6 +131,14 @@ class Grid:
         mine, theirs = (self.values(name, metric)[:, part[0], part[1]] for name in (controller, against))
         absent = np.isnan(mine).all(axis=0) | np.isnan(theirs).all(axis=0)
         return np.where(absent, np.nan, mine), np.where(absent, np.nan, theirs)
+
+    def _searched(self, part: Any) -> int:
+        """Smallest number of plants with a best found in a family of a part of the grid."""
+        if not self._best:
+            return 0
+        there = ~np.isnan(self._best[ERROR][0][part]).all(axis=1)
+        _, counts = np.unique(self.family[part[0][:, 0]][there], return_counts=True)
+        return int(min(counts, default=0))
 
     def _with_best(self, mine: Array, theirs: Array, metric: str, part: Any) -> tuple[Array, Array, Array]:
         """Errors of a controller, the baseline and the best found on the cases that all of them have."""

@@ -221,7 +221,7 @@ def score(results: Results) -> pd.DataFrame:
     where = ["leakage_flow_lpm", "family", "plant"]
     everything = pd.concat([cases.merge(bound[where], on=where), bound])
     plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
-    known = {grid.controllers[0]: Interval(0.0, 0.0, 0.0), BEST_FOUND: Interval(100.0, 100.0, 100.0)}
+    known = {grid.controllers[0]: Interval(0.0, np.nan, np.nan), BEST_FOUND: Interval(100.0, np.nan, np.nan)}
     rows = []
     for name, own in everything.groupby("controller", sort=False):
         if name not in known:
