@@ -51,7 +51,8 @@ CASES = pd.DataFrame(
     leakage_flow_lpm=0.3,
     supply_energy_j=300.0,
     steady_state_error_sensor_mm=0.1,
-    reversals_per_s=2.0, peak_error_sensor_mm=1.0,
+    reversals_per_s=2.0,
+    peak_error_sensor_mm=1.0,
 )
 EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES, cases=CASES, score=SCORE, controllers=list(ERRORS))
 

@@ -22,7 +22,7 @@ from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
 from hydro_agents.evaluation.limit_cycles import counted
-from hydro_agents.evaluation.metrics import ERROR, ERROR_SENSOR, METRICS
+from hydro_agents.evaluation.metrics import FRAMES, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
     PairedCases,
@@ -31,7 +31,6 @@ from hydro_agents.evaluation.robustness_protocol import (
     PlantSeeds,
 )
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
-from hydro_agents.evaluation.tracking import BEST_FOUND
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
 from hydro_agents.running.statistics import Interval, conditional_value_at_risk
@@ -106,7 +105,7 @@ class Evaluation:
     levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
-    score: pd.DataFrame  # per controller: 0 is the first, 100 the best found; with mean errors on the score's cases
+    score: pd.DataFrame  # per controller: 0 is the first, 100 the best found; with mean errors over all cases
     bound: pd.DataFrame  # one row per case of the best found
     limit_cycles: pd.DataFrame  # one row per controller, training seed, level, plant: an axis at rest without noise
     limit_cycle_summary: pd.DataFrame  # per controller: standstills with a limit cycle, and the largest amplitude
@@ -214,21 +213,18 @@ def ratios(results: Results) -> pd.DataFrame:
 
 @table("score", KIND)
 def score(results: Results) -> pd.DataFrame:
-    """Score of every controller, and both mean errors on its cases: 0 is the first controller, 100 the best found."""
-    bound, cases, grid = results.part("best_found"), results.part("tracking"), results.grid
+    """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; mean errors over all its cases."""
+    bound, grid = results.part("best_found"), results.grid
     if bound.empty:
         return bound
-    where = ["leakage_flow_lpm", "family", "plant"]
-    everything = pd.concat([cases.merge(bound[where], on=where), bound])
     plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
-    known = {grid.controllers[0]: Interval(0.0, np.nan, np.nan), BEST_FOUND: Interval(100.0, np.nan, np.nan)}
     rows = []
-    for name, own in everything.groupby("controller", sort=False):
-        if name not in known:
-            row = grid.compare(str(name), grid.controllers[0], plants, leaks)
-            known[str(name)] = Interval(*_figures(row, "score"))
-        errors = own[[ERROR_SENSOR, ERROR]].mean()
-        rows.append({"controller": name, **known[str(name)].columns("score"), **errors, "cases": len(own)})
+    for name, own in results.part("tracking").groupby("controller", sort=False):
+        found = Interval(0.0, np.nan, np.nan)
+        if name != grid.controllers[0]:
+            found = Interval(*_figures(grid.compare(str(name), grid.controllers[0], plants, leaks), "score"))
+        errors = own[list(FRAMES)].mean()
+        rows.append({"controller": name, **found.columns("score"), **errors, "cases": len(bound)})
     return pd.DataFrame(rows)
 
 
