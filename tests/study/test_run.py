@@ -70,14 +70,9 @@ VALUES = {
     "task": {"episode_duration": 0.4},
     "controllers": CONTROLLERS,
     "leakage_head": {"episodes": 100, "validation_episodes": 100, "epochs": 1, "width": 4, "batch": 64},
-    "evaluation": {
-        "plants": 3,
-        "detection_episodes": 100,
-        "leak_levels": [0.01, 4.0],
-        "families": ["step"],
-        "bound_plants": 1,
-    },  # fmt: skip
+    "evaluation": {"plants": 3, "detection_episodes": 100, "leak_levels": [0.01, 4.0], "families": ["step"]},
 }
+VALUES["evaluation"]["bound_plants"] = 1
 
 
 @pytest.fixture

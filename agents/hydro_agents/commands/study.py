@@ -116,7 +116,7 @@ def train(
     what: Annotated[
         str,
         typer.Argument(
-            help="ppo (or the name of a trained controller of the study), head (the leakage head), or a classical controller "
+            help="ppo (or the name of a trained controller of the study), head (the leakage head), or a classical one "
             "(pid, flow_linearising, ...), whose gains are tuned."
         ),
     ],

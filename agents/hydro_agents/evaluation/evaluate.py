@@ -213,7 +213,7 @@ def ratios(results: Results) -> pd.DataFrame:
 
 @table("score", KIND)
 def score(results: Results) -> pd.DataFrame:
-    """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; mean errors over all its cases."""
+    """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; errors over all its cases."""
     bound, grid = results.part("best_found"), results.grid
     if bound.empty:
         return bound

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.running.seeds import LEARNING
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.plant.analysis import speed_limits
@@ -179,11 +179,11 @@ def scores(trials: Sequence[Trial], controllers: Sequence[Controller | None]) ->
 class Space:
     """The search space of a class of gains as a unit cube; fields with ``logarithmic`` have a logarithmic scale."""
 
-    def __init__(self, gains: type[Group]) -> None:
-        self.gains = gains
-        self.names = tuple(search_space(gains))
-        ends = np.array([(low, high) for low, high, _ in search_space(gains).values()])
-        self._logarithmic = np.array([logarithmic for _, _, logarithmic in search_space(gains).values()])
+    def __init__(self, gains: type[Group], plant: PlantParameters) -> None:
+        space = search_space(gains, plant)
+        self.names = tuple(space)
+        ends = np.array([(low, high) for low, high, _ in space.values()])
+        self._logarithmic = np.array([logarithmic for _, _, logarithmic in space.values()])
         scaled = self._scaled(ends.T)
         self._low, self._width = scaled[0], scaled[1] - scaled[0]
 
@@ -249,7 +249,7 @@ def tune(
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     make, group = CONTROLLERS[kind]
-    space, base = Space(group), start or group()
+    space, base = Space(group, config.plant), start or group()
     settings = {
         "kind": kind,
         "objective": objective,
