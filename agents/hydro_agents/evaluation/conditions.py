@@ -70,6 +70,8 @@ PARTS = {
     "force_step": Part("force_step", "experiments:force_step"),
     "force_sine": Part("force_sine", "experiments:force_sine"),
     "hold": Part("standstill", "experiments:hold"),
+    "pause": Part("pauses", "transitions:pause"),
+    "take_over": Part("take_over", "transitions:take_over"),
     "windows": Part("windows", "leak_protocol:windows", ("leakage",)),
     "alarm": Part("alarms", "leak_alarm:alarm", ("leakage",)),
     "leak_bound": Part("bound", "leak_bound:leak_bound", ("leakage",)),

@@ -167,7 +167,8 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         return replace(cases_of(table), parameters=self.parameters_in(name))
 
 
-EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")  # parts about the task alone
+EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "pause", "take_over", "leak_price")
+"""Parts about the task alone."""
 
 
 class Sweep(Group):

@@ -30,6 +30,7 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
+    "transitions",
     "leak_price",
     "inputs",
     "method",
