@@ -34,8 +34,10 @@ class FlowLinearisingGains(Group):
     """Gains of :class:`FlowLinearising`: factors on values from the data sheet of the rig, and uncertainties.
 
     A *delay* is the time from a sample to the resulting motion: latency, half a control period, and valve. A *pace* is
-    the delay or half a period of the hydraulic oscillation, whichever is longer. The defaults are for any rig:
-    ``benchmarks/no_tuning.py`` tuned them over drawn rigs.
+    the delay or half a period of the hydraulic oscillation, whichever is longer. The damped oscillation delays a motion
+    by 2ζ/ω more; its damping 2ζ is that of the gain ``damping`` and of the load's viscous friction.
+
+    The defaults are for any rig: ``benchmarks/no_tuning.py`` tuned them over drawn rigs.
     """
 
     position_gain: float = gain(0.738, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
@@ -48,7 +50,7 @@ class FlowLinearisingGains(Group):
         high=1e4,
         logarithmic=True,
     )
-    lead: float = gain(1.05, (0.5, 2.0), "1", "of the reference speed, in delays", high=10.0)
+    lead: float = gain(0.95, (0.5, 2.0), "1", "of the reference speed, in delays of the damped axis", high=10.0)
     smoothing: float = gain(0.765, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
     prediction: float = gain(0.124, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
     force_rate: float = gain(0.642, (0.0, 2.0), "1", "of the rate of the accelerating force, fed forward", high=10.0)
@@ -134,6 +136,10 @@ class FlowLinearising:
         self.delay = _delay(config)
         self.pace = pace(config)
         g, plant, period, delay = gains, config.plant, config.control_period, self.delay
+        oscillation, mass = closed_port_natural_frequency(plant), plant.load.mass + plant.cylinder.piston_mass
+        self._lead = g.lead * (
+            delay + max(g.damping + plant.load.viscous_damping / (mass * oscillation), 0.0) / oscillation
+        )
         self._model = FlowModel(plant)
         jump = max(speed_limits(plant)) * period
         self._preview = Preview(config)
@@ -149,9 +155,9 @@ class FlowLinearising:
         )
         self._gain, self._near = g.position_gain / self.pace, g.braking * full_speed * self.pace
         self._blend = period / (period + g.damping_filter * self.pace)
-        self._damping = g.damping * closed_port_natural_frequency(plant)
+        self._damping = g.damping * oscillation
         self._friction = g.friction * plant.friction.largest_force / period
-        self._mass = g.force_rate * (plant.load.mass + plant.cylinder.piston_mass) / period**2
+        self._mass = g.force_rate * mass / period**2
         self._turned = _REVERSAL * plant.friction.stribeck_velocity
         noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
         leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
@@ -165,7 +171,7 @@ class FlowLinearising:
 
     def _reference_weights(self) -> Array:
         """Weights (horizon + 1, 4) of the reference's steps: travel to the predicted position; speed, before, after."""
-        period, horizon, lead = self.config.control_period, self._preview.horizon, self.gains.lead * self.delay
+        period, horizon, lead = self.config.control_period, self._preview.horizon, self._lead
         width = self.gains.smoothing * self.delay
 
         def speed(time: float) -> Array:
