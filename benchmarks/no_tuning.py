@@ -13,23 +13,23 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from benchmarks.drawn_rigs import drawn_task
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinearisingGains
 from hydro_agents.controllers.pid import PID
-from hydro_agents.evaluation.limit_cycles import counted_at_rest, standstill_metrics, standstill_task
+from hydro_agents.evaluation.limit_cycles import counted_at_rest
+from hydro_agents.learning.opponents import usual_gains
 from hydro_agents.learning.tuning import JUDGED, LEAK_LEVELS, REST, REST_LEAKS, RESTING, Tuned, tune
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
-from hydro_agents.running.seeds import RIGS, STANDSTILLS, UNTUNED_RIGS
+from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS
 from hydro_agents.running.text import markdown
 from hydro_env import TaskConfig
 from hydro_env.files import read_yaml, write_text, write_yaml
@@ -39,33 +39,14 @@ from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 KIND = "flow_linearising"
 TRAINING_RIGS, CASES = 12, 14
-PRICED_RIGS, PRICED = 20, 8  # further rigs on which limit cycles have a price, and standstills on each
 COUNTED = 16  # standstills per rig and controller in the test
 UNTUNED, TUNED, FIGURES = "untuned", "tuned", "PID from figures"
 
 
-def restlessness(tasks: Sequence[TaskConfig], gains: Sequence[FlowLinearisingGains]) -> NDArray[np.float64]:
-    """Price of limit cycles, (candidates,): 1 without any, and more the larger their amplitudes are.
-
-    It is 1 + 2 · mean of log(2 + amplitude / noise of the position sensor) over the standstills; 0 for one at rest.
-    """
-    prices = [[oscillation(FlowLinearising(one, task), task) for one in gains] for task in tasks]
-    return 1.0 + 2.0 * np.mean(prices, axis=0)
-
-
-def oscillation(controller: Controller, task: TaskConfig) -> float:
-    """Mean of log(2 + amplitude / noise) over the standstills of a rig that end in a limit cycle or a failure."""
-    still = standstill_task(task)
-    found = standstill_metrics(run_cases(still, controller, Cases(np.array(STANDSTILLS.take(PRICED)))), still)
-    size = np.where(found["failed"] > 0.0, 1e6 * task.plant.cylinder.stroke, found["amplitude_um"])
-    size = np.log(2.0 + 1e-6 * size / task.sensors.position.noise)
-    return float(np.where((found["limit_cycle"] > 0.0) | (found["failed"] > 0.0), size, 0.0).mean())
-
-
 def tune_for_any_rig(folder: Path, evaluations: int) -> None:
-    """Tune one set of gains over the training rigs, from those of the class; the log is the checkpoint."""
+    """Tune one set of gains over the training rigs, from those of the paper's rig; the log is the checkpoint."""
     tasks = [drawn_task(folder, seed, "mixed_leaks") for seed in RIGS.take(TRAINING_RIGS)]
-    others = [drawn_task(folder, seed) for seed in RIGS.take(PRICED_RIGS, TRAINING_RIGS)]
+    start = FlowLinearisingGains(**read_yaml(usual_gains(KIND)))
     log, began = folder / "tuning.csv", time.perf_counter()
 
     def progress(best: Tuned) -> None:
@@ -73,16 +54,8 @@ def tune_for_any_rig(folder: Path, evaluations: int) -> None:
         took = time.perf_counter() - began
         print(f"{best.evaluations} candidates: {1e3 * best.score.equal:.5f} mm, {took:.0f} s", flush=True)
 
-    tune(
-        KIND,
-        tasks,
-        evaluations=evaluations,
-        cases=CASES,
-        log=log,
-        resume=log.exists(),
-        progress=progress,
-        price=lambda gains: restlessness(others, gains),
-    )
+    resume = log.exists()
+    tune(KIND, tasks, evaluations=evaluations, cases=CASES, start=start, log=log, resume=resume, progress=progress)
 
 
 # Test ---------------------------------------------------------------------------------------------------------------

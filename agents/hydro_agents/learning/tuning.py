@@ -237,7 +237,6 @@ def tune(
     resume: bool = False,
     progress: Callable[[Tuned], None] | None = None,
     population: int = POPULATION,
-    price: Callable[[Sequence[Any]], Floats] | None = None,
 ) -> Tuned:
     """Tune the gains of a kind of :data:`~hydro_agents.controllers.registry.CONTROLLERS`.
 
@@ -254,7 +253,6 @@ def tune(
         resume: continue from ``log``; the result is bit-equal to that of an uninterrupted run.
         progress: called after every generation with the best candidate so far.
         population: candidates per generation.
-        price: gives factors on the scores of candidates from their gains, (population,).
 
     Raises:
         ConfigurationError: the kind is unknown, or the log is damaged or was written with other settings.
@@ -301,9 +299,6 @@ def tune(
                 costed = _over_tasks(
                     [scores(pair, [_controller(make, one, pair[0].config) for one in gains]) for pair in trials]
                 )
-                if price is not None:
-                    factors = price(gains).tolist()
-                    costed = [Score(f * one.mean, f * one.equal) for f, one in zip(factors, costed, strict=True)]
                 rows.append(costed)
             costs = [getattr(score, objective) for score in costed]
             leader = int(np.argmin(costs))
