@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv
 
 from benchmarks.environment_rows import single_axis
@@ -68,7 +69,7 @@ def study_of_the_pid() -> DefaultStudy:
     return study._replace(base=pid, ppo=study.ppo.model_copy(update={"see_estimates": False}))
 
 
-def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[PPO, AxisVecEnv]:
+def native_model(settings: DefaultStudy, ppo: PPOSettings) -> tuple[OnPolicyAlgorithm, AxisVecEnv]:
     """PPO as the study trains it, on the native vector environment."""
     torch.set_num_threads(ppo.torch_threads)
     features = make_features(settings.task, ppo, settings.base)
@@ -108,7 +109,7 @@ def training_cases(extent: Extent) -> list[Case]:
     ]
 
 
-def _speed_and_shares(model: PPO, env: VecEnv, steps: int) -> Sequence[float]:
+def _speed_and_shares(model: OnPolicyAlgorithm, env: VecEnv, steps: int) -> Sequence[float]:
     """Steps per second of a training, and the share of each of :data:`PARTS` in %."""
     adapted = isinstance(env, AxisVecEnv)
     axes = [(env.env, name, "environment") for name in ("step", "reset")] if adapted else []  # type: ignore[attr-defined]

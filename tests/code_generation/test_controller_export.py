@@ -13,6 +13,7 @@ import onnx
 import pytest
 from command_line import ROOT, assert_one_clear_line, hydro
 
+from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import ObservationLayout
 from hydro_agents.export.c_files import WARNINGS, c_compiler, compiled
 from hydro_agents.export.controller import controller_code, controller_graph
@@ -26,8 +27,9 @@ from hydro_agents.learning.policy import PolicyController
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import VALIDATION_SEEDS
 from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.task.configuration import task_config
 
-KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo")
+KINDS = ("pid", "flow_linearising", "adrc", "lqg", "ppo", "mpc")
 TASK = TaskConfig(episode_duration=0.6)
 FAMILIES = ("step", "point_to_point", "multi_sine", "start_stop")
 SEED = VALIDATION_SEEDS.start + 710_000
@@ -125,6 +127,26 @@ def test_the_test_program_agrees(kind, folders):
     assert rows[:, 0].sum() == 4  # episodes
     assert (np.abs(rows[:, -1]) == 10.0).any()
     assert np.isnan(rows[:, 1:-1]).any()
+
+
+def test_the_compensation_of_an_overlapped_valve_is_exported(tmp_path):
+    task = task_config(TASK, plant={"valve": {"overlap": 0.1, "underlap": 0.002}})
+    plain, compensating = (PID(PIDGains(overlap_compensation=share), task) for share in (0.0, 1.0))
+    files, report = exported_files(compensating, task, "hydro export")  # fails if C or ONNX differs from Python
+    exported = ExportedController.load(write(tmp_path / "export", files))
+    env = ServoHydraulicVectorEnv(1, task)
+    observation, _ = env.reset(seed=[SEED])
+    memories, added = [None] * 3, 0.0
+    for _ in range(60):
+        commands = []
+        for number, controller in enumerate((compensating, exported, plain)):
+            command, memories[number] = controller.predict(observation, memories[number])
+            commands.append(float(command[0, 0]))
+        assert commands[1] == pytest.approx(commands[0], abs=1e-6)
+        added = max(added, abs(commands[0] - commands[2]))
+        observation, *_ = env.step([[commands[0]]])
+    assert added == pytest.approx(0.1, rel=0.2)
+    assert len(report) > 1
 
 
 def test_several_controllers_fit_into_one_program(tmp_path):

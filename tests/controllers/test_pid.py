@@ -6,7 +6,9 @@ import pytest
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.folders import config_folder
+from hydro_agents.running.tasks import noiseless, own_reference
 from hydro_env import ConfigurationError, TaskConfig
+from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig()
 LAYOUT = ObservationLayout.of(CONFIG)
@@ -104,6 +106,73 @@ def test_shipped_gains_hold_the_axis_at_every_leak():
     run = run_cases(CONFIG, pid, cases)
     assert (run.failed_at < 0).all()
     assert 1e3 * np.abs(run.position - run.reference).mean() < 0.2
+
+
+def overlapped(share):
+    return task_config(None, plant={"valve": {"overlap": share, "underlap": 0.002}, "friction": {"model": "none"}})
+
+
+def test_without_overlap_or_compensation_the_commands_are_the_same_bit_for_bit():
+    gains = PIDGains.from_yaml(config_folder() / "agents" / "pid_mended.yaml")
+    compensating = gains.model_copy(update={"overlap_compensation": 1.0})
+    four = [PID(one, task) for one in (gains, compensating) for task in (CONFIG, overlapped(0.03))]
+    rows = (0.1 * np.random.default_rng(1).standard_normal((40, 3, len(LAYOUT.names)))).astype(np.float32)
+    memories, commands = [None] * 4, np.empty((4, 40, 3, 1), np.float32)
+    for period, row in enumerate(rows):
+        for number, pid in enumerate(four):
+            commands[number, period], memories[number] = pid.predict(row, memories[number])
+    plain, _, no_overlap, both = commands
+    np.testing.assert_array_equal(commands[1], plain)
+    np.testing.assert_array_equal(no_overlap, plain)
+    assert not np.array_equal(both, plain)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_the_compensation_adds_a_share_of_the_overlap_beyond_a_ramp_as_wide_as_the_noise(share):
+    pid = PID(PIDGains(proportional=100.0, **PLAIN, overlap_compensation=share), overlapped(0.1))
+    added, ramp = share * 0.1, 2.0 * 100.0 * CONFIG.sensors.position.noise
+    for error, wanted in (
+        (0.5 * ramp, 0.5 * (ramp + added)),
+        (-ramp, -ramp - added),
+        (0.3, 0.3 + added),
+        (-0.99, -1.0),
+    ):
+        action, _ = pid.predict(observation(tracking_error=error / 100.0))
+        assert action[0] == pytest.approx(wanted, rel=1e-4)
+
+
+@pytest.mark.parametrize("command", [-0.6, -0.05, 0.0, 0.001, 0.08, 0.9])
+def test_a_compensating_pid_starts_without_a_bump(command):
+    pid = PID(PIDGains(**PLAIN, overlap_compensation=1.0), overlapped(0.1))
+    action, _ = pid.predict(observation(previous_command=command))
+    assert action[0] == pytest.approx(command, abs=1e-6)
+
+
+def test_the_integral_of_a_compensating_pid_does_not_exceed_what_the_valve_can_do():
+    gains = PIDGains(proportional=0.0, **PLAIN | {"integral": 500.0}, anti_windup_time=1e-6, overlap_compensation=1.0)
+    pid, memory = PID(gains, overlapped(0.2)), None
+    for _ in range(50):
+        action, memory = pid.predict(observation(tracking_error=0.1), memory)
+    assert action[0] == 1.0
+    assert memory.integral[0] == pytest.approx(0.8)
+
+
+def test_a_valve_with_an_overlap_of_3_percent_is_no_dead_band_in_the_loop():
+    """A proportional loop stands where its command no longer leaves the dead band; compensated, within the ramp.
+
+    The loop begins anywhere in the dead band, so that it may have to cross it as a whole: twice the overlap.
+    """
+    gain, dead = 100.0, 0.03
+    task = task_config(overlapped(dead), randomisation={}, sensors={"position": {"bias": 0.0}})
+    still = own_reference(noiseless(task), np.repeat([0.0, 0.01], [20, 1000]))
+    ramp = 2.0 * gain * task.sensors.position.noise
+    uncovered = ramp * dead / (ramp + dead)
+    for share, least, most in ((0.0, dead, 2.0 * dead), (1.0, 0.0, 2.0 * uncovered)):
+        pid = PID(PIDGains(proportional=gain, **PLAIN, overlap_compensation=share), task)
+        run = run_cases(still, pid, Cases(np.arange(4), np.full(4, 0.01)))
+        command = gain * np.abs(run.position - run.reference)[:, -1]
+        assert (least <= command).all()
+        assert (command <= most).all()
 
 
 def test_wrong_gains_are_named(tmp_path):

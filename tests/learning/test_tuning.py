@@ -11,7 +11,7 @@ from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.learning.tuning import JUDGED, LEAK_LEVELS, REFUSED, REST, Space, Trial, TuningCases, scores, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
@@ -111,7 +111,7 @@ def test_a_given_start_is_where_the_search_begins_and_keeps_what_is_not_searched
     start = PIDGains(proportional=300.0, lead_in_integral=False)
     best = tune("pid", SHORT, evaluations=6, start=start, **OPTIONS)
     assert best.gains.lead_in_integral is False
-    space = Space(PIDGains)
+    space = Space(PIDGains, SHORT.plant)
     assert space.values(space.point(start))["proportional"] == pytest.approx(300.0)
     outside = PIDGains(proportional=1.0, integral=0.0, derivative=7.0)
     low, high = (space.values(np.full(len(space.names), end)) for end in (0.0, 1.0))
@@ -215,10 +215,18 @@ def test_refused_gains_are_bad_candidates(monkeypatch, tmp_path):
         tune("none", SHORT)
 
 
+OVERLAPPED = PlantParameters().replace(valve={"overlap": 0.03})
+
+
+def test_a_gain_without_effect_on_a_rig_is_not_searched():
+    plain, overlapped = (Space(PIDGains, plant).names for plant in (PlantParameters(), OVERLAPPED))
+    assert set(overlapped) - set(plain) == {"overlap_compensation"}
+
+
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_the_search_space_holds_the_defaults_and_only_valid_gains(kind):
     _, group = CONTROLLERS[kind]
-    for name, (low, high, logarithmic) in search_space(group).items():
+    for name, (low, high, logarithmic) in search_space(group, OVERLAPPED).items():
         assert low <= getattr(group(), name) <= high
         assert not logarithmic or low > 0.0
         for bound in (low, high):

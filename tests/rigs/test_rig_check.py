@@ -253,7 +253,7 @@ def test_the_gain_with_an_overlapped_valve_is_that_beyond_its_dead_band():
         for found in (rows, check_rig(rig.replace(valve={"overlap": 0.0, "underlap": 0.0016})))
     ]
     assert limits[0] / limits[1] == pytest.approx(0.8, rel=0.02)
-    assert "the valve is dead within ±2 V" in dict(brief(rows, rig))["verdict"]
+    assert "the valve is overlapped, dead within ±2 V" in dict(brief(rows, rig))["verdict"]
 
 
 def test_values_that_the_chosen_models_do_not_use_are_not_told():
@@ -426,6 +426,15 @@ def test_a_study_on_another_rig_begins_with_gains_that_are_stable_there(rig):
     assert stable_start(study.task, settings) == own  # those of the paper's rig are unstable here
     assert stable_start(study.task, own) is own
     assert all(loop.is_stable(own.proportional) for loop in loops_within_ranges(study.task))
+
+
+def test_a_pid_begins_with_compensation_on_a_rig_with_an_overlapped_valve():
+    task = task_config(None, plant={"valve": {"overlap": 0.03}}, randomisation={})
+    stable = PIDGains(proportional=10.0)
+    assert stable_start(task, stable) == PIDGains(proportional=10.0, overlap_compensation=1.0)
+    assert stable_start(task, PIDGains(proportional=2000.0)).overlap_compensation == 1.0
+    own = PIDGains(proportional=10.0, overlap_compensation=0.7)
+    assert stable_start(task, own) is own
 
 
 def test_gains_that_were_tuned_for_the_rig_remain_the_start():

@@ -7,11 +7,13 @@ import pandas as pd
 import pytest
 
 from hydro_agents.learning.settings import PPOSettings
+from hydro_agents.learning.trainers import TRAINERS
 from hydro_agents.running.folders import config_folder
 from hydro_agents.running.seeds import TEST_SEEDS, VALIDATION_SEEDS
 from hydro_agents.study.ladder import JOB_FILE, LadderSettings, ratios, run_ladder, rung_scores
 from hydro_env import ConfigurationError
 from hydro_env.files import read_yaml, validate, write_yaml
+from hydro_env.task.configuration import task_config
 
 SMALL = {"steps_per_rollout": 8, "minibatches": 1, "epochs": 1}
 LADDER = {
@@ -152,10 +154,42 @@ def test_an_impossible_ladder_is_refused_with_one_line(changes, message):
     assert "\n" not in str(caught.value)
 
 
-def test_the_shipped_ladder_can_be_trained():
-    settings = LadderSettings.from_yaml(config_folder() / "ladders" / "default.yaml")
-    assert len(settings.rungs) >= 10
+@pytest.mark.parametrize(("name", "rungs"), [("default", 10), ("baselines", 9), ("alone", 8)])
+def test_the_shipped_ladders_can_be_trained(name, rungs):
+    settings = LadderSettings.from_yaml(config_folder() / "ladders" / f"{name}.yaml")
+    assert len(settings.rungs) >= rungs
     assert settings.seeds >= 5
+    for rung in settings.rungs:
+        resolved = settings.resolved(rung)
+        task_config(settings.task, **resolved.settings.practice)
+
+
+def test_every_learned_baseline_has_one_budget_and_every_algorithm_takes_part():
+    settings = LadderSettings.from_yaml(config_folder() / "ladders" / "baselines.yaml")
+    resolved = {name: settings.resolved(name) for name in settings.rungs}
+    assert {rung.settings.total_steps for rung in resolved.values()} == {1_000_000}
+    assert {rung.kind for rung in resolved.values()} == set(TRAINERS)
+    assert {rung.corrects for rung in resolved.values()} == {None, "PID", "Flow linearisation"}
+    assert settings.controllers["MPC"].kind == "mpc"
+
+
+def test_the_rungs_without_an_aid_differ_from_the_published_road_in_that_aid_alone():
+    settings = LadderSettings.from_yaml(config_folder() / "ladders" / "alone.yaml")
+    whole = settings.resolved("2 million periods").settings.model_dump()
+    published = validate(PPOSettings, read_yaml(config_folder() / "agents" / "ppo_direct.yaml"), "ppo_direct.yaml")
+    assert settings.resolved("PPO alone").settings == published
+    assert whole | {"total_steps": 14_000_000, "validation_every": 1_000_000} == published.model_dump()
+    for name in list(settings.rungs)[2:]:
+        own = settings.resolved(name).settings.model_dump()
+        changed = {key for key in own if own[key] != whole[key]}
+        assert changed <= {"axes", "steps_per_rollout", "minibatches", "epochs"} or len(changed) == 1
+
+
+def test_the_table_tells_the_gradient_steps(done):
+    folder, _ = done
+    table = pd.read_csv(folder / "ladder.csv").set_index("rung")
+    assert np.isnan(table["gradient steps"]["PID"])
+    assert (table["gradient steps"][1:] == 1.0).all()  # 64 periods of 8 axes: one rollout, one batch, one epoch
 
 
 def test_the_direct_policy_of_the_ladder_is_that_of_the_studies():

@@ -44,12 +44,12 @@ def my_module(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["default", "direct", "quick"])
-def test_the_studies_that_ship_are_right(name):
+@pytest.mark.parametrize(("name", "learned"), [("default", "PPO"), ("direct", "PPO alone"), ("quick", "PPO")])
+def test_the_studies_that_ship_are_right(name, learned):
     found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
-    assert list(found.controllers) == ["PID", "Flow linearisation", "PPO"]
-    assert found.trained == ["PPO"]
-    assert found.controllers["PPO"].corrects == (None if name == "direct" else "Flow linearisation")
+    assert list(found.controllers) == ["PID", "Flow linearisation", learned]
+    assert found.trained == [learned]
+    assert found.controllers[learned].corrects == (None if name == "direct" else "Flow linearisation")
     assert found.make("PID").gains.proportional == pytest.approx(397.3, abs=0.01)
     assert StudySettings(**found.model_dump(mode="json")) == found  # what is written can be read again
 

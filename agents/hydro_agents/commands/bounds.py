@@ -98,8 +98,8 @@ MovingController = Annotated[
     typer.Option(
         "--controller",
         metavar="KIND|WHAT",
-        help="Controller that moves the axis: pid, flow_linearising, adrc, lqg or ppo as shipped, module:attribute, or "
-        "the path of weights.",
+        help="Controller that moves the axis: pid, flow_linearising, adrc, lqg, mpc or ppo as shipped, "
+        "module:attribute, or the path of weights.",
     ),
 ]
 

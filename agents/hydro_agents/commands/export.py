@@ -28,7 +28,7 @@ def export(
         typer.Argument(
             help="plant: the axis as an FMU and as C sources. leakage_head: the leak detector. playground: a page to "
             "try out. Or a controller: results/study/controllers/NAME of a study on your rig; as shipped, for the "
-            "paper's rig: pid, flow_linearising, adrc, lqg, ppo; a file of gains, weights, or module:attribute.",
+            "paper's rig: pid, flow_linearising, adrc, lqg, mpc, ppo; a file of gains, weights, or module:attribute.",
             show_default=False,
         ),
     ],

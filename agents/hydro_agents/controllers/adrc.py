@@ -15,11 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_agents.controllers.base import gain
-from hydro_agents.controllers.observer_feedback import Array, ObserverFeedback, ObserverFeedbackGains, sampled
+from hydro_agents.controllers.observer_feedback import Array, JumpGains, ObserverFeedback, sampled
 from hydro_env import ConfigurationError, TaskConfig
 
 
-class ADRCGains(ObserverFeedbackGains):
+class ADRCGains(JumpGains):
     """Gains of :class:`ADRC`, relative to the rig."""
 
     controller_bandwidth: float = gain(1.2, (0.1, 5.0), "1", "ω_c, per lag of the rig", low=1e-3, logarithmic=True)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.signals import observation_layout
 
@@ -201,6 +201,7 @@ def gain(
     low: float = 0.0,
     high: float = 1e9,
     logarithmic: bool = False,
+    needs: str = "",
 ) -> Any:
     """A field of a class of gains that tuning searches.
 
@@ -212,20 +213,29 @@ def gain(
         low: lowest value allowed.
         high: highest value allowed.
         logarithmic: whether tuning searches over its logarithm.
+        needs: parameter of the plant, ``group.field``, without which the gain has no effect and tuning leaves it alone.
     """
-    extra: Any = {"unit": unit, "search": list(search), "logarithmic": logarithmic}
+    extra: Any = {"unit": unit, "search": list(search), "logarithmic": logarithmic, "needs": needs}
     return Field(default, ge=low, le=high, description=f"{unit}; {description}", json_schema_extra=extra)
 
 
-def search_space(gains: type[Group]) -> dict[str, tuple[float, float, bool]]:
-    """The fields that tuning searches: lower bound, upper bound, and whether the search is over the logarithm."""
+def search_space(gains: type[Group], plant: PlantParameters) -> dict[str, tuple[float, float, bool]]:
+    """The fields that tuning searches on a plant: lower bound, upper bound, and whether over the logarithm."""
     space = {}
     for name, info in gains.model_fields.items():
         extra: Any = info.json_schema_extra
-        if isinstance(extra, Mapping) and "search" in extra:
+        if isinstance(extra, Mapping) and "search" in extra and _has(plant, str(extra["needs"])):
             low, high = extra["search"]
             space[name] = (float(low), float(high), bool(extra["logarithmic"]))
     return space
+
+
+def _has(plant: PlantParameters, path: str) -> bool:
+    """Whether a parameter, ``group.field``, of a plant differs from 0; true for an empty path."""
+    value: Any = plant
+    for name in path.split("."):
+        value = getattr(value, name) if name else 1.0
+    return bool(value != 0.0)
 
 
 def rows(memory: Memory, axes: NDArray[Any]) -> Memory:

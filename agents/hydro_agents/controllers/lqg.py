@@ -8,12 +8,15 @@ from one estimated disturbance for each measured signal.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from hydro_agents.controllers.base import gain
 from hydro_agents.controllers.observer_feedback import (
     Array,
+    JumpGains,
     ObserverFeedback,
     ObserverFeedbackGains,
     SampledModel,
@@ -37,8 +40,8 @@ REGULATED = 6
 """States that the regulator feeds back; all but the disturbances."""
 
 
-class LQGGains(ObserverFeedbackGains):
-    """Gains of :class:`LQG`, relative to the rig; drifts are those of random walks."""
+class KalmanGains(ObserverFeedbackGains):
+    """Gains of the regulator and of the Kalman filter, relative to the rig; drifts are those of random walks."""
 
     bandwidth: float = gain(0.9, (0.1, 10.0), "1", "of the regulator, per lag of the rig", low=1e-3, logarithmic=True)
     damping: float = gain(0.1, (0.02, 1.5), "1", "damping ratio of mass and oil", low=1e-3, logarithmic=True)
@@ -50,6 +53,10 @@ class LQGGains(ObserverFeedbackGains):
         0.04, (0.001, 10.0), "1/√s", "of full speed × hydraulic frequency", low=1e-6, logarithmic=True
     )
     valve_noise: float = gain(0.04, (0.001, 10.0), "1/√s", "of full opening", low=1e-6, logarithmic=True)
+
+
+class LQGGains(KalmanGains, JumpGains):
+    """Gains of :class:`LQG`."""
 
 
 class LQG(ObserverFeedback):
@@ -65,7 +72,7 @@ class LQG(ObserverFeedback):
 
     disturbance = FLOW
 
-    def __init__(self, gains: LQGGains, config: TaskConfig) -> None:
+    def __init__(self, gains: KalmanGains, config: TaskConfig) -> None:
         super().__init__(gains, config)
         c, frequency, period = plant_coefficients(config.plant), self.frequency, config.control_period
         self._mass, self._spring = 1.0 / c.inverse_mass, c.spring_stiffness
@@ -101,10 +108,10 @@ class LQG(ObserverFeedback):
         oil = np.hypot(c.area_a * sensors.pressure_a.noise, c.area_b * sensors.pressure_b.noise)
         noise = np.array([sensors.position.noise, oil, sensors.spool_position.noise * full])
         noise = np.maximum(noise, 1e-6 * full * np.array([self.delay, frequency * self._mass, 1.0]))
-        weight = (gains.bandwidth / self.lag) ** 2 * period
+        self.weight, self.size = (gains.bandwidth / self.lag) ** 2 * period, size[:REGULATED]
         try:
             self.correction = kalman_gain(self.model, full * np.sqrt(period) * drift, noise, size)
-            self.feedback, preview = regulator(self.model, weight, size[:REGULATED], full)
+            self.feedback, preview = regulator(self.model, self.weight, self.size, full)
         except np.linalg.LinAlgError as error:
             raise ConfigurationError(f"lqg: no regulator or Kalman filter for these gains: {error}") from None
         # A step of the reference moves all later samples; the last known step repeats without end.
@@ -126,11 +133,18 @@ class LQG(ObserverFeedback):
     def speed(self, estimate: Array, error: Array, command: Array, steps: Array) -> Array:
         """See :meth:`ObserverFeedback.speed`."""
         k, disturbance = self.feedback, estimate[:, FLOW]
-        # The regulator has no disturbance states: it sees the valve opening that moves the axis.
-        valve = estimate[:, VALVE] + disturbance[:, None] * self._valve_at_rest
-        motion = error * k[POSITION] + estimate[:, [SPEED, ACCELERATION]] @ k[[SPEED, ACCELERATION]] + valve @ k[VALVE]
+        motion = error * k[POSITION] + estimate[:, [SPEED, ACCELERATION]] @ k[[SPEED, ACCELERATION]]
+        motion += self.moving_valve(estimate) @ k[VALVE]
         speed: Array = command + steps @ self._preview - motion - k[-1] * (command + disturbance)
         return speed
+
+    def moving_valve(self, estimate: Array) -> Array:
+        """States of the valve as the regulator knows them, (N, 3): it has no disturbance states.
+
+        It sees the valve opening that moves the axis.
+        """
+        valve: Array = estimate[:, VALVE] + estimate[:, [FLOW]] * self._valve_at_rest
+        return valve
 
 
 def kalman_gain(model: SampledModel, drift: Array, noise: Array, size: Array) -> Array:
@@ -149,6 +163,34 @@ def kalman_gain(model: SampledModel, drift: Array, noise: Array, size: Array) ->
     return k
 
 
+class Problem(NamedTuple):
+    """Σ (weight · (position − reference))² + (change of the command)², scaled; states and last command are z, (n + 1,).
+
+    z[k+1] = transition z[k] + drive · change[k]; the cost to go without reference is zᵀ cost z.
+    """
+
+    size: Array  # (n + 1,), of z in its own units
+    transition: Array  # (n + 1, n + 1)
+    drive: Array  # (n + 1,)
+    position: Array  # (n + 1,), weighted position per z
+    cost: Array  # (n + 1, n + 1), solution of the Riccati equation
+
+
+def tracking_problem(model: SampledModel, weight: float, size: Array, full: float) -> Problem:
+    """The problem that :func:`regulator` solves; the arguments are the same."""
+    n = len(size)
+    transition = np.eye(n + 1)
+    transition[:n, :n] = model.transition[:n, :n]
+    transition[:n, n] = (model.input_old + model.input_new)[:n]
+    size = np.append(size, full)
+    transition = transition * size / size[:, None]
+    drive = np.append(model.input_new[:n], 1.0) / size
+    position = np.zeros(n + 1)
+    position[POSITION] = weight * size[POSITION]
+    cost = solve_discrete_are(transition, drive[:, None], np.outer(position, position), np.eye(1))
+    return Problem(size, transition, drive, position, cost)
+
+
 def regulator(model: SampledModel, weight: float, size: Array, full: float) -> tuple[Array, Array]:
     """Gains that minimise Σ (weight · (position − reference))² + (change of the command)².
 
@@ -161,16 +203,7 @@ def regulator(model: SampledModel, weight: float, size: Array, full: float) -> t
     Returns:
         Gains on states and last command, (n + 1,), and on the reference 1, 2, … :data:`TAIL` periods ahead, (TAIL,).
     """
-    n = len(size)
-    transition = np.eye(n + 1)
-    transition[:n, :n] = model.transition[:n, :n]
-    transition[:n, n] = (model.input_old + model.input_new)[:n]
-    size = np.append(size, full)
-    transition = transition * size / size[:, None]
-    drive = np.append(model.input_new[:n], 1.0) / size
-    position = np.zeros(n + 1)
-    position[POSITION] = weight * size[POSITION]
-    cost = solve_discrete_are(transition, drive[:, None], np.outer(position, position), np.eye(1))
+    size, transition, drive, position, cost = tracking_problem(model, weight, size, full)
     shared = drive / (1.0 + drive @ cost @ drive)
     feedback = shared @ cost @ transition
     closed = transition - np.outer(drive, feedback)

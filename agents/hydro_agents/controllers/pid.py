@@ -14,6 +14,9 @@ from hydro_env import TaskConfig
 from hydro_env.files import Group, read_yaml, validate, write_yaml
 from hydro_env.plant.analysis import speed_limits
 
+NOISES = 2.0
+"""Half width of the ramp across the dead band of a valve, in standard deviations of the command's noise."""
+
 
 class PIDGains(Group):
     """Gains of :class:`PID`; the command is a fraction of 10 V, lengths are in m, times in s.
@@ -38,6 +41,9 @@ class PIDGains(Group):
     reference_lead: float = gain(0.0, (0.0, 0.03), "s", "lead of the reference position", high=0.1)
     anti_windup_time: float = gain(
         0.05, (0.005, 1.0), "s", "back-calculation while saturated", low=1e-6, high=10.0, logarithmic=True
+    )
+    overlap_compensation: float = gain(
+        0.0, (0.0, 1.2), "1", "of the valve's overlap, added to the command", high=1.5, needs="valve.overlap"
     )
     lead_in_integral: bool = Field(
         True, description="whether the integral uses the error with the lead, as in 0.1; without it, no bias"
@@ -96,6 +102,12 @@ class PID:
         self._times = config.control_period * np.array([0, *counts])
         self._jump = max(speed_limits(config.plant))
         self._middles = 0.5 * (self._times[1:] + self._times[:-1])
+        valve, sensor = config.plant.valve, config.sensors.position
+        self._null, self._added = valve.null_shift, gains.overlap_compensation * valve.overlap
+        self._limit = 1.0 - self._added
+        if self._added:
+            noise = gains.proportional * max(sensor.noise, sensor.resolution)
+            self._ramp = max(NOISES * noise, valve.underlap, 1e-6)
 
     def predict(
         self,
@@ -120,7 +132,7 @@ class PID:
         if state is None or (episode_start is not None and np.any(episode_start)):
             following = speeds[:, 0] if len(self._shown) else np.zeros(len(batch))
             following = np.where(np.abs(following) > self._jump, 0.0, following)
-            integral = command_before - self._feedforward(following)
+            integral = self._before_compensation(command_before) - self._feedforward(following)
             state = restarted(state, PIDState(integral, following, position, reference), episode_start)
         if not len(self._shown):
             reference_speed, leading = (reference - state.reference) / period, error
@@ -132,10 +144,28 @@ class PID:
         # A jump of the reference saturates the command for a period, but is no wind-up.
         smooth = np.clip(reference_speed, -self._jump, self._jump)
         lasting = feedback + g.derivative * smooth + self._feedforward(smooth)
-        integral = integral + (np.clip(lasting, -1.0, 1.0) - lasting) * min(period / g.anti_windup_time, 1.0)
-        command = np.clip(wanted, -1.0, 1.0)
+        bounded = np.clip(lasting, -self._limit, self._limit)
+        integral = integral + (bounded - lasting) * min(period / g.anti_windup_time, 1.0)
+        command = np.clip(self._compensated(wanted), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), PIDState(integral, velocity, position, reference)
+
+    def _compensated(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The command with the part of the overlap that the valve needs before it opens, (N,)."""
+        if not self._added:
+            return command
+        added: NDArray[np.float64] = self._added * np.clip((command - self._null) / self._ramp, -1.0, 1.0)
+        return command + added
+
+    def _before_compensation(self, command: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The inverse of :meth:`_compensated`."""
+        if not self._added:
+            return command
+        opening = command - self._null
+        on_ramp = opening * (self._ramp / (self._ramp + self._added))
+        beyond = opening - np.copysign(self._added, opening)
+        inverse: NDArray[np.float64] = self._null + np.where(np.abs(on_ramp) < self._ramp, on_ramp, beyond)
+        return inverse
 
     def _feedforward(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Command for a speed of the reference in m/s, (N,)."""

@@ -44,9 +44,12 @@ NAMES = {"flow_linearising": "Flow linearisation"}  # names of kinds that are no
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:
-    """Every controller with shipped gains or weights, by name; the first one, the PID, is the baseline."""
+    """Controllers with shipped gains or weights, by name; the first one, the PID, is the baseline.
+
+    The MPC takes part where it is named: docs/learning.md compares it with flow linearisation.
+    """
     folder = config_folder() / "agents"
-    tuned = [kind for kind in CONTROLLERS if (folder / f"{kind}.yaml").is_file()]
+    tuned = [kind for kind in CONTROLLERS if kind != "mpc" and (folder / f"{kind}.yaml").is_file()]
     kinds = (*tuned, *SHIPPED_WEIGHTS)
     named = {_name(kind): kind for kind in kinds}
     mended = make_controller("pid", task, read_yaml(folder / "pid_mended.yaml"))

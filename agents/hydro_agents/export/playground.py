@@ -169,7 +169,7 @@ def written(choice: Choice, config: TaskConfig) -> Written:
     if choice.gains:
         classical = cast("ClassicalController", controller)
         tuned = {name: float(getattr(classical.gains, name)) for name in choice.gains}
-        space = search_space(type(classical.gains))
+        space = search_space(type(classical.gains), config.plant)
         for name, (words, unit) in choice.gains.items():
             low, high, logarithmic = space[name]
             limits = (tuned[name] / 10.0, tuned[name] * 10.0) if logarithmic else (low, high)

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -61,6 +60,7 @@ def take(model: OnPolicyAlgorithm, env: AxisVecEnv, seconds: float) -> Checkpoin
         "torch_generator": torch.get_rng_state().numpy().copy(),
         "numpy_generator": generator["state"]["key"].copy(),
         "numpy_generator_position": np.array(generator["state"]["pos"]),
+        **{name: value.detach().numpy().copy() for name, value in _recurrent(model).items()},
     }
     return Checkpoint(tensors, int(model.num_timesteps), int(getattr(model, "_n_updates", 0)), seconds)
 
@@ -141,13 +141,16 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
         "numpy_generator": generator["state"]["key"],
         "numpy_generator_position": np.array(generator["state"]["pos"]),
     }
-    require(tensors, wanted, where)
+    recurrent = _recurrent(model)
+    require(tensors, {**wanted, **{name: value.numpy() for name, value in recurrent.items()}}, where)
     try:
         env.set_state({name: _shaped(tensors[f"axes.{name}"], like) for name, like in state.items()})
     except ConfigurationError as error:
         raise ConfigurationError(f"{where}: {error}") from None
     restore_optimiser(model.policy.optimizer, tensors, str(where))
     model.policy.load_state_dict({name: torch.from_numpy(tensors[f"policy.{name}"].copy()) for name in policy})
+    for name, value in recurrent.items():
+        value.copy_(torch.from_numpy(tensors[name].copy()))
     model._last_obs = tensors["observation"].copy()
     model._last_episode_starts = tensors["episode_start"].copy()
     model.ep_info_buffer = deque(({"r": r, "l": int(n), "t": 0.0} for r, n in episodes.tolist()), maxlen=100)
@@ -162,6 +165,14 @@ def restore(model: OnPolicyAlgorithm, env: AxisVecEnv, checkpoint: Checkpoint, w
         torch.set_rng_state(torch.from_numpy(tensors["torch_generator"].copy()))
     except (ValueError, RuntimeError):
         raise ConfigurationError(f"{where}: numpy_generator or torch_generator holds no state of a generator") from None
+
+
+def _recurrent(model: OnPolicyAlgorithm) -> dict[str, torch.Tensor]:
+    """The memory of the recurrent layers of actor and critic; empty for a policy without."""
+    states = getattr(model, "_last_lstm_states", None)
+    if states is None:
+        return {}
+    return {f"recurrent.{name}.{n}": value for name in ("pi", "vf") for n, value in enumerate(getattr(states, name))}
 
 
 def _plain(array: NDArray[Any]) -> NDArray[Any]:
@@ -233,7 +244,7 @@ def session(model: BaseAlgorithm, env: AxisVecEnv, callback: SessionCallback) ->
 class TrainingCallback(SessionCallback):
     """Logs, writes checkpoints and calls ``check`` between rollouts of PPO; sets the exploration of each."""
 
-    model: PPO
+    model: OnPolicyAlgorithm
 
     def __init__(
         self,

@@ -107,6 +107,7 @@ class FeatureState(NamedTuple):
     lasting: NDArray[np.float32]  # slow average of the correction (first order, :data:`LASTING_TIME`), (N, 1)
     reference: NDArray[np.float64]  # the reference from one period ago to the farthest preview, m, (N, samples)
     noise: np.random.Generator | None = None  # of the exploration; whoever draws from it draws from a copy
+    hidden: NDArray[np.float32] | None = None  # memory of a recurrent policy, (N, 2 cells)
 
     def aligned(self) -> FeatureState:
         """The same memory with the oldest signals at index 0 of the ring."""
@@ -121,7 +122,8 @@ class FeatureState(NamedTuple):
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The arrays with one row per axis, without those of the corrected controller."""
-        return {name: value for name, value in self._asdict().items() if name not in ("base", "slot", "noise")}
+        values = self._asdict().items()
+        return {name: value for name, value in values if name not in ("base", "slot", "noise") and value is not None}
 
 
 class PolicyFeatures:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from sb3_contrib import TQC
 from stable_baselines3 import SAC
 
 from hydro_agents.controllers.base import Controller
@@ -25,10 +25,10 @@ from hydro_agents.learning.training import ACTIVATIONS, discount, make_env, make
 from hydro_agents.running.cases import validation_errors
 from hydro_agents.running.seeds import LEARNING
 from hydro_agents.running.weights import Tensors, require, save_checkpoint
-from hydro_env import ConfigurationError, TaskConfig
+from hydro_env import TaskConfig
 
 OFF_POLICY = "off-policy checkpoint"
-PACKAGES = {"SAC": ("stable_baselines3", "stable-baselines3"), "TQC": ("sb3_contrib", "sb3-contrib")}  # module, package
+ALGORITHMS: dict[str, Any] = {"SAC": SAC, "TQC": TQC}
 
 
 def train_off_policy(
@@ -41,7 +41,7 @@ def train_off_policy(
     resume: bool,
     progress: Callable[[Progress], None] | None,
 ) -> PolicyController:
-    """Train a policy with an algorithm of :data:`PACKAGES`.
+    """Train a policy with an algorithm of :data:`ALGORITHMS`.
 
     The arguments are those of :func:`~hydro_agents.learning.training.train_ppo`.
     A checkpoint holds the networks, the weight of the entropy and the number of steps. A resumed training fills a new
@@ -49,15 +49,8 @@ def train_off_policy(
     uninterrupted training.
 
     Raises:
-        ConfigurationError: as :meth:`~hydro_agents.learning.trainers.Trainer.train`, or the package is not installed.
+        ConfigurationError: as :meth:`~hydro_agents.learning.trainers.Trainer.train`.
     """
-    module, package = PACKAGES[name]
-    try:
-        algorithm = getattr(importlib.import_module(module), name)
-    except ImportError:
-        raise ConfigurationError(
-            f"trainer '{name.lower()}': needs the package {package}, which is not installed"
-        ) from None
     torch.set_num_threads(settings.torch_threads)
     features = make_features(config, settings, base)
     path = folder / CHECKPOINT_FILE
@@ -69,7 +62,7 @@ def train_off_policy(
     }
     stored = load_made_with(path, OFF_POLICY, made_with) if resume else None
     env = make_env(config, settings, features, LEARNING.training(seed, settings.axes).start)
-    model = algorithm(
+    model = ALGORITHMS[name](
         "MlpPolicy",
         env,
         learning_rate=settings.learning_rate,

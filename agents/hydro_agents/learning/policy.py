@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field
 from hydro_agents.controllers.base import Floats, as_batch
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
 from hydro_agents.learning.features import FEATURE_LIMIT, FeatureState, Normalisation, PolicyFeatures
+from hydro_agents.learning.lstm import LSTM
 from hydro_agents.running.weights import load_weights, require, save_weights
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, validate
@@ -53,11 +54,12 @@ class _StoredPolicy(Group):
     log_standard_deviation: float = Field(ge=-20.0, le=5.0)
     activation: Literal["tanh", "relu"] = "tanh"
     output: Literal["linear", "tanh"] = "linear"
+    lstm_cells: int | None = Field(None, ge=1, le=4096)
     training: dict[str, Any] = {}
 
 
 class PolicyController:
-    """An actor network of dense layers from features to a command, trained by PPO or A2C.
+    """An actor network from features to a command: dense layers, with a recurrent layer before them if trained so.
 
     It has the interface of every controller; see :class:`~hydro_agents.controllers.base.Controller`.
     ``deterministic=False`` adds Gaussian exploration noise of the trained size. Its generator is part of the state; a
@@ -71,6 +73,7 @@ class PolicyController:
         training: record of the training (JSON).
         critic: layers of the value network, which may have more inputs; ``None`` if unknown.
         output: ``linear`` (limited to ±1, as PPO's) or ``tanh`` (as SAC's).
+        lstm: recurrent layer between features and ``layers``; its memory is part of the state.
 
     Example:
         >>> from hydro_agents.learning.policy import PolicyController
@@ -93,6 +96,7 @@ class PolicyController:
         activation: str = "tanh",
         critic: Layers | None = None,
         output: str = "linear",
+        lstm: LSTM | None = None,
     ) -> None:
         self.features = features
         self.layers = layers
@@ -101,6 +105,7 @@ class PolicyController:
         self.activation = activation
         self.critic = critic
         self.output = output
+        self.lstm = lstm
 
     def predict(
         self,
@@ -113,6 +118,9 @@ class PolicyController:
         batch, single = as_batch(observation)
         inputs, state = self.features(batch, state, episode_start)
         values = np.clip(inputs, -FEATURE_LIMIT, FEATURE_LIMIT)
+        if self.lstm is not None:
+            values, hidden = self.lstm(values, state.hidden, episode_start)
+            state = state._replace(hidden=hidden)
         for weight, bias in self.layers[:-1]:
             values = values @ weight.T + bias
             values = np.tanh(values, out=values) if self.activation == "tanh" else np.maximum(values, 0.0, out=values)
@@ -129,10 +137,11 @@ class PolicyController:
     def from_sb3(
         cls, model: Any, features: PolicyFeatures | None = None, training: dict[str, Any] | None = None
     ) -> PolicyController:
-        """Copy the actor of a PPO, A2C, SAC or TQC model that was trained on ``AxisVecEnv``, and PPO's or A2C's critic.
+        """Copy the actor of a model that was trained on ``AxisVecEnv``, and the critic of PPO or A2C.
 
         Args:
-            model: a model with an ``MlpPolicy`` of tanh or relu layers.
+            model: of PPO, A2C, SAC or TQC with an ``MlpPolicy``, or of RecurrentPPO with an ``MlpLstmPolicy``; its
+                dense layers are of tanh or relu.
             features: map observations to the model's inputs; default: those of the model's environment.
             training: record of the training.
 
@@ -151,14 +160,19 @@ class PolicyController:
             else [*policy.mlp_extractor.policy_net, policy.action_net]
         )
         actor = _layers(body)
-        if features is None or actor[0][0].shape[1] != features.size or len(actor[-1][1]) != 1:
+        recurrent = getattr(policy, "lstm_actor", None)
+        lstm = LSTM.from_torch(recurrent) if recurrent is not None else None
+        inputs = (actor[0][0] if lstm is None else lstm.inputs).shape[1]
+        if features is None or inputs != features.size or len(actor[-1][1]) != 1:
             raise ConfigurationError(
                 "from_sb3: the model's inputs must be PolicyFeatures: train it on AxisVecEnv(..., features=...)"
             )
         if off_policy:
             return cls(features, actor, training=training, activation=activation, output="tanh")
-        critic = _layers([*policy.mlp_extractor.value_net, policy.value_net])
-        return cls(features, actor, float(policy.log_std.detach().mean()), training, activation, critic)
+        # The critic of a recurrent policy has a recurrent layer of its own, and is of no use here.
+        critic = _layers([*policy.mlp_extractor.value_net, policy.value_net]) if lstm is None else None
+        spread = float(policy.log_std.detach().mean())
+        return cls(features, actor, spread, training, activation, critic, lstm=lstm)
 
     def to_sb3(self, env: VecEnv, **keywords: Any) -> PPO:
         """A PPO model of stable-baselines3 with these weights, for further training.
@@ -173,7 +187,7 @@ class PolicyController:
         Raises:
             ConfigurationError: the environment's inputs are not those of this policy.
         """
-        if self.output != "linear":
+        if self.output != "linear" or self.lstm is not None:
             raise ConfigurationError("to_sb3: must be a policy of PPO or A2C")
         import torch
         from stable_baselines3 import PPO
@@ -222,6 +236,7 @@ class PolicyController:
         tensors = _named(self.layers, "layer") | _named(self.critic or [], "critic")
         if self.features.normalisation is not None:
             tensors |= {f"normalisation.{name}": array for name, array in self.features.normalisation._asdict().items()}
+        tensors |= self.lstm.tensors() if self.lstm is not None else {}
         settings = {
             "features": self.features.describe(),
             "layer_sizes": _sizes(self.layers),
@@ -229,6 +244,7 @@ class PolicyController:
             "log_standard_deviation": self.log_standard_deviation,
             "activation": self.activation,
             "output": self.output,
+            **({"lstm_cells": self.lstm.cells} if self.lstm is not None else {}),
             "training": self.training,
         }
         return save_weights(path, KIND, tensors, settings)
@@ -263,20 +279,21 @@ class PolicyController:
         if described.history_signals != features.history:
             raise ConfigurationError(f"{path}: was trained on another history of signals than this version computes")
         critic_sizes = stored.critic_layer_sizes or sizes
+        first = stored.lstm_cells or features.size
         for name, found in (("layer_sizes", sizes), ("critic_layer_sizes", critic_sizes)):
-            fits = found[0] == features.size or (name[0] == "c" and found[0] > features.size)
+            fits = found[0] == first or (name[0] == "c" and found[0] > first)
             if not fits or found[-1] != 1 or not all(1 <= size <= 4096 for size in found):
                 raise ConfigurationError(
-                    f"{path}: {name} = {list(found)}: must begin with {features.size}, end with 1 and stay within 4096"
+                    f"{path}: {name} = {list(found)}: must begin with {first}, end with 1 and stay within 4096"
                 )
         if described.normalised:
             features.normalisation = _stored_normalisation(tensors, features.size, path)
         layers = _stored_layers(tensors, "layer", sizes, path)
         has_critic = stored.critic_layer_sizes is not None or any(name.startswith("critic") for name in tensors)
         critic = _stored_layers(tensors, "critic", critic_sizes, path) if has_critic else None
-        return cls(
-            features, layers, stored.log_standard_deviation, stored.training, stored.activation, critic, stored.output
-        )
+        lstm = LSTM.stored(tensors, stored.lstm_cells, features.size, path) if stored.lstm_cells else None
+        spread, record = stored.log_standard_deviation, stored.training
+        return cls(features, layers, spread, record, stored.activation, critic, stored.output, lstm)
 
 
 def _stored_normalisation(tensors: dict[str, NDArray[Any]], size: int, path: str | Path) -> Normalisation:

@@ -115,6 +115,10 @@ class PPOSettings(TrainingSettings):
             )
         return self
 
+    def updates(self, steps: int) -> int:
+        """Number of gradient steps in so many control periods."""
+        return self.epochs * self.minibatches * -(-steps // (self.axes * self.steps_per_rollout))
+
     def learning_rate_at(self, remaining: float) -> float:
         """Learning rate when the share ``remaining`` of the training (1 to 0) is left."""
         share = min(1.0 - remaining, 1.0)  # the last rollout may exceed the end
@@ -124,6 +128,18 @@ class PPOSettings(TrainingSettings):
         """Logarithm of the exploration's standard deviation when a share (0 to 1) of the training is done."""
         first, last = self.initial_log_standard_deviation, self.final_log_standard_deviation
         return first + (last - first) * share
+
+
+class RecurrentPPOSettings(PPOSettings):
+    """Settings of PPO with a recurrent layer (RecurrentPPO of sb3-contrib), which replaces the history of signals."""
+
+    lstm_cells: int = Field(64, ge=1, le=4096, description="of the recurrent layer of the actor, and of the critic's")
+
+    @model_validator(mode="after")
+    def _no_told_critic(self) -> Self:
+        if self.told_critic:
+            raise ValueError("told_critic: a recurrent policy cannot have one")
+        return self
 
 
 class SACSettings(TrainingSettings):
@@ -139,3 +155,7 @@ class SACSettings(TrainingSettings):
     learning_starts: int = Field(10_000, ge=1, le=10_000_000, description="samples before the first gradient step")
     initial_entropy_weight: float = Field(0.01, gt=0.0, le=10.0, description="of the exploration; adapts in training")
     log_every: int = Field(20_000, ge=1, description="steps between rows of the log")
+
+    def updates(self, steps: int) -> int:
+        """Number of gradient steps in so many control periods."""
+        return self.gradient_steps * max(steps - self.learning_starts, 0) // self.axes

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import imported
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.settings import PPOSettings, SACSettings
+from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, SACSettings
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.errors import reason
 from hydro_env.files import Group
@@ -73,7 +73,7 @@ class PolicyTrainer:
     """A trainer of stable-baselines3, which is imported when a training begins.
 
     Args:
-        algorithm: PPO, or an algorithm of :data:`~hydro_agents.learning.off_policy.PACKAGES`.
+        algorithm: its class, by name.
         settings: class of its settings.
     """
 
@@ -109,6 +109,7 @@ TRAINERS: dict[str, Trainer] = {
     "ppo": PolicyTrainer("PPO", PPOSettings),
     "sac": PolicyTrainer("SAC", SACSettings),
     "tqc": PolicyTrainer("TQC", SACSettings),
+    "recurrent_ppo": PolicyTrainer("RecurrentPPO", RecurrentPPOSettings),
 }
 
 

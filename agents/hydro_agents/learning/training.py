@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
+from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from hydro_agents.controllers.base import ClassicalController, Controller, ObservationLayout
 from hydro_agents.controllers.registry import kind_of
@@ -24,7 +26,7 @@ from hydro_agents.learning.features import PolicyFeatures, periods_per_step
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.privileged import AsymmetricPolicy
 from hydro_agents.learning.progress import Progress, training_logger
-from hydro_agents.learning.settings import PPOSettings, TrainingSettings
+from hydro_agents.learning.settings import PPOSettings, RecurrentPPOSettings, TrainingSettings
 from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors, validation_errors
 from hydro_agents.running.seeds import LEARNING
@@ -47,7 +49,8 @@ def make_features(config: TaskConfig, settings: TrainingSettings, base: Controll
         corrected = cast(ClassicalController, base)
         kind_of(corrected)  # the weights' file must be able to name it
     options = (settings.residual_scale, settings.see_correction, settings.full_preview, settings.see_estimates)
-    features = PolicyFeatures(config, corrected, *options)
+    lags = (1,) if isinstance(settings, RecurrentPPOSettings) else None  # it remembers what it needs
+    features = PolicyFeatures(config, corrected, *options, lags=lags)
     return features.normalised() if settings.normalise else features
 
 
@@ -97,11 +100,16 @@ def in_family_units(config: TaskConfig, errors: Mapping[str, float]) -> TaskConf
     return task_config(config, reward={"family_scale": scale, **limits})
 
 
-def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
+def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> OnPolicyAlgorithm:
     """A PPO model with nearly zero initial output: a correction starts at the corrected controller."""
     assert env.features is not None
-    model = PPO(
-        AsymmetricPolicy if settings.told_critic else "MlpPolicy",
+    own: dict[str, Any] = {"actor_inputs": env.features.size} if settings.told_critic else {}
+    algorithm: Any = PPO
+    policy: Any = AsymmetricPolicy if settings.told_critic else "MlpPolicy"
+    if isinstance(settings, RecurrentPPOSettings):
+        algorithm, policy, own = RecurrentPPO, "MlpLstmPolicy", {"lstm_hidden_size": settings.lstm_cells}
+    model: OnPolicyAlgorithm = algorithm(
+        policy,
         env,
         learning_rate=settings.learning_rate_at,
         n_steps=settings.steps_per_rollout,
@@ -115,7 +123,7 @@ def make_model(env: AxisVecEnv, settings: PPOSettings, seed: int) -> PPO:
             "net_arch": {"pi": list(settings.hidden_sizes), "vf": list(settings.hidden_sizes)},
             "log_std_init": settings.initial_log_standard_deviation,
             "activation_fn": ACTIVATIONS[settings.activation],
-            **({"actor_inputs": env.features.size} if settings.told_critic else {}),
+            **own,
         },
         seed=seed,
         device="cpu",
@@ -209,7 +217,7 @@ def train_ppo(
         if done < settings.total_steps:
             # The callback writes the log after the update.
             model.learn(settings.total_steps - done, callback, log_interval=10**9, reset_num_timesteps=False)
-    record = training_record("PPO", env, seed, int(model.num_timesteps), callback.seconds, settings)
+    record = training_record(type(model).__name__, env, seed, int(model.num_timesteps), callback.seconds, settings)
     return PolicyController.from_sb3(model, features, record)
 
 
@@ -219,7 +227,7 @@ def training_record(
     """The record of a training for the JSON file of the weights."""
     practised = env.env.config
     return {
-        "algorithm": f"{algorithm} (stable-baselines3)",
+        "algorithm": f"{algorithm} ({'stable-baselines3' if algorithm in ('PPO', 'SAC') else 'sb3-contrib'})",
         "seed": seed,
         "steps": steps,
         "seconds": round(seconds, 1),

@@ -11,6 +11,7 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import itertools
 import json
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
 from hydro_agents.running.seeds import LEARNING
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
 from hydro_env.plant.analysis import speed_limits
@@ -190,11 +191,11 @@ def _over_tasks(costed: Sequence[Sequence[Score]]) -> list[Score]:
 class Space:
     """The search space of a class of gains as a unit cube; fields with ``logarithmic`` have a logarithmic scale."""
 
-    def __init__(self, gains: type[Group]) -> None:
-        self.gains = gains
-        self.names = tuple(search_space(gains))
-        ends = np.array([(low, high) for low, high, _ in search_space(gains).values()])
-        self._logarithmic = np.array([logarithmic for _, _, logarithmic in search_space(gains).values()])
+    def __init__(self, gains: type[Group], plant: PlantParameters) -> None:
+        space = search_space(gains, plant)
+        self.names = tuple(space)
+        ends = np.array([(low, high) for low, high, _ in space.values()])
+        self._logarithmic = np.array([logarithmic for _, _, logarithmic in space.values()])
         scaled = self._scaled(ends.T)
         self._low, self._width = scaled[0], scaled[1] - scaled[0]
 
@@ -260,8 +261,8 @@ def tune(
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     make, group = CONTROLLERS[kind]
-    space, base = Space(group), start or group()
     tasks = [config] if isinstance(config, TaskConfig) else list(config)
+    space, base = Space(group, tasks[0].plant), start or group()
     described = [task.model_dump(mode="json") for task in tasks]
     settings = {
         "kind": kind,
@@ -270,7 +271,7 @@ def tune(
         "cases": cases,
         "population": population,
         "start": base.model_dump(mode="json"),
-        "task": described[0] if len(described) == 1 else described,
+        "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
     }
     done = _read(log, settings) if log is not None and resume else []
     trials = [

@@ -256,7 +256,7 @@ class AxisVecEnv(VecEnv):
             slot = int(state["slot"])
             if not 0 <= slot < state["ring"].shape[1]:
                 raise ConfigurationError(f"slot = {slot}: must be within 0 to {state['ring'].shape[1] - 1}")
-            names = [name for name in FeatureState._fields if name not in ("base", "slot", "noise")]
+            names = [name for name in FeatureState._fields if name not in ("base", "slot", "noise", "hidden")]
             stored: dict[str, Any] = {name: state[name] for name in names}
             self._state = FeatureState(base=memory("base"), slot=slot, **stored)
 

@@ -123,8 +123,8 @@ def _verdict(rows: Mapping[str, Sequence[Row]], damping: Row) -> str:
     watch = []
     if dead := rows.get("dead band"):
         watch.append(
-            f"the valve is dead within ±{dead[0].text(3)} V: its amplifier or the controller must jump over that "
-            "(the gains above suppose it)"
+            f"the valve is overlapped, dead within ±{dead[0].text(3)} V: its amplifier or the controller must add that "
+            "(the PID's overlap_compensation; the others invert it), and the gains above suppose it"
         )
     for direction in ("out", "in"):
         lasting = rows.get(f"lasting speed {direction}")

@@ -116,7 +116,8 @@ def leaking(parameters: PlantParameters, leak: float) -> PlantParameters:
 def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = None) -> PIDGains | None:
     """Half of the largest stable gain of the weakest plant within the task's ranges, and feed-forward; no derivative.
 
-    The feed-forward is the inverse of the no-load speeds. ``None`` if no gain makes a loop unstable, or each gain does.
+    The feed-forward is the inverse of the no-load speeds; the overlap of the valve is compensated. ``None`` if no gain
+    makes a loop unstable, or each gain does.
     ``loops`` are those of :func:`loops_within_ranges`, if they are known.
     """
     found = weakest(loops_within_ranges(task) if loops is None else loops)
@@ -129,14 +130,20 @@ def pid_from_figures(task: TaskConfig, loops: Iterable[SampledLoop] | None = Non
         integral=INTEGRAL_SHARE * crossover * found.recommended,
         feedforward_extending=1.0 / out,
         feedforward_retracting=1.0 / back,
+        overlap_compensation=1.0 if task.plant.valve.overlap else 0.0,
         lead_in_integral=False,
     )
 
 
 def stable_start(task: TaskConfig, given: Group) -> Group:
-    """The given gains; for a PID that would be unstable on this rig and its ranges, those from the rig's figures."""
+    """The given gains; for a PID that would be unstable on this rig and its ranges, those from the rig's figures.
+
+    On a rig with an overlapped valve a PID begins with compensation of the whole overlap.
+    """
     if not isinstance(given, PIDGains):
         return given
+    if task.plant.valve.overlap and not given.overlap_compensation:
+        given = given.model_copy(update={"overlap_compensation": 1.0})
     loops = list(loops_within_ranges(task))
     if sum(not loop.is_stable(given.proportional) for loop in loops) <= FEW_UNSTABLE * len(loops):
         return given

@@ -60,7 +60,7 @@ SCALES = SeedRange(999_760, 240, "the scales of a policy's inputs and errors")
 
 # Validation -----------------------------------------------------------------------------------------------------------
 THRESHOLDS = SeedRange(1_000_000, 100_000, "the thresholds of detectors and the settings of searches")
-LADDER = SeedRange(1_100_000, 100_000, "the rungs of a ladder")
+LADDER = SeedRange(1_100_000, 120_000, "the rungs of a ladder")
 ALARM_CALIBRATION = SeedRange(1_500_000, 100_000, "the calibration of alarms on healthy axes")
 LEARNING_CURVE = SeedRange(1_600_000, 10_000, "the errors of policies while they learn")
 ALARM_CALIBRATION_ONSETS = SeedRange(1_610_000, 90_000, "the calibration of alarms on leaks that begin")

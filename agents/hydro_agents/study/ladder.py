@@ -45,9 +45,9 @@ class Rung(Group):
     """One training with its settings."""
 
     after: str | None = Field(None, description="an earlier rung; its kind, corrected controller and settings apply")
-    kind: str | None = Field(None, description="ppo, sac, or module:attribute for your own trainer")
+    kind: str | None = Field(None, description="ppo, sac, tqc, recurrent_ppo, or module:attribute for your own trainer")
     corrects: str | None = Field(None, description="name of the controller that it corrects")
-    settings: dict[str, Any] = Field(default_factory=dict, description="of the training; override the earlier rung")
+    settings: dict[str, Any] = Field(default_factory=dict, description="or a YAML file; override the earlier rung")
 
 
 class LadderSettings(Group):
@@ -85,7 +85,7 @@ class LadderSettings(Group):
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> LadderSettings:
-        """Read a ladder; the settings of a controller may be the path of a YAML file, relative to the ladder's file.
+        """Read a ladder; settings of a controller or rung may be the path of a YAML file, relative to the ladder's.
 
         The task may be such a path too, or a name in ``configs/tasks``.
 
@@ -94,11 +94,12 @@ class LadderSettings(Group):
         """
         values = read_yaml(path)
         errors: list[ConfigurationError] = []
-        with kept(errors):
-            if "task" in values:
+        if "task" in values:
+            with kept(errors):
                 values["task"] = read_task(values.pop("task"), Path(path))
-        with kept(errors):
-            read_settings(values.get("controllers"), Path(path))
+        for part in ("controllers", "rungs"):
+            with kept(errors):
+                read_settings(values.get(part), Path(path))
         with kept(errors):
             ladder = validate(cls, values, str(path))
         refuse(errors, str(path))
@@ -266,16 +267,15 @@ def write_tables(ladder: LadderSettings, folder: Path, results: Results) -> None
     for key, controller in results.participants.controllers.items():
         name, seed = split_name(key)
         if name in ladder.rungs and (name, seed) in cases:
-            own = cases[name, seed].assign(seconds=getattr(controller, "training", {}).get("seconds", math.nan))
-            rows.append(rung_scores(name, seed, ladder.resolved(name).corrects, own, classical))
+            resolved, record = ladder.resolved(name), getattr(controller, "training", {})
+            updates = getattr(resolved.settings, "updates", lambda _: math.nan)(record.get("steps", 0))
+            own = cases[name, seed].assign(seconds=record.get("seconds", math.nan), updates=updates)
+            rows.append(rung_scores(name, seed, resolved.corrects, own, classical))
     scores = pd.concat(rows, ignore_index=True)
     text, table = ladder_table(scores, [*ladder.controllers, *ladder.rungs], next(iter(classical)))
     write_whole(folder / TABLES[0], f"# {ladder.title}\n\n{text}".encode())
     write_whole(folder / TABLES[1], table.to_csv(index=False).encode())
     write_whole(folder / TABLES[2], scores.to_csv(index=False).encode())
-
-
-# The table ----------------------------------------------------------------------------------------------------------
 
 
 def rung_scores(
@@ -287,7 +287,7 @@ def rung_scores(
         name: name of the rung.
         seed: seed of the training; −1 for a controller that is not trained.
         corrects: name of the controller that it corrects.
-        cases: its metrics, one row per case.
+        cases: its metrics, one row per case; updates and seconds of its training.
         classical: the metrics of the classical controllers, by name.
     """
     reference = next(iter(classical.values()))
@@ -304,7 +304,8 @@ def rung_scores(
             there = float(reference[metric.name].mean())
             row[metric.ratio] = float(cases[metric.name].mean()) / there if there > 0.0 else math.nan
     row["failed"] = cases["failed"].sum()
-    row["seconds"] = float(cases["seconds"].iloc[0]) if "seconds" in cases else math.nan
+    for column, figure in (("updates", "gradient steps"), ("seconds", "seconds")):
+        row[figure] = float(cases[column].iloc[0]) if column in cases else math.nan
     return pd.DataFrame([row])
 
 
@@ -344,6 +345,6 @@ def ladder_table(scores: pd.DataFrame, order: Sequence[str], reference: str) -> 
 def _cell(mean: float, spread: float, figure: str) -> str:
     if np.isnan(mean):
         return "–"
-    if figure in ("seconds", "failed"):
-        return f"{mean:.0f}" if mean == round(mean) or figure == "seconds" else f"{mean:.1f}"
+    if figure in ("gradient steps", "seconds", "failed"):
+        return f"{mean:.1f}" if figure == "failed" and mean != round(mean) else f"{mean:.0f}"
     return f"{mean:.2f}" if np.isnan(spread) or figure not in ("mean", "geo") else f"{mean:.3f} ± {spread:.3f}"

@@ -102,7 +102,7 @@ def tune_controller(study: StudySettings, name: str, folder: Path, seed: int, di
     assert entry.tune is not None
     given = validate(CONTROLLERS[entry.kind][1], entry.settings, f"controllers.{name}")
     start = stable_start(study.task, given)
-    if start is not given:
+    if getattr(start, "proportional", None) != getattr(given, "proportional", None):
         display.say(f"{name}: its gains are unstable on this rig; the search starts from the figures of the rig")
     tuned = tune_gains(
         entry.kind, study.task, entry.tune, start, folder / GAINS_FILE, log, seed, log.exists(), display, f"tune {name}"

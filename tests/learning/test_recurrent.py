@@ -1,0 +1,96 @@
+"""RecurrentPPO: its weights act as its model does, keep their memory in the state, and its training resumes."""
+
+import numpy as np
+import pytest
+import torch
+
+from hydro_agents.controllers import PID, PIDGains
+from hydro_agents.learning.policy import PolicyController
+from hydro_agents.learning.settings import RecurrentPPOSettings
+from hydro_agents.learning.trainers import trainer
+from hydro_agents.learning.training import make_env, make_features, make_model
+from hydro_env import ConfigurationError, TaskConfig
+
+CONFIG = TaskConfig(episode_duration=0.1)
+BASE = PID(PIDGains(), CONFIG)
+SMALL = {"axes": 4, "steps_per_rollout": 24, "minibatches": 2, "epochs": 1, "hidden_sizes": (6,), "lstm_cells": 5}
+
+
+def train(folder, resume=False, progress=None, **changes):
+    options = {"seed": 0, "folder": folder, "resume": resume, "base": BASE, "progress": progress}
+    return trainer("recurrent_ppo").train(CONFIG, RecurrentPPOSettings(**(SMALL | changes)), **options)
+
+
+def test_the_weights_act_as_the_model_does_over_starts_of_episodes():
+    settings = RecurrentPPOSettings(**SMALL, residual=False, paired=False)
+    features = make_features(CONFIG, settings, None)
+    assert features.lags == (1,)
+    env = make_env(CONFIG, settings, features, 0)
+    model = make_model(env, settings, 0)
+    with torch.no_grad():  # not nearly zero
+        model.policy.get_parameter("action_net.weight").mul_(30.0)
+    policy = PolicyController.from_sb3(model)
+    inputs, state, memory, started = env.reset(), None, None, np.ones(4, dtype=np.bool_)
+    ends = 0
+    for _ in range(50):
+        output, state = model.predict(inputs, state, started, deterministic=True)
+        command, memory = policy.predict(env.env.axes.observation.copy(), memory, started)
+        np.testing.assert_allclose(command, np.clip(output, -1.0, 1.0), atol=1e-5)
+        inputs, _, started, _ = env.step(output)
+        ends += started.sum()
+    assert ends >= 8
+    assert np.abs(command).max() > 0.01
+
+
+def test_a_kept_state_goes_on_alike_and_each_axis_has_its_own(tmp_path):
+    file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
+    policy = PolicyController.load(file)
+    layout = policy.features.layout
+    rows = (0.3 * np.random.default_rng(3).standard_normal((20, 3, len(layout.names)))).astype(np.float32)
+    memory = None
+    for row in rows[:10]:
+        _, memory = policy.predict(row, memory)
+    before = memory.hidden.copy()
+    first, _ = policy.predict(rows[10], memory, np.array([False, True, False]))
+    again, after = policy.predict(rows[10], memory, np.array([False, True, False]))
+    np.testing.assert_array_equal(memory.hidden, before)
+    np.testing.assert_array_equal(first, again)
+    fresh, begun = policy.predict(rows[10])
+    np.testing.assert_array_equal(after.hidden[1], begun.hidden[1])
+    assert fresh[1] == first[1]
+    alone, _ = policy.predict(rows[10, 0], memory.rows(np.array([0])))
+    np.testing.assert_allclose(alone, first[0], atol=1e-6)
+    with pytest.raises(ConfigurationError, match="must be a policy of PPO or A2C"):
+        policy.to_sb3(None)
+
+
+def test_an_interrupted_training_ends_as_an_uninterrupted_one_bit_for_bit(tmp_path):
+    whole = train(tmp_path / "whole", total_steps=384)
+
+    def stop(progress):
+        if progress.steps >= 288:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "parts", progress=stop, total_steps=384)
+    parts = train(tmp_path / "parts", resume=True, total_steps=384)
+    for one, other in zip(parts.lstm, whole.lstm, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(parts.layers[-1][0], whole.layers[-1][0])
+    assert parts.training["algorithm"] == "RecurrentPPO (sb3-contrib)"
+
+
+@pytest.mark.parametrize("missing", ["lstm.inputs", "lstm.recurrent"])
+def test_damaged_weights_are_refused(missing, tmp_path):
+    from safetensors.numpy import load_file, save_file
+
+    file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
+    tensors = load_file(file)
+    save_file({name: value for name, value in tensors.items() if name != missing}, file)
+    with pytest.raises(ConfigurationError, match=missing):
+        PolicyController.load(file)
+
+
+def test_a_told_critic_is_refused():
+    with pytest.raises(ValueError, match="a recurrent policy cannot have one"):
+        RecurrentPPOSettings(told_critic=True)
