@@ -38,8 +38,11 @@ LEVELS = (0.05, 0.1, 0.3, 1.0, 3.0)
 CONFIG = TaskConfig(episode_duration=3.6)
 
 REST = (
-    *(("standing still", name, 0.0) for name in ("PID", "ADRC", "LQG", "PPO", "flow-linearising")),
-    *(("standing still", name, 0.3) for name in ("PID", "ADRC", "PPO")),
+    *(
+        ("standing still", name, 0.0)
+        for name in ("PID", "ADRC", "LQG", "PPO on flow linearisation", "flow-linearising")
+    ),
+    *(("standing still", name, 0.3) for name in ("PID", "ADRC", "PPO on flow linearisation")),
     *(("slow", "PID", leak) for leak in (0.0, 0.3)),
 )
 """Motion, controller and leak (0: healthy) of the rows about rest."""

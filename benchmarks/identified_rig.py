@@ -88,9 +88,8 @@ def tuned(kind: str, task: TaskConfig, folder: Path, evaluations: int) -> Contro
 def trained(task: TaskConfig, base: Controller, folder: Path, steps: int) -> Controller:
     """PPO on top of a controller, with the settings of ``configs/studies/own_rig.yaml``; its weights are kept."""
     if not (folder / "policy.safetensors").exists():
-        settings = validate(
-            PPOSettings, default_study(Path("own_rig")).controllers["PPO"].settings | {"total_steps": steps}, "PPO"
-        )
+        entry = default_study(Path("own_rig")).controllers["PPO on flow linearisation"]
+        settings = validate(PPOSettings, entry.settings | {"total_steps": steps}, "PPO")
         resume = (folder / "checkpoint.safetensors").exists()
         train_ppo(task, settings, base, folder=folder, resume=resume).save(folder / "policy")
     return PolicyController.load(folder / "policy")

@@ -20,7 +20,7 @@ from hydro_agents.study.model_cards import controller_card, head_card
 from hydro_agents.study.settings import ControllerEntry, StudySettings, default_study
 from hydro_env.files import read_yaml, write_text
 
-POLICY, CORRECTED = "PPO", "Flow linearisation"
+POLICY, CORRECTED = "PPO on flow linearisation", "Flow linearisation"
 
 
 class Case(NamedTuple):

@@ -38,22 +38,36 @@ def _seeds(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _with_interval(row: pd.Series, value: str, low: str, high: str, factor: float = 1.0, decimals: int = 3) -> str:
-    numbers = [f"{factor * row[name]:.{decimals}f}" for name in (value, low, high)]
-    return f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+    """A figure with its interval, if there is one; – for none."""
+    numbers = ["–" if pd.isna(row[name]) else f"{factor * row[name]:.{decimals}f}" for name in (value, low, high)]
+    return numbers[0] if "–" in numbers else f"{numbers[0]} ({numbers[1]} to {numbers[2]})"
+
+
+def _score_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    return [
+        {
+            "controller": row["controller"],
+            "score": _with_interval(row, "score", "low", "high", decimals=0),
+            "accuracy, mm": f"{row['mean_error_mm']:.4f}",
+            "repeatability, mm": f"{row['mean_error_sensor_mm']:.4f}",
+        }
+        for _, row in table.iterrows()
+    ]
 
 
 def _study_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     return [
         {
             "controller": row["controller"],
-            "mean error ÷ PID's": _with_interval(row, "ratio", "low", "high"),
+            "accuracy ÷ PID's": _with_interval(row, "ratio", "low", "high"),
             "better than the PID in": f"{100 * row['share_of_cases_better']:.0f} % of cases",
+            "repeatability ÷ PID's": _with_interval(row, "ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"),
         }
         for _, row in table.iterrows()
     ]
 
 
-SEED_DECIMALS = {"%": 2, "curve": 4, "s": 0}
+SEED_DECIMALS = {"score": 1, "%": 2, "curve": 4, "s": 0}
 """Decimals of a figure over the seeds, by the last word of its name; all others have three."""
 
 
@@ -72,7 +86,11 @@ def _robustness_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     return [
         {
             "controller": row["controller"],
-            "error ÷ PID's": _with_interval(row, "equal_weight", "equal_weight_low", "equal_weight_high"),
+            "score": _with_interval(row, "score", "score_low", "score_high", decimals=0),
+            "accuracy ÷ PID's": _with_interval(row, "equal_weight", "equal_weight_low", "equal_weight_high"),
+            "repeatability ÷ PID's": _with_interval(
+                row, "equal_weight_sensor", "equal_weight_sensor_low", "equal_weight_sensor_high"
+            ),
             "worst case": f"{row['worst_ratio']:.1f}",
             "valve travel": f"{row['travel_ratio']:.2f}",
             "reversals": f"{row['reversals_ratio']:.2f}",
@@ -114,6 +132,7 @@ class Source(NamedTuple):
 
 
 SOURCES = {
+    "score": Source("study/tables/score.csv", pd.DataFrame.copy, _score_rows),
     "study": Source("study/tables/ratios.csv", _study, _study_rows),
     "seeds": Source("seeds/tables/over_seeds.csv", _seeds, _seed_rows),
     "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),

@@ -193,7 +193,7 @@ def beating_cases(extent: Extent) -> list[Case]:
     cases = len(settings.evaluation.leak_levels) * len(settings.evaluation.families) * PLANTS
     note = f"mean error 1 % lower on {cases} validation cases; checked every {CHECK_EVERY:,} steps, checks not counted"
     rows = (
-        Row("time until PPO beats the tuned PID", "s", note=f"a run is a seed; {note}"),
+        Row("time until PPO on PID beats the tuned PID", "s", note=f"a run is a seed; {note}"),
         Row("steps until then", "steps"),
         Row("time of the checks, not counted", "s"),
     )

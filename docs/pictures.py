@@ -20,16 +20,15 @@ from PIL import Image
 import hydro_env  # noqa: F401  (registers the environment)
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.report.canvas import GREY, WIDE, WIDTH, bars, dodge, level_axis, render, row_axis, ticks
+from hydro_agents.report.content import intervals
 from hydro_agents.report.palette import COLOURS, looks_of
 from hydro_agents.report.training_plots import learning_plots
 from hydro_agents.running.folders import config_folder
-from hydro_agents.running.text import correction_name
 from hydro_agents.study.over_seeds import relative
 from hydro_env import TaskConfig
 from hydro_env.canvas import PAPER
 
-NAMES = {"PPO": correction_name("PPO", "Flow linearisation")}
-"""Names in the pictures of the controllers of the default study."""
+POLICY = "PPO on flow linearisation"
 
 DOCS = Path(__file__).parent
 FOLDER, TABLES = DOCS / "images", DOCS / "tables"
@@ -40,8 +39,8 @@ def results(tables: Path) -> None:
 
     The ratio is paired by plant: its interval shows what overlapping intervals of two means hide.
     """
-    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str}).replace(NAMES)
-    rates = pd.read_csv(tables / "detection_rates.csv").replace(NAMES)
+    ratios = pd.read_csv(tables / "ratios.csv", dtype={"value": str})
+    rates = pd.read_csv(tables / "detection_rates.csv")
     base, names = ratios["against"].iloc[0], list(rates["controller"].unique())
     looks = looks_of(names)
 
@@ -52,14 +51,13 @@ def results(tables: Path) -> None:
             rows = ratios[(ratios["controller"] == name) & (ratios["group"] == "level")]
             places = level_axis(left, [float(value) for value in rows["value"]])
             at = np.array(list(places.values())) + dodge(len(names) - 1, index, 0.05)
-            bars(left, at, rows, "ratio", looks[name], name)
+            bars(left, at, intervals(rows, "ratio"), looks[name], name)
         left.set(title="Positioning", ylabel=f"mean error over that of the {base}", ylim=(0.0, 1.15))
         for index, name in enumerate(names):
             own = rates[(rates["controller"] == name) & (rates["group"] == "range")]
             own = own[~own["value"].str.startswith("≥")]
-            percent = own.assign(**{column: 100.0 * own[column] for column in ("flagged_share", "low", "high")})
             places = np.arange(len(own)) + dodge(len(names), index, 0.24)
-            bars(right, places, percent, "flagged_share", looks[name], f"under {name}", "points")
+            bars(right, places, intervals(own, "flagged_share", factor=100.0), looks[name], f"under {name}", "points")
         right.set_xticks(range(len(own)), own["value"])
         right.set(title="Leaks flagged within 2 s", xlabel="leak, l/min at 100 bar", ylabel="%", ylim=(0, 104))
         left.legend(loc="lower right")
@@ -83,16 +81,13 @@ def axis() -> None:
 
 def controllers() -> None:
     """Error of each controller over that of the PID under all conditions of the robustness protocol."""
-    table = pd.read_csv(TABLES / "robustness.csv").rename(
-        columns={"equal_weight_low": "low", "equal_weight_high": "high"}
-    )
-    table["controller"] = table["controller"].replace(NAMES)
-    looks = looks_of(dict.fromkeys(["PID", "Flow linearisation", *NAMES.values(), *table["controller"][::-1]]))
+    table = pd.read_csv(TABLES / "robustness.csv")
+    looks = looks_of(dict.fromkeys(["PID", "Flow linearisation", POLICY, *table["controller"][::-1]]))
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots()
-        for place, (_, row) in enumerate(table.iterrows()):
-            bars(axes, [place], row.to_frame().T, "equal_weight", looks[row["controller"]], "", "rows")
+        for place, (name, row) in enumerate(intervals(table, "equal_weight", "controller").iterrows()):
+            bars(axes, [place], row.to_frame().T, looks[name], "", "rows")
         row_axis(axes, list(table["controller"]))
         axes.axvline(1.0, color=GREY, linewidth=1.0)
         axes.set(xlabel="error over the PID's", xlim=(0.0, 1.1))
@@ -103,8 +98,6 @@ def controllers() -> None:
 def detectors() -> None:
     """Share of leaks that each detector finds at 1 % false alarms, over the leak."""
     table = pd.read_csv(TABLES / "detectors.csv")
-    table = table.rename(columns={"at_1_percent_low": "low", "at_1_percent_high": "high"})
-    table[["at_1_percent", "low", "high"]] *= 100.0
     names = list(table["detector"].unique())
     looks = looks_of(names)
 
@@ -114,7 +107,7 @@ def detectors() -> None:
         for index, name in enumerate(names):
             part = table[table["detector"] == name]
             at = np.array([places[level] for level in part["level"]]) + dodge(len(names), index, 0.04)
-            bars(axes, at, part, "at_1_percent", looks[name], name)
+            bars(axes, at, intervals(part, "at_1_percent", factor=100.0), looks[name], name)
         axes.set(ylabel="found, %", ylim=(0, 104))
         axes.legend(loc="lower right")
 
@@ -122,7 +115,7 @@ def detectors() -> None:
 
 
 def learning() -> None:
-    """Error of PPO while it learns over that of the PID, with a band over the training seeds."""
+    """Error of the policy while it learns over that of the PID, with a band over the training seeds."""
     (plot,) = learning_plots(relative(pd.read_csv(TABLES / "learning_curves.csv")), "PID", 1.0)
     (FOLDER / "chart_learning.svg").write_bytes(plot.file + data_mark("chart_learning.svg").encode())
 

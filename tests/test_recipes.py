@@ -243,8 +243,8 @@ def try_agents() -> None:
     from hydro_agents.study.training import train_controller
 
     study = StudySettings.from_yaml("configs/studies/quick.yaml")
-    assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO", "TD3"]
-    assert study.trained == ["PPO", "TD3"]
+    assert list(study.controllers) == ["PID", "damped", "Flow linearisation", "PPO on flow linearisation", "TD3"]
+    assert study.trained == ["PPO on flow linearisation", "TD3"]
     damped = study.make("damped")
     trainer = study.controllers["TD3"].trainer
     assert trainer is not None

@@ -183,7 +183,7 @@ def test_the_command_writes_every_case_and_a_table(tmp_path):
     answer = done("bound", "--task", task, "--leak", 1, "--leak", 4, "--output", tmp_path / "out")
     assert_published("bound", tmp_path / "out")
     cases = pd.read_csv(tmp_path / "out" / "bound.csv")
-    shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO"}
+    shipped = {"PID", "PID mended", "ADRC", "LQG", "Flow linearisation", "PPO on flow linearisation"}
     assert set(cases["controller"]) == {*shipped, TRUTH, NOMINAL}
     assert len(cases) == (len(shipped) + 2) * 2 * 6 * 3  # controllers, leaks, families, plants
     mean = cases[cases["controller"] == TRUTH]["error_mm"].mean()

@@ -94,7 +94,8 @@ def test_estimates_tell_position_leak_and_speed():
     estimates = base.estimates(memory)
     assert estimates.shape == (40, len(base.estimate_names))
     error = 1e4 * (env.axes.column("reference") - env.axes.column("position"))
-    np.testing.assert_allclose(estimates[:, 0], error, atol=0.2)
+    np.testing.assert_allclose(estimates[:, 0], error, atol=0.4)
+    assert np.median(np.abs(estimates[:, 0] - error)) < 0.1
     assert 1.5 < np.median(estimates[:, 2]) < 6.0  # l/min; it learns slowly
     speed = estimates[:, 4] * base._full_speed
     assert np.corrcoef(speed, env.axes.column("velocity"))[0, 1] > 0.95

@@ -13,6 +13,7 @@ from hydro_agents.learning.vec_env import AxisVecEnv
 from hydro_agents.running.cases import family_errors
 from hydro_env import REFERENCE_FAMILIES, ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.files import validate
+from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 CONFIG = TaskConfig(episode_duration=0.1)
 BASE = PID(PIDGains(), CONFIG)
@@ -149,7 +150,7 @@ def test_reward_in_units_of_the_family():
         np.testing.assert_allclose(other, reward * factor, rtol=1e-5)
     lowest = min(measured.values())
     assert config.reward.error_limit * lowest == pytest.approx(CONFIG.reward.error_limit * CONFIG.reward.error_scale)
-    assert sorted(measured) == sorted(name for name in REFERENCE_FAMILIES if name != "user")
+    assert sorted(measured) == sorted(MOVING_FAMILIES)
     assert measured["step"] > measured["point_to_point"] > 0.0
 
 

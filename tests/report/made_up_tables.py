@@ -22,7 +22,7 @@ def comparison():
     for name, ratios in RATIOS.items():
         for condition, ratio in ratios.items():
             row = {"controller": name, "against": "PID", "condition": condition, "worst_ratio": 2.0 * ratio, **PRICES}
-            for column, value in (("ratio", ratio), ("equal_weight", ratio), ("iqm_ratio", ratio), ("gap", 0.5)):
+            for column, value in (("ratio", ratio), ("equal_weight", ratio), ("iqm_ratio", ratio), ("score", 50.0)):
                 row |= {column: value, f"{column}_low": value - 0.1, f"{column}_high": value + 0.1}
             row |= {"share_better": 0.8, "share_better_low": 0.7, "share_better_high": 0.9, "cases": 10}
             rows.append(row)
@@ -114,7 +114,13 @@ def experiment_tables():
     price = price.assign(holding_power_w=[20.0, 30.0, np.nan], holding_command=[0.0, 0.01, np.nan])
     for name in ("speed_out_mm_s", "speed_back_mm_s", "force_out_n", "force_back_n"):
         price[name] = [100.0, 80.0, 60.0]
+    pauses = base.merge(pd.DataFrame({"pause_s": [0.5, 60.0]}), how="cross").assign(
+        peak_um=80.0, mean_um=20.0, rest_um=9.0, valve_travel_per_s=0.5
+    )
+    changes = base.merge(pd.DataFrame({"family": ["sine", "ramp"]}), how="cross")
     return {
+        "pauses": pauses,
+        "take_over": changes.assign(largest_um=150.0, handed_over_um=100.0, never_switched_um=90.0),
         "standstill": standstill,
         "force_step": step,
         "force_sine": swept.assign(force_n=872.0, compliance_mm_per_kn=0.1),

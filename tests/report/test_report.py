@@ -32,13 +32,15 @@ from hydro_agents.study.results import write_tables
 from hydro_env import ConfigurationError, TaskConfig
 
 CONFIG = TaskConfig(episode_duration=0.4)
-SETTINGS = ProtocolSettings(plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120)
+SETTINGS = ProtocolSettings(
+    plants=3, leak_levels=(0.01, 4.0), families=("step", "sine"), detection_episodes=120, bound_plants=1
+)
 ODD_NAME = 'PPO <b>&"quoted"'
 FACTS = {"command": "hydro study --seed 3", "seed": 3, "machine": "a box with 2 cores", "numpy": "9.9.9"}
 KEYS = (
     "level-mean_error_mm-mean", "level-valve_travel_per_s-mean", "difference", "level-reversals_per_s-mean", "family",
     "ratio", "level-mean_error_mm-cvar_5_percent", "level-mean_error_mm-worst", "run-0", "level-supply_energy_j-mean",
-    "rates", "roc", "size", "precision", "training",
+    "rates", "roc", "size", "precision", "training", "score",
 )  # fmt: skip
 DRAWING = re.compile(r'<svg[^>]*role="img".*?</svg>', flags=re.DOTALL)
 ERROR, BASE_ERROR = "validation/mean_error_mm", "validation/base_mean_error_mm"
@@ -181,7 +183,8 @@ def test_the_same_numbers_give_the_same_bytes(evaluation, page, tmp_path):
 
 
 def test_one_controller_without_a_head(tmp_path):
-    settings = SETTINGS.model_copy(update={"leak_levels": (0.3,), "families": ("step",), "plants": 2})
+    alone = {"leak_levels": (0.3,), "families": ("step",), "plants": 2, "bound_plants": 0}
+    settings = SETTINGS.model_copy(update=alone)
     lonely = evaluate(CONFIG, {"PID": PID(PIDGains(), CONFIG)}, None, settings)
     text = Page(rendered(lonely, curve=False, timings={}).html).text
     assert "One leak size was tried: 0.3 l/min" in text
@@ -212,6 +215,20 @@ def told(evaluation, number):
     return "\n".join(findings_of(content_of(evaluation))[number])
 
 
+def test_the_score_comes_first_with_the_errors_in_both_frames(evaluation):
+    scores = evaluation.score.copy()
+    scores.loc[scores["controller"] == ODD_NAME, ["score", "low", "high"]] = (64.4, 61.0, 67.0)
+    cases = evaluation.cases.assign(mean_error_mm=0.25, mean_error_sensor_mm=0.125)
+    text = told(replace(evaluation, score=scores, cases=cases), 0)
+    assert text.startswith(f"{ODD_NAME} scores 64 of 100.\n0 is PID, 100 the best found")
+    assert f"{ODD_NAME} 64 (61 to 67)." in text
+    assert f"repeatability: 0.125 mm with {ODD_NAME} and 0.125 mm with PID; accuracy: 0.250 mm with" in text
+    without = replace(evaluation, score=evaluation.score.iloc[:0])
+    assert told(without, 0).startswith("With a leak of")
+    assert "score" in overview(content_of(evaluation)).header
+    assert "score" not in overview(content_of(without)).header
+
+
 @pytest.mark.parametrize(
     ("growth", "lead", "families"),
     [
@@ -238,7 +255,7 @@ def test_what_a_leak_does(evaluation, growth, lead, families):
     own = (levels["metric"] == "mean_error_mm") & (levels["controller"] == "PID")
     levels.loc[own & (levels["leakage_flow_lpm"] == 0.01), ["mean", "low", "high"]] = (0.512, 0.4, 0.625)
     errors = cases.assign(mean_error_mm=(1.0 + cases["plant"]) * factor)
-    text = told(replace(evaluation, cases=errors, levels=levels), 0)
+    text = told(replace(evaluation, cases=errors, levels=levels), 1)
     assert text.startswith(lead)
     assert "0.512 mm (0.400 to 0.625) mean error with a healthy seal (0.01 l/min)" in text
     assert families in text
@@ -275,7 +292,7 @@ WIN, LOSS, OPEN = (0.8, 0.7, 0.9), (1.25, 1.1, 1.4), (0.9, 0.7, 1.1)
 def test_who_copes_better(evaluation, whole, levels, families, lead, sentences):
     ratios = evaluation.ratios.assign(share_of_cases_better=0.75)
     ratios[["ratio", "low", "high"]] = [whole, *levels, *families, whole]  # the last: equal weights of references
-    text = told(replace(evaluation, ratios=ratios), 1)
+    text = told(replace(evaluation, ratios=ratios), 2)
     assert text.startswith(lead)
     for sentence in sentences:
         assert sentence in text
@@ -318,17 +335,17 @@ def test_a_comparison_with_a_controller_that_oscillates_says_so_in_the_same_sent
         (OPEN, f"No clear difference between {ODD_NAME} and PID{clause}{',' if clause else ''} over all runs.\n"),
     ):
         ratios[["ratio", "low", "high"]] = value, low, high
-        assert told(at_rest(replace(evaluation, ratios=ratios), **unrest), 1).startswith(lead)
+        assert told(at_rest(replace(evaluation, ratios=ratios), **unrest), 2).startswith(lead)
 
 
 def test_the_page_tells_who_comes_to_rest(evaluation):
     oscillating = at_rest(evaluation, cycles=14, largest=7900.0, failures=1)
-    assert told(oscillating, 2) == (
+    assert told(oscillating, 3) == (
         "Without sensor noise PID does not come to rest at every standstill.\n"
         "PID: limit cycle at 14 of 16 standstills, up to 7.9 mm and failure at 1 of 16 standstills; "
         f"{ODD_NAME}: no limit cycle at 16 standstills. Ratios to PID compare with a controller in this state."
     )
-    quiet = told(at_rest(evaluation, cycles=0, largest=0.0), 2)
+    quiet = told(at_rest(evaluation, cycles=0, largest=0.0), 3)
     assert quiet.startswith("Without sensor noise every controller comes to rest at every standstill.\n")
     assert "Ratios" not in quiet
     table = overview(content_of(oscillating))
@@ -371,7 +388,7 @@ def with_detection(evaluation, found, alarms):
     ],
 )
 def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
-    text = told(with_detection(evaluation, found, alarms), 3)
+    text = told(with_detection(evaluation, found, alarms), 4)
     assert text.startswith(f"Leaks from 0.3 l/min {lead}\n")
     assert (f"clearly more under PID and {ODD_NAME}" in text) == (alarms > 0.03)
     assert ", 25.0 % (20.0 to 30.0) of those of 0.1–0.2" in text
@@ -382,7 +399,7 @@ def test_whether_leaks_are_noticed(evaluation, found, alarms, lead):
 
 
 def test_how_well_the_size_is_estimated(evaluation):
-    text = told(with_detection(evaluation, 0.97, 0.012), 4)
+    text = told(with_detection(evaluation, 0.97, 0.012), 5)
     assert text.startswith("The size of a leak is estimated within a factor of 1.42 for half of the leaks.\n")
     assert f"2.50 under PID and 3.00 under {ODD_NAME}" in text
 
@@ -408,6 +425,7 @@ def test_numbers_and_names_as_a_person_writes_them():
     assert [duration(x) for x in (1.25, 75.0, 3725.0)] == ["1.2 s", "1 min 15 s", "1 h 2 min"]
     assert correction_name("PPO", "Flow linearisation") == "PPO on flow linearisation"
     assert correction_name("PPO", "PID mended") == "PPO on PID mended"
+    assert correction_name("PPO on flow linearisation", "Flow linearisation") == "PPO on flow linearisation"
 
 
 # Colours and figures ------------------------------------------------------------------------------------------------

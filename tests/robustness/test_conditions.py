@@ -9,6 +9,7 @@ from small_protocol import SMALL, small
 from hydro_agents.evaluation.conditions import file_sha256
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.robustness_protocol import RobustnessProtocol, protocol_named
+from hydro_agents.report.robustness import GROUPS
 from hydro_agents.running.seeds import EVALUATION, ROBUSTNESS
 from hydro_env import ConfigurationError, PlantParameters, ServoHydraulicVectorEnv
 
@@ -95,10 +96,12 @@ def test_the_shipped_protocols_are_possible_and_as_wide_as_promised():
     protocol, file = protocol_named("robustness")
     assert file == PROTOCOLS / "robustness.yaml"
     table = protocol.table()
-    assert {"leak", "leak_law", "schedule", "parameter", "supply_and_load", "timing", "sensors", "force", "rig"} == set(
-        table["group"]
-    )
+    assert set(GROUPS) == set(table["group"])
     assert table["label"].is_unique
+    sines = [c.task["disturbance"] for name, c in protocol.conditions.items() if "hz" in name]
+    assert len({(*each["frequency_range"], *each["force_share"]) for each in sines}) == len(sines) == 8
+    assert [protocol.task_in(name).episode_duration for name in ("pause_1s", "pause_10s", "pause_60s")] == [2, 11, 61]
+    assert protocol_named("pauses")[0].task_in("pause_600s").episode_duration == 601
     # Every drawn parameter is varied by itself.
     fixed = {path for entry in protocol.conditions.values() for path in (*entry.factors, *entry.parameters)}
     assert set(protocol.task.randomisation) <= fixed

@@ -25,6 +25,7 @@ def rows(controller, factor, condition="plain", group="leak", seed=0, scatter=0.
                 error = hardness * factor * np.exp(scatter * generator.normal())
                 values = dict.fromkeys(METRICS, 1.0) | {
                     "mean_error_mm": error,
+                    "mean_error_sensor_mm": 0.5 * error,
                     "valve_travel_per_s": 4.0 * factor,
                     "failed": 0.0,
                 }
@@ -78,6 +79,8 @@ def test_ratios_of_a_controller_that_is_better_by_a_factor(cases):
     assert (table[["share_better", "probability_of_improvement"]] == 1.0).all(axis=None)
     assert table.loc["plain", "travel_ratio"] == pytest.approx(0.5)
     assert table.loc["all", "travel_ratio"] == pytest.approx(0.65)
+    sensed = table[["ratio_sensor", "equal_weight_sensor", "equal_weight_sensor_low"]]
+    np.testing.assert_allclose(sensed, table[["ratio", "equal_weight", "equal_weight_low"]])
     assert table["cases"].tolist() == [48, 24, 24]
     assert table["gap"].isna().all()
 
@@ -87,11 +90,27 @@ def test_the_gap_is_a_share_of_the_way_to_the_best_found(cases):
     table = results_of(cases, bound).table("comparison").set_index("condition")
     assert table.loc["plain", "gap"] == pytest.approx((1.0 - 0.5) / (1.0 - 0.25))
     assert np.isnan(table.loc["late", "gap"])
+    assert table.loc["plain", "score"] == pytest.approx(100.0 * (1.0 - 0.5) / (1.0 - 0.25))
+    assert np.isnan(table.loc["late", "score"])
     assert table.loc["all", "gap"] == pytest.approx(2.0 / 3.0)  # over the cases of the bound alone
 
 
+def test_a_kind_of_reference_counts_in_the_score_as_much_as_it_can_be_improved(cases):
+    bound = rows("best", 0.25)
+    bound["mean_error_sensor_mm"] *= np.where(bound["family"] == "step", 3.99, 0.0)  # ratios 0.9975 and 0
+    table = results_of(cases, bound).table("comparison").set_index("condition")
+    assert table.loc["plain", "score"] == pytest.approx(100.0 * (0.5 + 0.5) / (0.0025 + 1.0))
+    few = results_of(cases, bound[bound["plant"] < 2]).table("comparison").set_index("condition").loc["plain"]
+    assert few["score"] == pytest.approx(table.loc["plain", "score"])
+    assert np.isnan([few["score_low"], few["gap_high"]]).all()  # two plants of a family give no interval
+    bound["mean_error_sensor_mm"] = 0.99 * rows("PID", 1.0)["mean_error_sensor_mm"]
+    full = results_of(cases, bound).table("comparison").set_index("condition")
+    assert np.isnan(full.loc["plain", "score"])  # hardly anything is left to improve
+
+
 def test_families_of_the_leak_conditions(cases):
-    mixed = joined(cases, rows("PID", 1.0, "odd", "force"), rows("good", 9.0, "odd", "force"))
+    other = [rows(name, error, "odd", "force") for name, error in (("PID", 1.0), ("good", 9.0))]
+    mixed = joined(cases, *other, *(each.assign(family="creep", condition="slow") for each in other))
     table = results_of(mixed).table("families")
     assert table["family"].tolist() == ["step", "sine"]
     np.testing.assert_allclose(table["ratio"], 0.5)

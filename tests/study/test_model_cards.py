@@ -15,16 +15,19 @@ from hydro_agents.study.model_cards import card_file, controller_card, head_card
 from hydro_env import TaskConfig
 
 SHIPPED = sorted(pretrained_folder().glob("*.safetensors"))
+NAME = "PPO on flow linearisation"
 RATIOS = pd.DataFrame(
     [
-        ("PPO", "PID", "all", "", 0.68895443, 0.66924653, 0.70719858),
-        ("PPO", "PID", "level", "0.3", 0.7, 0.6, 0.8),
-        ("PPO", "PID", "family", "ramp", 0.5, 0.4, 0.6),
-        ("PPO", "PID", "equal_weight", "geometric mean", 0.62, 0.6, 0.64),
+        (NAME, "PID", "all", "", 0.68895443, 0.66924653, 0.70719858),
+        (NAME, "PID", "level", "0.3", 0.7, 0.6, 0.8),
+        (NAME, "PID", "family", "ramp", 0.5, 0.4, 0.6),
+        (NAME, "PID", "equal_weight", "geometric mean", 0.62, 0.6, 0.64),
         ("other", "PID", "all", "", 9.0, 8.0, 10.0),
     ],
     columns=["controller", "against", "group", "value", "ratio", "low", "high"],
 )
+RATIOS[["ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"]] = RATIOS[["ratio", "low", "high"]] / 2.0
+SCORE = pd.DataFrame({"controller": ["PID", NAME], "score": [0.0, 64.0], "low": [0.0, 61.0], "high": [0.0, 67.0]})
 RATES = pd.DataFrame(
     [("PID", "class", "healthy", 0.002, 0.001, 0.005), ("PID", "range", "0.1–0.2", 0.95, 0.92, 0.97)],
     columns=["controller", "group", "value", "flagged_share", "low", "high"],
@@ -32,19 +35,26 @@ RATES = pd.DataFrame(
 ERRORS = {
     "PID": (1.0, 2.0, 3.0),
     "Flow linearisation": (0.5, 1.0, 1.5),
-    "PPO": (0.4, 0.8, 1.2),
+    NAME: (0.4, 0.8, 1.2),
     "other": (9.0, 9.0, 9.0),
 }
 CASES = pd.DataFrame(
     [
-        (name, family, plant, error, 0.5 if name == "PPO" else 1.0, float((name, plant, family) == ("PPO", 2, "step")))
+        (name, family, plant, error, 0.5 if name == NAME else 1.0, float((name, plant, family) == (NAME, 2, "step")))
         for name, errors in ERRORS.items()
         for family in ("step", "ramp")
         for plant, error in enumerate(errors)
     ],
     columns=["controller", "family", "plant", "mean_error_mm", "valve_travel_per_s", "failed"],
-).assign(leakage_flow_lpm=0.3, supply_energy_j=300.0, steady_state_error_sensor_mm=0.1, reversals_per_s=2.0)
-EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES, cases=CASES, controllers=list(ERRORS))
+).assign(
+    mean_error_sensor_mm=lambda table: table["mean_error_mm"] / 2.0,
+    leakage_flow_lpm=0.3,
+    supply_energy_j=300.0,
+    steady_state_error_sensor_mm=0.1,
+    reversals_per_s=2.0,
+    peak_error_sensor_mm=1.0,
+)
+EVALUATION = SimpleNamespace(ratios=RATIOS, detection_rates=RATES, cases=CASES, score=SCORE, controllers=list(ERRORS))
 
 
 @pytest.fixture(scope="module")
@@ -58,15 +68,20 @@ def parts(card):
 
 
 def test_the_card_of_a_policy_holds_errors_and_their_price(policy):
-    front, text = parts(controller_card("PPO", policy, EVALUATION, "hydro study", "Flow linearisation"))
+    front, text = parts(controller_card(NAME, policy, EVALUATION, "hydro study", "Flow linearisation"))
     assert front["library_name"] == "stable-baselines3"
     (result,) = front["model-index"][0]["results"]
     values = {one["name"]: one["value"] for one in result["metrics"]}
     assert values == {
+        "score (0: PID, 100: best found)": 64.0,
         "mean error / PID's, all": 0.689,
+        "mean error in the sensor's frame / PID's, all": 0.3445,
         "mean error / PID's, every kind of reference weighs the same": 0.62,
+        "mean error in the sensor's frame / PID's, every kind of reference weighs the same": 0.31,
         "mean error / Flow linearisation's, all": 0.8,
+        "mean error in the sensor's frame / Flow linearisation's, all": 0.8,
         "mean error / Flow linearisation's, every kind of reference weighs the same": 0.8,
+        "mean error in the sensor's frame / Flow linearisation's, every kind of reference weighs the same": 0.8,
         "valve travel / PID's, all": 0.5,
         "reversals / PID's, all": 1.0,
         "energy from the supply / PID's, all": 1.0,
@@ -74,7 +89,7 @@ def test_the_card_of_a_policy_holds_errors_and_their_price(policy):
     }
     assert front["metrics"] == [one["type"] for one in result["metrics"]]
     assert len(set(front["metrics"])) == len(values)
-    assert front["metrics"][0] == "mean_error_pid_all"
+    assert front["metrics"][:2] == ["score_0_pid_100_best_found", "mean_error_pid_all"]
     assert "| mean error / PID's, all | 0.689 | 0.6692 to 0.7072 |" in text
     assert "| mean error / PID's, leak of 0.3 l/min | 0.7 | 0.6 to 0.8 |" in text
     assert "bore 40 mm, stroke" in text
@@ -111,7 +126,7 @@ def run(card):
 def test_the_code_on_the_cards_runs(policy, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     policy.save(tmp_path / "controllers" / "PPO" / "policy")
-    card = controller_card("PPO", policy, EVALUATION, "", weights="controllers/PPO/policy")
+    card = controller_card(NAME, policy, EVALUATION, "", weights="controllers/PPO/policy")
     assert run(card).training == policy.training
     head = LeakageHead.load(pretrained_folder() / "leakage_head")
     head.save(tmp_path / "leakage_head")
@@ -132,6 +147,8 @@ def test_the_card_beside_shipped_weights_is_theirs_and_its_code_runs(weights):
     assert run(text).training == training
 
 
-@pytest.mark.parametrize(("name", "file"), [("PPO", "PPO.md"), ("../a b", "_a_b.md"), ("PPO 2.5", "PPO_2.5.md")])
+@pytest.mark.parametrize(
+    ("name", "file"), [(NAME, "PPO_on_flow_linearisation.md"), ("../a b", "_a_b.md"), ("PPO 2.5", "PPO_2.5.md")]
+)
 def test_any_name_gives_a_file_in_its_folder(name, file):
     assert card_file(name) == file

@@ -107,6 +107,12 @@ def test_a_study_leaves_out_what_cannot_work(files, capsys):
     ]
 
 
+def test_a_policy_has_the_name_of_what_it_corrects(files):
+    study = default_study(rig=files[0])
+    assert list(study.controllers) == ["PID", "PPO on PID"]
+    assert study.controllers["PPO on PID"].corrects == "PID"
+
+
 def test_a_policy_that_corrects_nothing_is_left_out(files, capsys):
     rig, file = files
     file.write_text(STUDY.replace("  PID: {kind: pid, tune: {evaluations: 12, cases: 7}}\n", ""))
@@ -171,7 +177,7 @@ def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, mo
     assert named.returncode == 2
     assert named.stderr.splitlines()[-1].startswith("hydro: mine: was trained on other observations")
     assert hydro("evaluate", "--rig", "symmetric_eha", "--output", tmp_path / "other").returncode == 0
-    assert seen[1:] == [["PID", "Flow linearisation", "PPO"]]
+    assert seen[1:] == [["PID", "Flow linearisation", "PPO on flow linearisation"]]
 
 
 def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():

@@ -34,6 +34,7 @@ def made(folder, seed):
             "value": "",
             "ratio": [0.7, 0.6, 0.70 - 0.01 * seed, 0.54],
         },
+        "tables/score": {"controller": ["PID", "PPO"], "score": [0.0, 60.0 + seed]},
         "tables/detection_rates": {
             "controller": ["PID", "PPO"], "group": "range", "value": "0.1–0.2",
             "flagged_share": [0.9 + 0.05 * seed, 0.5],
@@ -77,6 +78,7 @@ def test_the_table_holds_every_seed_with_the_interval_of_student(runs, tmp_path)
     equal = table.loc["PPO", "mean error, kinds of reference weigh the same ÷ that of Flow linearisation"]
     np.testing.assert_allclose(equal[["mean", "low", "high"]].astype(float), 0.9)
     assert table.loc["PPO", "training, s"]["mean"] == 101.0
+    assert table.loc["PPO", "score"]["mean"] == 61.0
     head = table.loc["leakage head, under PID"]
     flagged = head.loc["leaks of 0.1–0.2 l/min flagged, %"]
     assert (flagged["seed 1"], flagged["high"]) == (95.0, 100.0)  # no more than all

@@ -9,6 +9,7 @@ from hydro_agents.study.settings import StudySettings, default_study
 from hydro_env import ConfigurationError
 from hydro_env.task.configuration import task_config
 
+POLICY = "PPO on flow linearisation"
 PLAIN = "controllers:\n  PID: {kind: pid}\n"
 PID_AS, BESIDE = "controllers: {{PID: {{{}}}}}\n", "controllers:\n  PID: {{kind: pid}}\n  other: {{{}}}\n"
 TRAINER = """
@@ -44,7 +45,7 @@ def my_module(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize(("name", "learned"), [("default", "PPO"), ("direct", "PPO alone"), ("quick", "PPO")])
+@pytest.mark.parametrize(("name", "learned"), [("default", POLICY), ("direct", "PPO alone"), ("quick", POLICY)])
 def test_the_studies_that_ship_are_right(name, learned):
     found = StudySettings.from_yaml(config_folder() / "studies" / f"{name}.yaml")
     assert list(found.controllers) == ["PID", "Flow linearisation", learned]
@@ -114,11 +115,11 @@ def test_what_does_not_fit_is_told_in_one_line(tmp_path, text, message):
 def test_controllers_ready_to_act_without_training(tmp_path):
     found = default_study()
     controllers = found.with_weights({"mine": "my_algorithm:Mine"})
-    assert list(controllers) == ["PID", "Flow linearisation", "PPO", "mine"]
+    assert list(controllers) == ["PID", "Flow linearisation", POLICY, "mine"]
     assert isinstance(controllers["PID"], PID)
-    assert isinstance(controllers["PPO"], PolicyController)
-    replaced = found.with_weights({"PPO": "pid"})
-    assert isinstance(replaced["PPO"], PID)
+    assert isinstance(controllers[POLICY], PolicyController)
+    replaced = found.with_weights({POLICY: "pid"})
+    assert isinstance(replaced[POLICY], PID)
     own = study(tmp_path, PLAIN + '  learned: {kind: "my_algorithm:MyTrainer"}\n')
     assert type(own.with_weights({"learned": "anywhere"})["learned"]).__name__ == "Mine"
     with pytest.raises(ConfigurationError, match="learned: no weights of this kind are shipped; give --agent learned"):

@@ -260,8 +260,8 @@ def render(
 ) -> None:
     """Film axes under controllers: the same plant, reference and noise, side by side, in real time.
 
-    Without `--agent`: the PID and PPO that come with the project. `--agent pid=pid --leakage 0.01 --leakage 2` shows a
-    healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
+    Without `--agent`: the shipped PID and PPO on flow linearisation. `--agent pid=pid --leakage 0.01 --leakage 2` shows
+    a healthy and a leaking seal side by side. With `--rig` alone the axes have the parameters of its file; with
     `--task`, or without `--rig`, the task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
@@ -283,7 +283,7 @@ def render(
     if not controllers:
         controllers["PID"] = opponent("pid", config, "PID")
         try:
-            controllers["PPO on flow linearisation"] = opponent("ppo", config, "PPO")
+            controllers["PPO on flow linearisation"] = opponent("ppo", config, "PPO on flow linearisation")
         except ConfigurationError as error:  # the shipped weights belong to another rig or task
             print(f"hydro: left out: {error}", file=sys.stderr)
     shown = panels(controllers, leakage or [])

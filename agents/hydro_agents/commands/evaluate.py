@@ -44,7 +44,7 @@ def evaluate(
         str | None,
         typer.Option(
             "--protocol",
-            help="Run a protocol instead: robustness, quick, leakage, leakage_quick, or a YAML file.",
+            help="Run a protocol instead: robustness, pauses, quick, leakage, leakage_quick, or a YAML file.",
         ),
     ] = None,
     jobs: Annotated[

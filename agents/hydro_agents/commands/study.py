@@ -48,7 +48,7 @@ def study(
     resume: Resume = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Train PPO and the leakage head from scratch, compare all controllers, write one report.
+    """Train PPO on flow linearisation and the leakage head from scratch, compare all controllers, write one report.
 
     Writes to the output folder: `report.html` (self-contained), `tables/*.csv` (all numbers), the weights, and
     `study.yaml` (the configuration used). `controllers:` in the YAML file lists the participants.
@@ -116,7 +116,7 @@ def train(
     what: Annotated[
         str,
         typer.Argument(
-            help="ppo (or another trained controller of the study), head (the leakage head), or a classical controller "
+            help="ppo (or the name of a trained controller of the study), head (the leakage head), or a classical one "
             "(pid, flow_linearising, ...), whose gains are tuned."
         ),
     ],
@@ -152,6 +152,7 @@ def train(
     the classical one first.
     """
     from hydro_agents.controllers.registry import CONTROLLERS
+    from hydro_agents.learning.trainers import TRAINERS
     from hydro_agents.study.settings import default_study
 
     study = default_study(config, task, rig)
@@ -168,9 +169,12 @@ def train(
         aim = objective or Objective.EQUAL
         file = _gains(study, part, output, aim, evaluations, start, seed, resume, overwrite)
     else:
-        name = next((name for name in study.trained if name.lower() == part), None)
+        kinds = [study.controllers[name].kind for name in study.trained]
+        short = {name: kind for name, kind in zip(study.trained, kinds, strict=True) if kinds.count(kind) == 1}
+        name = next((name for name in study.trained if part in (name.lower(), short.get(name))), None)
         if name is None:
-            known = [*(name.lower() for name in study.trained), "head", *CONTROLLERS]
+            known = [short[name] if short.get(name) in TRAINERS else name.lower() for name in study.trained]
+            known += ["head", *CONTROLLERS]
             guess = did_you_mean(what, known)
             raise ConfigurationError(f"train '{what}': unknown; this study trains: {', '.join(known)}{guess}")
         file = _controller(study, name, output, seed, resume, overwrite, steps)

@@ -230,7 +230,7 @@ def _manner(name: str) -> Make:
 
 ACTING: dict[str, Acting] = {
     "PID": Acting(_shipped("pid"), True),
-    "PPO": Acting(_shipped("ppo"), True),
+    "PPO on flow linearisation": Acting(_shipped("ppo"), True),
     "flow-linearising": Acting(_shipped("flow_linearising"), True),
     **{name: Acting(_manner(name), True) for name in MANNERS},
     "ADRC": Acting(_shipped("adrc"), False),
@@ -240,6 +240,8 @@ ACTING: dict[str, Acting] = {
     "swept sine": Acting(partial(_Unseen, _swept_sine), False),
 }
 """Controllers of the axes, by name."""
+
+ACTING["PPO"] = ACTING["PPO on flow linearisation"]  # the name in files of version 0.2
 
 MOTIONS: dict[str, Motion] = {
     "ordinary": Motion(ordinary, "all kinds of reference"),

@@ -19,9 +19,10 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import check_head
 from hydro_agents.evaluation.comparison import Grid
+from hydro_agents.evaluation.conditions import Name
 from hydro_agents.evaluation.detection import LeakBounds, detection_curves, detection_rates, detection_summary
 from hydro_agents.evaluation.limit_cycles import counted
-from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.metrics import FRAMES, METRICS
 from hydro_agents.evaluation.participants import participants, split_name
 from hydro_agents.evaluation.robustness_protocol import (
     PairedCases,
@@ -32,7 +33,7 @@ from hydro_agents.evaluation.robustness_protocol import (
 from hydro_agents.evaluation.runner import FAILED, Results, run, table, tables_of
 from hydro_agents.running.cases import ControllerError
 from hydro_agents.running.seeds import SEEDS_PER_FAMILY
-from hydro_agents.running.statistics import conditional_value_at_risk
+from hydro_agents.running.statistics import Interval, conditional_value_at_risk
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
@@ -60,6 +61,13 @@ class ProtocolSettings(PairedCases):
         le=SEEDS_PER_FAMILY,
         description="plants of the search for limit cycles, each at the smallest and the largest leak; 0: no search",
     )
+    bound_plants: int = Field(
+        0,
+        ge=0,
+        le=SEEDS_PER_FAMILY,
+        description="plants of the best found per family, each at the smallest and the largest leak, for the score; "
+        "0: no score. It takes about 0.3 s per case",
+    )
     detection_episodes: int = Field(4000, ge=100, le=200_000, description="per controller, half of them healthy")
 
 
@@ -71,11 +79,18 @@ class StudyProtocol(PairedProtocol):
     seeds: PlantSeeds = "EVALUATION"
     plants: int = Field(32, ge=1, le=SEEDS_PER_FAMILY, description="per level and family")
     standstill_plants: int = 8
+    bound_conditions: tuple[Name, ...] = ("task",)
+    bound_plants: int = 0
     detection_episodes: int = 4000
 
     def asked(self) -> tuple[str, ...]:
-        """Tracking and standstills; detection needs a head, which the participants have."""
-        return ("tracking", *(["standstill"] if self.standstill_plants else []), "episodes")
+        """Tracking, standstills and the best found; detection needs a head, which the participants have."""
+        wanted = {"standstill": self.standstill_plants, "best_found": self.bound_plants}
+        return ("tracking", *(name for name, plants in wanted.items() if plants), "episodes")
+
+    def bound_levels(self, name: str) -> Sequence[float]:
+        """The smallest and the largest leak."""
+        return self.standstills_in(name)[0]
 
     def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
         """The smallest and the largest leak."""
@@ -90,6 +105,8 @@ class Evaluation:
     levels: pd.DataFrame  # per controller and level: means, intervals, worst case, CVaR of every metric
     families: pd.DataFrame  # the same per controller and family
     ratios: pd.DataFrame  # per controller against the first: overall, per level, per family
+    score: pd.DataFrame  # per controller: 0 is the first, 100 the best found; with mean errors over all cases
+    bound: pd.DataFrame  # one row per case of the best found
     limit_cycles: pd.DataFrame  # one row per controller, training seed, level, plant: an axis at rest without noise
     limit_cycle_summary: pd.DataFrame  # per controller: standstills with a limit cycle, and the largest amplitude
     detection: pd.DataFrame  # one row per episode for the head
@@ -155,7 +172,7 @@ def evaluate(
         errors.setdefault(str(row["controller"]), f"{row['controller']}: {row['message']}")
     for message in errors.values():
         warnings.warn(message, stacklevel=2)
-    if len(errors) == len(controllers):
+    if not controllers.keys() - errors.keys():
         raise ControllerError("; ".join(errors.values()))
     failed = pd.MultiIndex.from_tuples([split_name(name) for name in errors], names=["controller", "training_seed"])
     rows = {part: table[~table.set_index(failed.names).index.isin(failed)] for part, table in results.rows.items()}
@@ -166,6 +183,7 @@ def evaluate(
 
 KIND = "study"
 RATIO_COLUMNS = ["controller", "against", "group", "value", "ratio", "low", "high", "share_of_cases_better"]
+RATIO_COLUMNS += ["ratio_sensor", "ratio_sensor_low", "ratio_sensor_high"]
 
 
 @table("cases", KIND)
@@ -191,6 +209,30 @@ def families(results: Results) -> pd.DataFrame:
 def ratios(results: Results) -> pd.DataFrame:
     """Mean error of every controller over that of the first."""
     return ratio_table(results.part("tracking"), results.grid.controllers)
+
+
+@table("score", KIND)
+def score(results: Results) -> pd.DataFrame:
+    """Score of every controller (0: the first, 100: the best found) on ``cases`` cases; errors over all its cases."""
+    bound, grid = results.part("best_found"), results.grid
+    if bound.empty:
+        return bound
+    plants, leaks = np.ones(len(grid.family), dtype=np.bool_), np.ones(len(grid.leak), dtype=np.bool_)
+    rows = []
+    for name, own in results.part("tracking").groupby("controller", sort=False):
+        found = Interval(0.0, np.nan, np.nan)
+        if name != grid.controllers[0]:
+            found = Interval(*_figures(grid.compare(str(name), grid.controllers[0], plants, leaks), "score"))
+        errors = own[list(FRAMES)].mean()
+        rows.append({"controller": name, **found.columns("score"), **errors, "cases": len(bound)})
+    return pd.DataFrame(rows)
+
+
+@table("bound", KIND)
+def bound(results: Results) -> pd.DataFrame:
+    """One row per case of the best found."""
+    rows = results.part("best_found")
+    return rows if rows.empty else rows.drop(columns=["condition", "group"])
 
 
 @table("limit_cycles", KIND)
@@ -252,7 +294,7 @@ def summary_table(cases: pd.DataFrame, by: str) -> pd.DataFrame:
 
 
 def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """Mean error of each controller over that of the first, paired by plant.
+    """Mean error of each controller over that of the first, paired by plant, in both frames.
 
     The ratios are over all cases, per level, per family, and over all with equal weight for each family (otherwise
     large steps outweigh the rest).
@@ -265,8 +307,13 @@ def ratio_table(cases: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     for name in names[1:]:
         found = [grid.compare(name, names[0], *part) for _, _, *part in parts]
         for (group, value, *_), row in zip(parts, found, strict=True):
-            figures = [row[column] for column in ("ratio", "ratio_low", "ratio_high", "share_better")]
-            rows.append((name, names[0], group, value, *figures))
-        equal = [found[0][column] for column in ("equal_weight", "equal_weight_low", "equal_weight_high")]
-        rows.append((name, names[0], "equal_weight", "geometric mean of the families' ratios", *equal, np.nan))
+            rows.append((name, names[0], group, value, *_figures(row, "ratio"), row["share_better"]))
+            rows[-1] += _figures(row, "ratio_sensor")
+        both = (*_figures(found[0], "equal_weight"), np.nan, *_figures(found[0], "equal_weight_sensor"))
+        rows.append((name, names[0], "equal_weight", "geometric mean of the families' ratios", *both))
     return pd.DataFrame(rows, columns=RATIO_COLUMNS)
+
+
+def _figures(row: Mapping[str, float], name: str) -> tuple[float, ...]:
+    """A column of a comparison with its interval."""
+    return tuple(row[f"{name}{end}"] for end in ("", "_low", "_high"))

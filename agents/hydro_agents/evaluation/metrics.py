@@ -22,7 +22,16 @@ REVERSAL_THRESHOLD = 0.005
 ones."""
 
 
-ERROR = "mean_error_mm"  # the metric by which controllers are compared
+ERROR, ERROR_SENSOR = "mean_error_mm", "mean_error_sensor_mm"  # the metrics by which controllers are compared
+
+FRAMES = {ERROR: "accuracy", ERROR_SENSOR: "repeatability"}
+"""The frame of each, by the terms that :data:`FRAMES_TEXT` explains."""
+
+FRAMES_TEXT = (
+    "Accuracy is the error of the true position. Repeatability is the error of the position that the sensor reads "
+    "without noise: the constant bias of the sensor, which no controller can see, does not count. The terms are "
+    "borrowed from ISO 230-2; its procedure, repeated approaches to target positions, is not run here."
+)
 
 
 class Metric(NamedTuple):
@@ -53,7 +62,7 @@ def by_name(*metrics: Metric) -> dict[str, Metric]:
 
 
 METRICS = by_name(
-    Metric("mean_error_mm", "mm", "Mean error", "mean of |reference − position|"),
+    Metric("mean_error_mm", "mm", "Mean error", "accuracy: mean of |reference − position|"),
     Metric("rms_error_mm", "mm", "Root-mean-square error", "root mean square of the error"),
     Metric("peak_error_mm", "mm", "Peak error", "largest error"),
     Metric(
@@ -87,7 +96,14 @@ METRICS = by_name(
         "mean_error_sensor_mm",
         "mm",
         "Mean error in the frame of the sensor",
-        "mean of |reference − reading|, without the sensor's noise: visible to a controller",
+        "repeatability: mean of |reference − reading|, without the sensor's noise: visible to a controller",
+    ),
+    Metric(
+        "peak_error_sensor_mm",
+        "mm",
+        "Peak error in the frame of the sensor",
+        "largest |reference − reading|, without the sensor's noise",
+        ratio="peak",
     ),
     Metric(
         "steady_state_error_sensor_mm",
@@ -239,6 +255,7 @@ def case_metrics(
         "overshoot_percent": float(np.mean(beyond)) if beyond else math.nan,
         "steady_state_error_mm": 1e3 * float(np.mean(steady)) if steady else math.nan,
         "mean_error_sensor_mm": 1e3 * float(np.mean(np.abs(error - bias))),
+        "peak_error_sensor_mm": 1e3 * float(np.max(np.abs(error - bias))),
         "steady_state_error_sensor_mm": 1e3 * float(np.mean(steady_sensor)) if steady_sensor else math.nan,
         "itae_mm_s2": 1e3 * float(np.sum(time * np.abs(error)) * period),
         "control_effort": float(np.sqrt(np.mean(np.asarray(command, dtype=np.float64) ** 2))),

@@ -40,7 +40,7 @@ class Sees(Group):
     note: str = ""
 
 
-NAMES = {"flow_linearising": "Flow linearisation"}  # names of kinds that are not abbreviations
+NAMES = {"flow_linearising": "Flow linearisation", "ppo": "PPO on flow linearisation"}  # the others are abbreviations
 
 
 def shipped_controllers(task: TaskConfig) -> dict[str, Controller | str]:

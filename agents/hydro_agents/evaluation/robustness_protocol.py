@@ -25,7 +25,7 @@ from hydro_env.task.configuration import LEAKAGE_LIMIT, Family
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 from hydro_env.task.rig import merged
 
-FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count > len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
+FAMILIES_OF_PLANTS = [name for name, each in LEDGER.items() if each.count >= len(REFERENCE_FAMILIES) * SEEDS_PER_FAMILY]
 PlantSeeds = Annotated[str, known_name(FAMILIES_OF_PLANTS, "range of seeds")]
 
 
@@ -115,6 +115,8 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
 
     seeds: PlantSeeds = Field("ROBUSTNESS", description="of the plants: a range of the ledger of seeds, by its name")
     chunk: int = Field(2048, ge=1, description="cases of a job")
+    bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
+    bound_plants: int = Field(2, ge=0, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
 
     def changed_task(self, name: str) -> TaskConfig:
         """The task with the changes of a condition; a condition whose only reference is 'user' draws no other."""
@@ -149,12 +151,24 @@ class PairedProtocol(PairedCases, Protocol[PairedCondition]):
         """Leak levels of the search for limit cycles under a condition, and its plants per level."""
         raise NotImplementedError
 
+    def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
+        """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
+        _, table = self.cases_in(name)
+        kept = (table["plant"] < self.bound_plants) & table["leakage_flow_lpm"].isin(self.bound_levels(name))
+        table = table[kept].reset_index(drop=True)
+        return self.cases_of(name, table), table
+
+    def bound_levels(self, name: str) -> Sequence[float]:
+        """Leak levels of the best found under a condition: all of the condition."""
+        return self.conditions[name].leak_levels or self.leak_levels
+
     def cases_of(self, name: str, table: pd.DataFrame) -> Cases:
         """The cases of such a table under a condition."""
         return replace(cases_of(table), parameters=self.parameters_in(name))
 
 
-EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "leak_price")  # parts about the task alone
+EXPERIMENTS = ("frequency", "force_step", "force_sine", "hold", "pause", "take_over", "leak_price")
+"""Parts about the task alone."""
 
 
 class Sweep(Group):
@@ -191,8 +205,6 @@ class RobustnessProtocol(PairedProtocol):
         description="l/min; search for limit cycles under each condition without its own leak levels",
     )
     standstill_plants: int = Field(4, ge=0, le=SEEDS_PER_FAMILY, description="per level; 0: no search")
-    bound_conditions: tuple[Name, ...] = Field((), description="conditions under which the best found is computed")
-    bound_plants: int = Field(2, ge=1, le=SEEDS_PER_FAMILY, description="of them, per level and family: it is slow")
     experiments: bool = Field(True, description="also frequency response, stiffness, standstill, price of the leak")
     worst: int = Field(10, ge=1, le=1000, description="worst cases that the tables list per controller")
 
@@ -208,7 +220,7 @@ class RobustnessProtocol(PairedProtocol):
         """The parts that the other keys ask for."""
         wanted = {
             "standstill": self.standstill_plants > 0,
-            "best_found": bool(self.bound_conditions),
+            "best_found": bool(self.bound_conditions and self.bound_plants),
             **dict.fromkeys(EXPERIMENTS, self.experiments),
         }
         return ("tracking", *(name for name, asked in wanted.items() if asked))
@@ -236,12 +248,6 @@ class RobustnessProtocol(PairedProtocol):
     def standstills_in(self, name: str) -> tuple[Sequence[float], int]:
         """The leaks of the condition, or else those of the protocol."""
         return self.conditions[name].leak_levels or self.standstill_leak_levels, self.standstill_plants
-
-    def bound_cases_in(self, name: str) -> tuple[Cases, pd.DataFrame]:
-        """The cases of a condition for the best found, and their table as in :meth:`cases_in`."""
-        _, table = self.cases_in(name)
-        table = table[table["plant"] < self.bound_plants].reset_index(drop=True)
-        return self.cases_of(name, table), table
 
     def table(self) -> pd.DataFrame:
         """One row per condition: group, label, description, changes (JSON), control period, number of cases."""

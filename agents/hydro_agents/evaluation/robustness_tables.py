@@ -14,6 +14,7 @@ from hydro_agents.running.statistics import interquartile_means, interval, means
 KIND = "robustness"
 ALL = "all"
 LEAK_GROUP = "leak"
+CLOSED = ("gap", "score", "score_low", "score_high")  # 0 for the baseline; all other figures of the ranking are ratios
 PROFILE_RATIOS = {"best": np.geomspace(1.0, 10.0, 41), "baseline": np.geomspace(0.2, 5.0, 41)}
 
 
@@ -93,23 +94,18 @@ def comparison(results: Results) -> pd.DataFrame:
 def families(results: Results) -> pd.DataFrame:
     """Each controller against the first, per family of references, over the conditions of the group ``leak``.
 
-    Without such a group it is over all conditions.
+    Without such a group it is over all conditions. A family that does not occur there has no row.
     """
     grid, cases = results.grid, results.part("tracking")
     leaks = cases.loc[cases["group"] == LEAK_GROUP, "condition"].unique()
     situations = np.isin(grid.condition, leaks) if len(leaks) else np.ones(len(grid.condition), dtype=np.bool_)
-    return pd.DataFrame(
-        [
-            {
-                "controller": controller,
-                "against": grid.controllers[0],
-                "family": family,
-                **grid.compare(controller, grid.controllers[0], grid.family == family, situations),
-            }
-            for controller in grid.controllers[1:]
-            for family in dict.fromkeys(grid.family.tolist())
-        ]
-    )
+    rows = []
+    for controller in grid.controllers[1:]:
+        for family in dict.fromkeys(grid.family.tolist()):
+            row = grid.compare(controller, grid.controllers[0], grid.family == family, situations)
+            if row["cases"]:
+                rows.append({"controller": controller, "against": grid.controllers[0], "family": family, **row})
+    return pd.DataFrame(rows)
 
 
 @table("ranking", KIND)
@@ -120,11 +116,12 @@ def ranking(results: Results) -> pd.DataFrame:
     statuses = results.status[results.status["condition"].isin(list(results.protocol.conditions))]
     by_condition = cases.groupby(["condition", "controller"], sort=False)[ERROR].mean().unstack()
     best = by_condition.idxmin(axis=1)
-    copied = ("equal_weight", "equal_weight_low", "equal_weight_high", "worst_ratio", *COMPARED, "gap")
+    equal = [f"equal_weight{frame}{end}" for frame in ("", "_sensor") for end in ("", "_low", "_high")]
+    copied = (*equal, "worst_ratio", *COMPARED, *CLOSED)
     rows = []
     for controller in grid.controllers:
         if controller == baseline:
-            shared = {name: 0.0 if name == "gap" else 1.0 for name in (*copied, "mean_ratio")}
+            shared = {name: 0.0 if name in CLOSED else 1.0 for name in (*copied, "mean_ratio")}
         else:
             found = compared[(compared["controller"] == controller) & (compared["condition"] == ALL)]
             row = found.iloc[0].to_dict() if len(found) else {}

@@ -14,7 +14,7 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.evaluation.conditions import Cell
 from hydro_agents.evaluation.metrics import rollout_metrics
 from hydro_agents.evaluation.participants import Participants, split_name
-from hydro_agents.evaluation.robustness_protocol import PairedProtocol, RobustnessProtocol
+from hydro_agents.evaluation.robustness_protocol import PairedProtocol
 from hydro_agents.running.cases import Cases, ControllerError, Rollout, run_cases
 from hydro_agents.running.jobs import Columns, Job, fingerprint
 from hydro_env import ConfigurationError, TaskConfig
@@ -30,7 +30,7 @@ def tracking(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
         yield from paired_cells(protocol, chosen, condition, protocol.task_in(condition), *protocol.cases_in(condition))
 
 
-def best(protocol: RobustnessProtocol, chosen: Participants) -> Iterator[Cell]:
+def best(protocol: PairedProtocol, chosen: Participants) -> Iterator[Cell]:
     """Searches for the best commands, on some cases of the conditions that the protocol names."""
     from hydro_agents.evaluation.best_found import best_found
 

@@ -235,6 +235,40 @@ def standstill_tables(content: Content) -> list[Table]:
     ]
 
 
+@section("Pauses and changes of the controller", needs=("pauses", "take_over"))
+def transitions(content: Content) -> list[Block]:
+    """Moves after pauses, and controllers that take over in motion."""
+    pauses, changes = content.table("pauses"), content.table("take_over")
+    after, taken = [], []
+    for name, own in pauses.groupby("controller", sort=False):
+        parts = [own[own["pause_s"] == pause] for pause in pauses["pause_s"].unique()]
+        cells = [f"{number(float(part['peak_um'].mean()), 0)} ({part['peak_um'].max():.0f})" for part in parts]
+        after.append((str(name), *cells, number(float(parts[-1]["rest_um"].mean()), 1)))
+    for name, own in changes.groupby("controller", sort=False):
+        parts = [own[own["family"] == family] for family in changes["family"].unique()]
+        columns = ("largest_um", "never_switched_um", "handed_over_um")
+        taken.append((str(name), *(number(float(part[key].mean()), 0) for part in parts for key in columns)))
+    lengths = [f"{setting(pause)} s" for pause in pauses["pause_s"].unique()]
+    words = ("largest", "never switched", "handed over")
+    return [
+        Text(
+            "One smooth move after a pause, and a controller that takes over from the first one while the axis moves. "
+            "Errors in µm in the frame of the position sensor, means over plants and leaks."
+        ),
+        Table(
+            "Largest error in the first 0.3 s of a move after a pause (worst case); error at rest",
+            ("Controller", *lengths, "at rest"),
+            after,
+        ),
+        Table(
+            "Largest error in the 0.2 s after a controller takes over; the same of a controller that drove from the "
+            "start; error that the first controller hands over",
+            ("Controller", *(f"{family}: {word}" for family in changes["family"].unique() for word in words)),
+            taken,
+        ),
+    ]
+
+
 def cycles_by_condition(content: Content) -> list[Table]:
     """Limit cycles at mid-stroke under every condition in which any controller has one."""
     table, names = content.table("limit_cycles"), content.controllers

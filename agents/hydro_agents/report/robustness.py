@@ -9,13 +9,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.evaluation.metrics import COMPARED, METRICS
-from hydro_agents.report.canvas import HEIGHT, INK, Plot, description, one_panel, row_axis, ticks
+from hydro_agents.evaluation.metrics import COMPARED, FRAMES_TEXT, METRICS
+from hydro_agents.report.canvas import INK, Plot, description, one_panel, ticks
 from hydro_agents.report.content import ALL, Content, interval, interval_text, verdict
 from hydro_agents.report.palette import STRONGEST
 from hydro_agents.report.robustness_findings import findings_of
 from hydro_agents.report.sections import Block, Fold, Key, Points, Text, cards, section
-from hydro_agents.report.shared import problems
+from hydro_agents.report.shared import problems, score_plot, score_text
 from hydro_agents.report.traces import Trace, example_plot
 from hydro_agents.running.text import Cell, Table, family_name, number, setting
 
@@ -30,6 +30,7 @@ ROBUSTNESS = (
     "frequency",
     "stiffness",
     "standstill",
+    "transitions",
     "leak_price",
     "inputs",
     "method",
@@ -56,6 +57,7 @@ GROUPS = {
     "timing": "Timing",
     "sensors": "Sensors",
     "force": "External force",
+    "day": "Through a day: moves after a pause, slow runs, small steps",
     "rig": "Other rigs",
     "parameter": "Assumed parameters, one at a time",
 }
@@ -92,6 +94,10 @@ def comparison(content: Content) -> list[Block]:
         ),
         Key([Cell(setting(r), "better" if r < 1.0 else "worse", colour_share(r)) for r in SCALE]),
         *heat_map(content, "Ratio of errors, equal weights", "equal_weight"),
+        Fold(
+            "The same in the frame of the sensor (repeatability)",
+            heat_map(content, "Ratio of errors in the frame of the sensor, equal weights", "equal_weight_sensor"),
+        ),
         Fold("The same with mean errors, which steps dominate", heat_map(content, "Ratio of mean errors", "ratio")),
     ]
 
@@ -99,7 +105,8 @@ def comparison(content: Content) -> list[Block]:
 @section("Errors and costs", needs=("summary",))
 def costs(content: Content) -> list[Block]:
     """Ranking, errors and costs of every controller, and performance profiles."""
-    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *gap_plot(content)]
+    scores = {name: interval(content.against(name), "score") for name in content.controllers[1:]}
+    return [*ranking_table(content), absolute_table(content), *profile_plots(content), *score_plot(content, scores)]
 
 
 @section("Where each controller fails")
@@ -141,7 +148,8 @@ def method(content: Content) -> list[Block]:
                 "Intervals: 95 %, bootstrap over plants and training seeds.",
                 "Equal weights: geometric mean of the ratios of all kinds of reference. Interquartile mean: mean of "
                 "the middle half of the cases.",
-                f"Gap closed: (error of {base} − error) ÷ (error of {base} − best found), if a bound was computed.",
+                FRAMES_TEXT,
+                score_text(base),
             ]
         )
     ]
@@ -231,20 +239,31 @@ def ranking_table(content: Content) -> list[Table]:
     """Every controller relative to the baseline: errors, certainty, costs."""
     if not content.has("ranking") or len(content.controllers) < 2:
         return []
+    titles = {"equal_weight": "equal weights", "equal_weight_sensor": "the same, repeatability", "ratio": "mean"}
+    titles |= {"iqm_ratio": "interquartile mean"}
     rows = []
     for row in content.table("ranking").to_dict("records"):
         own = content.against(str(row["controller"]))
-        ratios = [interval_text(interval(own, key), decimals=2) for key in ("equal_weight", "ratio", "iqm_ratio")]
-        shares = [_share(own, key) for key in ("share_better", "gap")] if own else ["–", "0 %"]
+        ratios = [interval_text(interval(own, key), decimals=2) for key in titles]
+        shares = [_share(own, "share_better") if own else "–", interval_text(interval(row, "score"), decimals=0)]
         costs = [number(float(own.get(column, 1.0)), 2) for column in ("worst_ratio", *COSTS)]
         counts = [str(int(row[key])) if key in row else "–" for key in ("best_in", "failures", "limit_cycles")]
         rows.append(
-            (str(row["controller"]), *(ratios if own else ["1.00"] * 3), costs[0], *shares, *costs[1:], *counts)
+            (str(row["controller"]), *(ratios if own else ["1.00"] * 4), costs[0], *shares, *costs[1:], *counts)
         )
-    titles = ("equal weights", "mean", "interquartile mean", "worst case", "better in", "gap closed")
     prices = (metric.ratio for metric in COSTS.values())
-    header = ("Controller", *titles, *prices, "best in", "failed", "limit cycles")
-    groups = [(f"error ÷ error of {content.baseline}", 4), ("shares", 2)]
+    header = (
+        "Controller",
+        *titles.values(),
+        "worst case",
+        "better in",
+        "score",
+        *prices,
+        "best in",
+        "failed",
+        "limit cycles",
+    )
+    groups = [(f"error ÷ error of {content.baseline}", 5), ("", 2)]
     groups += [("cost ÷ baseline’s", len(COSTS)), ("count", 3)]
     return [Table("All conditions", header, rows, tuple(groups), "dense")]
 
@@ -323,26 +342,3 @@ def _profile(content: Content, table: pd.DataFrame, key: str, title: str, note: 
         for name, part in parts.items()
     }
     return one_panel(f"profile-{key}", title, note, description(title, rows, " %"), paint)
-
-
-def gap_plot(content: Content) -> list[Plot]:
-    """Share of the gap between the baseline and the best found that each controller closes."""
-    rows = {name: interval(content.against(name), "gap", 100.0) for name in content.controllers[1:]}
-    rows = {name: value for name, value in rows.items() if np.isfinite(value.value)}
-    if not rows:
-        return []
-
-    def paint(axes: Axes) -> None:
-        for place, (name, value) in enumerate(rows.items()):
-            axes.barh(place, value.value, height=0.55, color=content.looks[name].colour)
-            lengths = np.nan_to_num([[value.value - value.low], [value.high - value.value]])
-            axes.errorbar(value.value, place, xerr=np.maximum(lengths, 0.0), color=INK)
-        axes.axvline(0.0, color=INK, linewidth=0.8)
-        axes.axvline(100.0, color=INK, linewidth=0.8, linestyle="--")
-        row_axis(axes, list(rows))
-        axes.set_xlabel(f"closed share of the gap, %: 0 = {content.baseline}, 100 = best found")
-
-    title = "Share of the gap to the best found"
-    note = f"(error of {content.baseline} − error) ÷ (error of {content.baseline} − best found); bars: 95 % interval."
-    alt = description(title, {name: [("gap", value.value)] for name, value in rows.items()}, " %")
-    return [one_panel("gap", title, note, alt, paint, max(HEIGHT - 0.8, 0.9 + 0.35 * len(rows)))]

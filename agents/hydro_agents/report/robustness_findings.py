@@ -84,9 +84,9 @@ def _controller(content: Content, name: str) -> Finding:
     text += f"; worst single case {number(float(row['worst_ratio']), 2)} ×." if "worst_ratio" in row else "."
     if kinds["worse"]:
         text += f" It loses under: {_named(content, kinds['worse'], name)}."
-    gap = interval(row, "gap")
-    if np.isfinite(gap.value):
-        text += f" It closes {percent(gap)} of the gap between {base} and the best found."
+    score = interval(row, "score")
+    if np.isfinite(score.value):
+        text += f" Score: {interval_text(score, decimals=0)} (0: {base}, 100: best found, in the frame of the sensor)."
     return Finding(lead, f"{text} {_cost(content, name)} {_troubles(content, name)}".strip())
 
 

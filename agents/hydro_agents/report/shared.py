@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from hydro_agents.report.canvas import Plot, curve_plot, log_leak_axis
+from hydro_agents.report.canvas import HEIGHT, INK, Plot, curve_plot, description, log_leak_axis, one_panel, row_axis
 from hydro_agents.report.content import Content
 from hydro_agents.report.palette import looks_of
 from hydro_agents.report.sections import Block, Code, Fold, Points, Text, section
+from hydro_agents.running.statistics import Interval
 from hydro_agents.running.text import Table, duration, listed, number, setting
 
 RESERVES = {
@@ -63,6 +64,35 @@ def introduction(content: Content) -> list[Block]:
         "All ran on the same plants, references and noise. Everything here is simulated; no real rig was measured.",
     ]
     return [Text(" ".join(sentences), "soft")]
+
+
+def score_text(baseline: str) -> str:
+    """What the score means."""
+    return (
+        f"Score: 0 is {baseline}, 100 the best found, a search that knows plant, state and leak. It is Σ (1 − ratio) ÷ "
+        f"Σ (1 − ratio of the best found) over the kinds of reference; a ratio is the mean error, in the frame of the "
+        f"sensor, over that of {baseline} on the same cases."
+    )
+
+
+def score_plot(content: Content, scores: Mapping[str, Interval]) -> list[Plot]:
+    """The scores of some controllers; nothing without a best found."""
+    scores = {name: value for name, value in scores.items() if np.isfinite(value.value)}
+
+    def paint(axes: Axes) -> None:
+        for place, (name, value) in enumerate(scores.items()):
+            axes.barh(place, value.value, height=0.55, color=content.looks[name].colour)
+            lengths = np.nan_to_num([[value.value - value.low], [value.high - value.value]])
+            axes.errorbar(value.value, place, xerr=np.maximum(lengths, 0.0), color=INK)
+        axes.axvline(0.0, color=INK, linewidth=0.8)
+        axes.axvline(100.0, color=INK, linewidth=0.8, linestyle="--")
+        row_axis(axes, list(scores))
+        axes.set_xlabel(f"0 = {content.baseline}, 100 = best found")
+
+    note = f"{score_text(content.baseline)} Bars: 95 % interval."
+    alt = description("Score", {name: [("score", value.value)] for name, value in scores.items()}, "")
+    height = max(HEIGHT - 0.8, 0.9 + 0.35 * len(scores))
+    return [one_panel("score", "Score", note, alt, paint, height)] if scores else []
 
 
 def problems(content: Content) -> list[Block]:

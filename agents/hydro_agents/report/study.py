@@ -10,11 +10,11 @@ import pandas as pd
 
 from hydro_agents.evaluation.evaluate import Evaluation
 from hydro_agents.evaluation.limit_cycles import JUDGED, LEAST_CYCLES, amplitude_text
-from hydro_agents.evaluation.metrics import METRICS
+from hydro_agents.evaluation.metrics import FRAMES, FRAMES_TEXT, METRICS
 from hydro_agents.report.content import Content, interval, interval_text, verdict
 from hydro_agents.report.sections import Block, Choice, Fold, Points, Text, cards, section
-from hydro_agents.report.shared import price_sentence, problems
-from hydro_agents.report.study_findings import caution, failed_runs, findings_of
+from hydro_agents.report.shared import price_sentence, problems, score_plot, score_text
+from hydro_agents.report.study_findings import caution, failed_runs, findings_of, scores
 from hydro_agents.report.study_plots import tracking_plots
 from hydro_agents.report.traces import Example, example_limits, example_plot
 from hydro_agents.running.seeds import TEST_SEEDS, TRAINING_SEEDS, VALIDATION_SEEDS
@@ -35,7 +35,7 @@ STUDY = (
 """Sections of the page, in order."""
 
 
-OVERVIEW = tuple(m for m in METRICS.values() if m.cost or m.name in ("mean_error_mm", "peak_error_mm"))
+OVERVIEW = tuple(metric for metric in METRICS.values() if metric.cost or metric.name in FRAMES)
 """Metrics side by side: an error is no result without its cost."""
 
 BY = {
@@ -94,11 +94,12 @@ def positioning(content: Content) -> list[Block]:
     """Errors and costs by leak and kind of reference."""
     blocks: list[Block] = [
         Text(
-            "The error is the distance between reference and true position. Each run lasts one episode; a plant is "
-            "one draw of the uncertain parameters. Leaks are in l/min at 100 bar across the piston; up to "
+            f"{FRAMES_TEXT} Each run lasts one episode; a plant is one draw of the uncertain parameters. "
+            "Leaks are in l/min at 100 bar across the piston; up to "
             f"{setting(content.bounds.healthy_up_to)} l/min a seal counts as healthy."
         ),
         overview(content),
+        *score_plot(content, scores(content)),
         *tracking_plots(content),
         Text(
             "“Worst 5 %” is the mean over the worst twentieth of the runs (conditional value at risk, CVaR); “worst "
@@ -162,6 +163,7 @@ def study_method(content: Content) -> list[Block]:
         "piston).",
         "Every controller runs on the same plants, references and sensor noise: all comparisons are paired.",
         _seeds_sentence(content),
+        *([score_text(content.baseline)] if content.has("score") else []),
         f"Intervals of means and ratios: 95 %, bootstrap over plants ({RESAMPLES} resamplings); of shares: 95 %, "
         "Wilson. About one in twenty of many such intervals misses its true value.",
     ]
@@ -204,17 +206,20 @@ def _seeds_sentence(content: Content) -> str:
 
 
 def overview(content: Content) -> Table:
-    """One row per controller over all runs: error, ratio to the first one, worst cases, and costs."""
-    rows = []
+    """One row per controller over all runs: score, errors, ratios to the first one, worst cases, and costs."""
+    rows, scored = [], content.has("score")
     for name in content.controllers:
         own, ratio = content.rows("cases", controller=name), content.row("ratios", controller=name, group="all")
-        mean, *costs = _means(own)
+        accuracy, repeatability, *costs = _means(own)
         tail = number(conditional_value_at_risk(own["mean_error_mm"].to_numpy()))
         still = [_limit_cycles(content, name)] if content.has("limit_cycle_summary") else []
-        rows.append((name, mean, interval_text(interval(ratio, "ratio"), decimals=3), tail, *costs, *still))
-    error, *others = _overview_header()
+        score = [interval_text(interval(content.row("score", controller=name), "score"), decimals=0)] * scored
+        true, sensed = (interval_text(interval(ratio, column), decimals=3) for column in ("ratio", "ratio_sensor"))
+        rows.append((name, *score, accuracy, true, tail, repeatability, sensed, *costs, *still))
+    accuracy, repeatability, *others = _overview_header()
     others += ["limit cycles at rest"] if content.has("limit_cycle_summary") else []
-    header = ("Controller", error, f"÷ {content.baseline}'s", "worst 5 %, mm", *others)
+    divided, score = f"÷ {content.baseline}'s", ["score"] * scored
+    header = ("Controller", *score, accuracy, divided, "worst 5 %, mm", repeatability, divided, *others)
     return Table("Errors and costs, mean over all runs", header, rows, style="dense")
 
 
@@ -235,7 +240,8 @@ def level_tables(content: Content) -> dict[float, Table]:
 
 
 def _overview_header() -> tuple[str, ...]:
-    return tuple(metric.label[0].lower() + metric.label[1:] for metric in OVERVIEW)
+    labels = (f"{FRAMES[metric.name]}, mm" if metric.name in FRAMES else metric.label for metric in OVERVIEW)
+    return tuple(label[0].lower() + label[1:] for label in labels)
 
 
 def _means(cases: pd.DataFrame) -> tuple[str, ...]:

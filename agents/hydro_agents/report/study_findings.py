@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pandas as pd
 
 from hydro_agents.evaluation.limit_cycles import comes_to_rest, is_broken, rest_text
+from hydro_agents.evaluation.metrics import FRAMES
 from hydro_agents.report.content import Content, interval, interval_text, percent, verdict
 from hydro_agents.report.sections import Finding
 from hydro_agents.running.statistics import (
@@ -27,7 +29,7 @@ FALSE_ALARM_TARGET = 0.01
 
 def findings_of(content: Content) -> list[Finding]:
     """The findings, in the order of a user's questions."""
-    items = [_leak(content), *(_comparison(content, name) for name in content.controllers[1:])]
+    items = [*_score(content), _leak(content), *(_comparison(content, name) for name in content.controllers[1:])]
     items += [_standstill(content)] if content.has("limit_cycle_summary") else []
     return [*items, _detection(content), _size(content)] if content.has("detection_summary") else items
 
@@ -48,6 +50,35 @@ def failed_runs(content: Content) -> str:
         return "No run failed (end stop or pressure limit)."
     parts = [f"{int(row['sum'])} of {int(row['count'])} under {name}" for name, row in total.iterrows()]
     return f"Failed runs (end stop or pressure limit): {listed(parts)}."
+
+
+# The headline -------------------------------------------------------------------------------------------------------
+
+
+def scores(content: Content) -> dict[str, Interval]:
+    """Score of every controller but the baseline; NaN without a best found."""
+    return {name: interval(content.row("score", controller=name), "score") for name in content.controllers[1:]}
+
+
+def _score(content: Content) -> list[Finding]:
+    """The scores, with the mean errors in both frames; nothing without a best found."""
+    base, cases = content.baseline, content.table("cases")
+    found = {name: value for name, value in scores(content).items() if not math.isnan(value.value)}
+    if not found:
+        return []
+    best = max(found, key=lambda name: found[name].value)
+    errors = cases.groupby("controller", sort=False)[list(FRAMES)].mean()
+    frames = [
+        f"{word}: {listed([f'{number(float(errors.loc[name, metric]))} mm with {name}' for name in (*found, base)])}"
+        for metric, word in FRAMES.items()
+    ]
+    text = (
+        f"0 is {base}, 100 the best found, a search that knows plant, state and leak; in the frame of the sensor, and "
+        "with equal weights of the kinds of reference: "
+        f"{listed([f'{name} {interval_text(value, decimals=0)}' for name, value in found.items()])}. "
+        f"Mean error over all runs, {'; '.join(reversed(frames))}."
+    )
+    return [Finding(f"{best} scores {number(found[best].value, 0)} of 100.", text)]
 
 
 # What a leak does ---------------------------------------------------------------------------------------------------

@@ -88,7 +88,8 @@ def family_name(family: str) -> str:
 
 def correction_name(name: str, base: str) -> str:
     """The name of a policy that corrects another controller: "PPO on flow linearisation", "PPO on PID"."""
-    return f"{name} on {base if base[:2].isupper() else base[:1].lower() + base[1:]}"
+    on = f" on {base if base[:2].isupper() else base[:1].lower() + base[1:]}"
+    return name if name.endswith(on) else f"{name}{on}"
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from hydro_agents.evaluation.comparison import Grid
 from hydro_agents.evaluation.evaluate import Evaluation, ratio_table
 from hydro_agents.evaluation.metrics import METRICS
 from hydro_agents.running.statistics import Interval, share_interval
+from hydro_agents.running.text import correction_name
 from hydro_env import TaskConfig, __version__
 
 ENVIRONMENT = "ServoHydraulic-v0"
@@ -51,9 +52,10 @@ def controller_card(
         return None
     against = evaluation.controllers[0]
     algorithm = str(training.get("algorithm", "trained"))
+    called = f"{algorithm} alone" if corrects is None else correction_name(algorithm, corrects)
     config = getattr(getattr(controller, "features", None), "config", None)
     return _card(
-        title=f"{shipped if weights is None else name}: {algorithm} on a hydraulic servo axis",
+        title=f"{shipped if weights is None else name}: {called}, for a hydraulic servo axis",
         tags=["reinforcement-learning", "deep-reinforcement-learning", "hydraulics", ENVIRONMENT],
         library="stable-baselines3" if "stable-baselines3" in algorithm else "hydro_env",
         task={"type": "reinforcement-learning", "name": "positioning of a hydraulic servo axis"},
@@ -111,6 +113,9 @@ def card_file(name: str) -> str:
 def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | None) -> Iterator[Metric]:
     """Errors against the first and the corrected controller, and what they cost."""
     cases = evaluation.cases
+    for row in evaluation.score.to_dict("records"):
+        if row["controller"] == name:
+            yield _metric(f"score (0: {against}, 100: best found)", Interval(row["score"], row["low"], row["high"]))
     ratios = [evaluation.ratios[evaluation.ratios["controller"] == name]]
     if corrects not in (None, against) and corrects in evaluation.controllers:
         further = ratio_table(cases, [corrects, name])
@@ -119,6 +124,9 @@ def _tracking(evaluation: Evaluation, name: str, against: str, corrects: str | N
         ratio = Interval(row["ratio"], row["low"], row["high"])
         main = row["group"] in ("all", "equal_weight")
         yield _metric(f"mean error / {row['against']}'s, {_group(row)}", ratio, main)
+        if main:
+            sensed = Interval(*(row[f"ratio_sensor{end}"] for end in ("", "_low", "_high")))
+            yield _metric(f"mean error in the sensor's frame / {row['against']}'s, {_group(row)}", sensed, main)
     own, grid = cases[cases["controller"] == name], Grid(cases)
     for metric in METRICS.values():
         if metric.cost and metric.ratio:

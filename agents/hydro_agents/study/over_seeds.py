@@ -120,8 +120,11 @@ def _figures(study: StudySettings, folder: Path) -> Iterator[Figure]:
     """The figures of one study: what was trained, name of the figure, value."""
     seconds = Phases(folder).seconds
     ratios = pd.read_csv(folder / "tables" / "ratios.csv")
-    first = next(iter(study.controllers))
+    first, scores = next(iter(study.controllers)), folder / "tables" / "score.csv"
+    score = pd.read_csv(scores).set_index("controller")["score"] if scores.exists() else {}
     for name in study.trained:
+        if name in score:
+            yield name, "score", float(score[name])
         for group, words in RATIOS.items():
             own, corrected = (_ratio(ratios, who, group) for who in (name, study.controllers[name].corrects))
             yield name, f"{words} ÷ {first}'s", own

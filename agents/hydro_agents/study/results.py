@@ -18,8 +18,10 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.evaluation.evaluate import Evaluation, evaluate
 from hydro_agents.evaluation.leak_price import leak_price
 from hydro_agents.evaluation.limit_cycles import amplitude_text, rest_warning
+from hydro_agents.evaluation.metrics import FRAMES
 from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import shipped_weights
+from hydro_agents.report.content import interval, interval_text
 from hydro_agents.report.page import FIGURE_FILES
 from hydro_agents.report.sections import render_page
 from hydro_agents.report.study import STUDY, content_of, tables_of
@@ -187,6 +189,7 @@ def example_traces(config: TaskConfig, controllers: Mapping[str, Controller], le
 
 def print_summary(evaluation: Evaluation, display: ProgressDisplay) -> None:
     """Print the main figures as tables on the console, and one line for each controller that does not come to rest."""
+    display.console.lines(console_table(_scores(evaluation)))
     if len(evaluation.controllers) <= MOST_COLUMNS:
         display.console.lines(console_table(_errors_by_leak(evaluation)))
     display.console.lines(console_table(_errors_in_all(evaluation)))
@@ -209,6 +212,21 @@ def _errors_in_all(evaluation: Evaluation) -> Table:
         rows.append((str(name), f"{mean:.4f}", *ratios))
     header = ("controller", "mm", f"÷ {first} [95 %]", "references weighted equally")
     return Table("Mean absolute tracking error (test plants)", header, rows)
+
+
+def _scores(evaluation: Evaluation) -> Table:
+    """One row per controller: its score, and the mean errors in both frames."""
+    content = content_of(evaluation)
+    errors = evaluation.cases.groupby("controller", sort=False)[list(FRAMES)].mean()
+    rows = []
+    for name in evaluation.controllers:
+        score = interval_text(interval(content.row("score", controller=name), "score"), decimals=0)
+        rows.append((name, score, *(f"{errors.loc[name, metric]:.4f}" for metric in FRAMES)))
+    scale = f"0 is {evaluation.controllers[0]}, 100 the best found"
+    if not content.has("score"):
+        scale = "not given without a best found (bound_plants: 0)"
+    header = ("controller", "score", *(f"{word}, mm" for word in FRAMES.values()))
+    return Table(f"Score: {scale}", header, rows)
 
 
 def _errors_by_leak(evaluation: Evaluation) -> Table:

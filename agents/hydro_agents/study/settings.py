@@ -21,6 +21,7 @@ from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, shipped, usual_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
+from hydro_agents.running.text import correction_name
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
@@ -79,7 +80,7 @@ class StudySettings(Group):
     """A study: task, controllers, training and evaluation. ``configs/studies`` holds examples."""
 
     seed: int = Field(0, ge=0, le=2**32 - 1, description="seed of all random numbers; --seed overrides it")
-    title: str = "A servo axis that leaks: PID, PPO and the leakage head"
+    title: str = "Controllers of a servo axis that leaks"
     task: TaskConfig = Field(default_factory=TaskConfig)
     controllers: dict[Name, ControllerEntry] = Field(
         min_length=1, description="by name; the first one is the baseline of the comparison"
@@ -303,10 +304,7 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
     """The part of a study that works with the sensors of its task.
 
     A classical controller that reads an absent sensor is left out. A policy that corrects such a controller corrects
-    the last classical one before it instead. The leakage head needs all sensors.
-
-    Args:
-        study: the study.
+    the last classical one before it instead, also by name. The leakage head needs all sensors.
 
     Returns:
         The study, and one line per change; the study itself if the rig lacks no sensor.
@@ -329,6 +327,8 @@ def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[st
                 notes.append(f"{name} is left out: it corrects {entry.corrects}")
                 continue
             notes.append(f"{name} corrects {others[-1]} instead of {entry.corrects}")
+            if name.endswith(before := correction_name("", entry.corrects)):
+                name = name.removesuffix(before) + correction_name("", others[-1])
             entry = _correcting(entry, others[-1], CONTROLLERS[kept[others[-1]].kind][0])
         kept[name] = entry
     if not kept:
