@@ -8,12 +8,13 @@ from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import gain, search_space
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.learning.tuning import LEAK_LEVELS, REFUSED, Space, Trial, TuningCases, scores, tune
+from hydro_agents.learning.tuning import JUDGED, LEAK_LEVELS, REFUSED, REST, Space, Trial, TuningCases, scores, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_yaml
 from hydro_env.plant.analysis import speed_limits
+from hydro_env.task.configuration import task_config
 from hydro_env.task.reference_signals import MOVING_FAMILIES
 
 SHORT = TaskConfig(episode_duration=0.3)
@@ -43,6 +44,29 @@ def test_the_search_improves_and_repeats():
     equal, mean = (tune("pid", SHORT, objective, evaluations=90, **OPTIONS).score for objective in ("equal", "mean"))
     assert mean.mean < equal.mean
     assert mean.equal > equal.equal
+
+
+def test_of_several_tasks_the_geometric_mean_counts():
+    tasks = [SHORT, TaskConfig(episode_duration=0.3, control_period=0.01)]
+    best = tune("pid", tasks, evaluations=6, **OPTIONS)
+    found = []
+    for number, task in enumerate(tasks):
+        still = task_config(task, episode_duration=REST)
+        trials = (
+            Trial(task, TuningCases.of(task, 14, number), 1),
+            Trial(still, TuningCases.resting(number), 1, JUDGED),
+        )
+        found += scores(trials, [PID(best.gains, task)])
+    assert best.score.equal == pytest.approx(np.sqrt(found[0].equal * found[1].equal))
+    assert best.score.mean == pytest.approx(np.sqrt(found[0].mean * found[1].mean))
+
+
+def test_few_cases_hold_every_family():
+    for count in (6, 14, 21, 42):
+        cases = TuningCases.of(TaskConfig(), count)
+        numbers = [cases.families.count(family) for family in MOVING_FAMILIES]
+        assert max(numbers) - min(numbers) <= (0 if count % 6 == 0 else 1)
+        assert len(set(zip(cases.families, cases.leakage_flow_lpm, strict=True))) == count
 
 
 def test_a_stopped_search_goes_on_bit_equal(tmp_path):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydro_agents.commands.options import Output, Overwrite, Rig, Task, command_line, say, write_files
+from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
 from hydro_env import ConfigurationError
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ def export(
     output: Output = Path("results/export"),
     task: Task = None,
     rig: Rig = None,
+    period: Period = None,
+    latency: Latency = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
@@ -48,7 +50,7 @@ def export(
     signals in SI units to the voltage of the valve as `controller.onnx` and as C99, a test program with test vectors,
     and `contract.json`, which describes its inputs and outputs. Before the folder is written, its controller is
     compared with the one in Python. `hydro evaluate --agent exported=FOLDER` evaluates it. It needs `pip install
-    'hydro_env[export]'`.
+    'hydro_env[export]'`. A rig that nobody tuned: `hydro export flow_linearising --rig my.yaml --period 2ms`.
 
     `hydro export leakage_head` writes such a folder for the shipped leakage head: C99 from measured signals to the
     probability and size of a leak, and its network as ONNX.
@@ -58,6 +60,8 @@ def export(
     """
     from hydro_env.task.configuration import task_config
 
+    if what in OWN_PARTS and (period is not None or latency is not None):
+        raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
     if what == "plant":
         _export_plant(task_config(task, rig=rig), output, overwrite)
     elif what in ("leakage_head", "playground") and (task is not None or rig is not None):
@@ -67,9 +71,10 @@ def export(
     elif what == "playground":
         _export_playground(output, overwrite)
     else:
-        _export_controller(what, task, rig, output, overwrite)
+        _export_controller(what, (task, rig, period, latency), output, overwrite)
 
 
+Given = tuple[str | None, Path | None, str | None, str | None]  # task, rig, control period and latency
 Exported = tuple[Mapping[str, str | bytes], Sequence[str]]  # contents of files by name, and lines about them
 
 
@@ -110,22 +115,24 @@ def _export_playground(output: Path, overwrite: bool) -> None:
     _write(output, overwrite, [PAGE_FILE], lambda: ({PAGE_FILE: playground_page()}, ()))
 
 
-def _export_controller(what: str, task: str | None, rig: Path | None, output: Path, overwrite: bool) -> None:
+def _export_controller(what: str, given: Given, output: Path, overwrite: bool) -> None:
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.export.controller_folder import FILES, exported_files
     from hydro_agents.export.exported import ExportedController
     from hydro_agents.export.onnx_writer import onnx_package
-    from hydro_agents.learning.opponents import trained_for
+    from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
     from hydro_env import ConfigurationError, PlantParameters
 
     onnx_package()  # report a missing package at the start
-    controller, config = _controller_and_task(what, task, rig)
+    controller, config = _controller_and_task(what, given)
     if isinstance(controller, ExportedController):
         raise ConfigurationError(f"{what}: is an exported controller already")
     made_for = trained_for(controller)
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
-    if what in CONTROLLERS and config.plant != PlantParameters():
+    if takes_gains_for_any_rig(what, config):
+        say(f"{what}: gains for any rig, which nobody tuned for this one: docs/no_tuning.md says what they cost")
+    elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:
         print(
             f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "
             "tunes them; then export results/study/controllers/NAME",
@@ -134,15 +141,15 @@ def _export_controller(what: str, task: str | None, rig: Path | None, output: Pa
     _write(output, overwrite, FILES, lambda: exported_files(controller, config, command_line()))
 
 
-def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple[Controller, TaskConfig]:
+def _controller_and_task(what: str, given: Given) -> tuple[Controller, TaskConfig]:
     """The controller and the task for which it is exported: that of its training, unless the user gives one."""
     from hydro_agents.controllers.registry import CONTROLLERS
     from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, found_in, opponent, shipped
     from hydro_agents.learning.policy import PolicyController
+    from hydro_agents.running.tasks import timed_task
     from hydro_agents.running.weights import weight_files
     from hydro_env import ConfigurationError
     from hydro_env.mistakes import unknown
-    from hydro_env.task.configuration import task_config
 
     known = (*CONTROLLERS, *SHIPPED_WEIGHTS)
     path = Path(found_in(what))
@@ -150,8 +157,13 @@ def _controller_and_task(what: str, task: str | None, rig: Path | None) -> tuple
         raise ConfigurationError(
             f"export '{what}': {unknown(what, OWN_PARTS + known)}, the path of weights or gains, or module:attribute"
         )
-    config = task_config(task, rig=rig)
-    if task is None and rig is None:
+    config = timed_task(*given, f"export {what}")
+    if given[:2] == (None, None):
+        if given[2:] != (None, None) and what not in CONTROLLERS and ":" not in what:
+            raise ConfigurationError(
+                f"export {what}: --period and --latency need --rig or --task; gains and weights have those for which "
+                "they were made"
+            )
         controller: Controller | None = None
         if what in SHIPPED_WEIGHTS:
             controller = shipped(what, config)

@@ -25,6 +25,12 @@ Seed = Annotated[
 Resume = Annotated[bool, typer.Option("--resume", help="Continue from the results in the output folder.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace earlier results in the output folder.")]
 OverwriteFile = Annotated[bool, typer.Option("--overwrite", help="Replace the file.")]
+Period = Annotated[
+    str | None, typer.Option("--period", metavar="1ms", help="Control period; default: that of the task, 5 ms.")
+]
+Latency = Annotated[
+    str | None, typer.Option("--latency", metavar="0.5ms", help="From sampling to the new command; default: 1 ms.")
+]
 Agents = Annotated[
     list[str] | None,
     typer.Option(

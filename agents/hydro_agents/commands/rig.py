@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hydro_agents.commands.options import Overwrite, OverwriteFile, Rig, check_new_file, say
+from hydro_agents.commands.options import Latency, Overwrite, OverwriteFile, Period, Rig, check_new_file, say
 from hydro_agents.rigs.questions import QUESTIONS, Question, answers_from, parsed
 from hydro_env import ConfigurationError
 
@@ -126,13 +126,8 @@ def check_rig(
         Path | None, typer.Option("--output", "-o", help="Folder for check.csv and check.md; default: no files.")
     ] = None,
     overwrite: Overwrite = False,
-    period: Annotated[
-        str | None, typer.Option("--period", metavar="1ms", help="Control period; default: that of the task, 5 ms.")
-    ] = None,
-    latency: Annotated[
-        str | None,
-        typer.Option("--latency", metavar="0.5ms", help="From sampling to the new command; default: 1 ms."),
-    ] = None,
+    period: Period = None,
+    latency: Latency = None,
 ) -> None:
     """Print the figures that an engineer calculates by hand for a rig, and refuse a rig that cannot work.
 

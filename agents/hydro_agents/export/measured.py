@@ -132,12 +132,14 @@ class MeasuredMemory(NamedTuple):
 
     last: Array  # (signals,), the last valid samples
     waiting: NDArray[np.bool_]  # (), it starts at the next sample: none was complete, or the command was not a number
-    computed: dict[str, Array]  # velocity_estimate (), m/s, and error_integral (), m s, if the controller reads them
+    computed: dict[str, Array]
+    """If the controller reads them: velocity_estimate (), m/s, and error_integral (), m s. With them standby (),
+    whether the last call was a start with a complete sample."""
     controller: Any
 
 
 class Step(NamedTuple):
-    """Both continuations of a sample, a start from rest and a continuation, and which of them is valid."""
+    """Both continuations of a sample, a start and a continuation, and which of them is valid."""
 
     begins: Any  # (), whether the controller starts here
     lost: Array  # (), number of lost signals
@@ -164,8 +166,9 @@ class MeasuredController:
 
         Args:
             signals: (signals,), SI units; a lost signal is NaN or infinite.
-            start: (), whether the controller begins here.
-            memory: of the last call; at a start its values are ignored.
+            start: (), whether the controller begins here. In consecutive starts it stands by while another controller
+                drives the axis: it measures the speed with which it takes over.
+            memory: of the last call; at the first start its values are ignored.
         """
         s = self.signals
         present = np.less(np.absolute(signals), np.inf)
@@ -175,17 +178,20 @@ class MeasuredController:
 
         value = {name: held[place] for name, place in s.places.items()}
         computed: dict[str, Any] = {}
+        if memory.computed:
+            goes_on = np.logical_or(np.logical_not(begins), np.logical_and(start, memory.computed["standby"]))
+            computed["standby"] = np.logical_and(start, lost < 0.5)
         if "velocity_estimate" in s.used:
             rate = (value["position"] - memory.last[s.places["position"]]) / self._period
             speed = memory.computed["velocity_estimate"]
-            computed["velocity_estimate"] = np.where(begins, 0.0, speed + self._blend * (rate - speed))
+            computed["velocity_estimate"] = np.where(goes_on, speed + self._blend * (rate - speed), 0.0)
         if "tracking_error" in s.used or "error_integral" in s.used:
             value["tracking_error"] = error = value["reference"] - value["position"]
         if "error_integral" in s.used:
             integral = memory.computed["error_integral"]
             integral = integral + self._period * (error - integral / self._integral_time)
             integral = np.clip(integral, -self._integral_limit, self._integral_limit)
-            computed["error_integral"] = np.where(begins, 0.0, integral)
+            computed["error_integral"] = np.where(goes_on, integral, 0.0)
         value["previous_command"] = value["previous_voltage"] / FULL_VOLTAGE
         value |= {name: value[ahead_name(name)] - value["reference"] for name in s.previews} | computed
 
@@ -211,16 +217,21 @@ class MeasuredController:
         computed: dict[str, Array] = {
             name: np.zeros(()) for name in ("velocity_estimate", "error_integral") if name in s.used
         }
+        if computed:
+            computed["standby"] = np.array(False)
         plain = MeasuredMemory(rest, np.array(False), computed, None)
         observation = np.zeros((1, len(s.layout.names)), dtype=np.float32)
         observation[0] = [0.25 if "pressure" in name else 0.0 for name in s.layout.names]
         _, memory = self.controller.predict(observation, None)
         return plain._replace(controller=aligned((None, memory))[1])
 
-    def __call__(self, signals: Array, memory: MeasuredMemory | None) -> tuple[float, MeasuredMemory]:
+    def __call__(
+        self, signals: Array, memory: MeasuredMemory | None, start: bool = False
+    ) -> tuple[float, MeasuredMemory]:
         """Voltage, V, for a sample, and the memory for the next one; ``None`` starts."""
+        start = start or memory is None
         with np.errstate(all="ignore"):
-            step = self.step(signals, np.array(memory is None), memory if memory is not None else self.empty())
+            step = self.step(signals, np.array(start), memory if memory is not None else self.empty())
         way = dict(step.started if bool(step.begins) else step.continued)
         return float(way.pop("voltage")), MeasuredMemory(**step.common, **way)
 

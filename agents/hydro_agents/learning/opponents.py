@@ -18,12 +18,18 @@ from hydro_env.task.rig import read_rig
 
 _ATTRIBUTE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 SHIPPED_WEIGHTS = {"ppo": "policy"}
+ANY_RIG = ("flow_linearising",)
+"""Kinds whose class has gains for any rig as its defaults; benchmarks/no_tuning.py tunes and judges them."""
+
 EXPORTED = "hydro_agents.export.exported:ExportedController"
 """The class that runs a folder of ``hydro export``; by name, because that room imports this one."""
 
 
 def shipped(kind: str, config: TaskConfig) -> Controller:
-    """The tuned PID or the trained policy that comes with the project; made for the task's rig if such a one ships.
+    """The controller that comes with the project: with gains or weights of the task's rig, if such ones ship.
+
+    Flow linearisation has gains for any rig, the defaults of its class; it takes them on a rig that has none of its
+    own. Any other controller then takes those of the paper's rig.
 
     Raises:
         ConfigurationError: the kind is not shipped.
@@ -37,7 +43,9 @@ def shipped(kind: str, config: TaskConfig) -> Controller:
     """
     if kind in SHIPPED_WEIGHTS:
         return TRAINERS[kind].load(shipped_weights(kind, config))
-    settings = gains_file(kind, config) or config_folder() / "agents" / f"{kind}.yaml"
+    if takes_gains_for_any_rig(kind, config):
+        return make_controller(kind, config)
+    settings = gains_file(kind, config) or usual_gains(kind)
     if not settings.exists():
         raise ConfigurationError(f"kind '{kind}': no weights of this kind are shipped")
     return make_controller(kind, config, read_yaml(settings))
@@ -56,6 +64,16 @@ def shipped_rig(config: TaskConfig) -> str:
     if config.plant == PlantParameters() or config.control_period != TaskConfig().control_period:
         return ""
     return next((file.stem for file in files if read_rig(file).plant == config.plant), "")
+
+
+def takes_gains_for_any_rig(kind: str, config: TaskConfig) -> bool:
+    """Whether a kind has gains for any rig, and none of its own for the task's rig."""
+    return kind in ANY_RIG and config.plant != PlantParameters() and gains_file(kind, config) is None
+
+
+def usual_gains(kind: str) -> Path:
+    """The file of a classical controller's gains for the paper's rig."""
+    return config_folder() / "agents" / f"{kind}.yaml"
 
 
 def gains_file(kind: str, config: TaskConfig) -> Path | None:

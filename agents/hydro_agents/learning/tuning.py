@@ -11,7 +11,9 @@ Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evoluti
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
+import itertools
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -68,11 +70,13 @@ class TuningCases:
     def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
         """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
         known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-        seeds = LEARNING.training(seed, count)
+        seeds, levels = LEARNING.training(seed, count), len(LEAK_LEVELS)
+        # With fewer cases than pairs, the families take turns: none is missing.
+        turns = levels if count >= levels * len(known) else 1
         return cls(
             tuple(seeds),
-            tuple(LEAK_LEVELS[index % len(LEAK_LEVELS)] for index in range(count)),
-            tuple(known[(index // len(LEAK_LEVELS)) % len(known)] for index in range(count)),
+            tuple(LEAK_LEVELS[index % levels] for index in range(count)),
+            tuple(known[(index // turns) % len(known)] for index in range(count)),
         )
 
     @classmethod
@@ -176,6 +180,14 @@ def scores(trials: Sequence[Trial], controllers: Sequence[Controller | None]) ->
     return [Score(float(mean), float(value)) for mean, value in zip(costs[0].mean(axis=1), equal, strict=True)]
 
 
+def _over_tasks(costed: Sequence[Sequence[Score]]) -> list[Score]:
+    """The scores of each candidate on one task, or their geometric means over several."""
+    if len(costed) == 1:
+        return list(costed[0])
+    logs = np.log([[(score.mean, score.equal) for score in row] for row in costed])
+    return [Score(float(mean), float(equal)) for mean, equal in np.exp(logs.mean(axis=0))]
+
+
 class Space:
     """The search space of a class of gains as a unit cube; fields with ``logarithmic`` have a logarithmic scale."""
 
@@ -216,7 +228,7 @@ class Tuned:
 
 def tune(
     kind: str,
-    config: TaskConfig,
+    config: TaskConfig | Sequence[TaskConfig],
     objective: Objective = "equal",
     evaluations: int = EVALUATIONS,
     seed: int = 0,
@@ -231,7 +243,7 @@ def tune(
 
     Args:
         kind: the controller.
-        config: the task.
+        config: the task; of several tasks the geometric mean of the scores counts.
         objective: ``mean`` (mean absolute error) or ``equal`` (geometric mean over the families); see :class:`Score`.
         evaluations: total number of candidates, rounded up to whole generations.
         seed: of the optimiser and of the training cases.
@@ -249,7 +261,9 @@ def tune(
     if kind not in CONTROLLERS:
         raise ConfigurationError(f"kind '{kind}': {unknown(kind, CONTROLLERS)}")
     make, group = CONTROLLERS[kind]
-    space, base = Space(group, config.plant), start or group()
+    tasks = [config] if isinstance(config, TaskConfig) else list(config)
+    space, base = Space(group, tasks[0].plant), start or group()
+    described = [task.model_dump(mode="json") for task in tasks]
     settings = {
         "kind": kind,
         "objective": objective,
@@ -257,14 +271,16 @@ def tune(
         "cases": cases,
         "population": population,
         "start": base.model_dump(mode="json"),
-        "task": config.model_dump(mode="json"),
+        "task": described[0] if len(tasks) == 1 else hashlib.sha256(json.dumps(described).encode()).hexdigest(),
     }
     done = _read(log, settings) if log is not None and resume else []
-    still = task_config(config, episode_duration=REST)
-    trials = (
-        Trial(config, TuningCases.of(config, cases, seed), population),
-        Trial(still, TuningCases.resting(seed), population, JUDGED),
-    )
+    trials = [
+        (
+            Trial(task, TuningCases.of(task, cases, seed + number), population),
+            Trial(task_config(task, episode_duration=REST), TuningCases.resting(seed + number), population, JUDGED),
+        )
+        for number, task in enumerate(tasks)
+    ]
     optimiser = CMA(
         space.point(base),
         _SIGMA,
@@ -281,7 +297,9 @@ def tune(
             if generation < len(done):
                 costed = done[generation]
             else:
-                costed = scores(trials, [_controller(make, one, config) for one in gains])
+                costed = _over_tasks(
+                    [scores(pair, [_controller(make, one, pair[0].config) for one in gains]) for pair in trials]
+                )
                 rows.append(costed)
             costs = [getattr(score, objective) for score in costed]
             leader = int(np.argmin(costs))
@@ -294,7 +312,7 @@ def tune(
             if best is not None and generation >= len(done) and progress is not None:
                 progress(Tuned(best.gains, best.score, (generation + 1) * population))
     finally:
-        for trial in trials:
+        for trial in itertools.chain(*trials):
             trial.close()
     if best is None:
         raise ConfigurationError(f"{kind}: none of {generations * population} candidates could control the axis")

@@ -16,12 +16,12 @@ from hydro_agents.rigs.remarks import implausible, position_accuracy, stability_
 from hydro_agents.rigs.stable_gain import DRAWN, beyond_dead_band
 from hydro_agents.running.console import PlainConsole, console_table
 from hydro_agents.running.folders import output_folder
+from hydro_agents.running.tasks import timed_task
 from hydro_agents.running.text import Table, markdown
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
+from hydro_env import PlantParameters
 from hydro_env.files import read_yaml, write_text
 from hydro_env.plant.analysis import leak_at_test_pressure, speed_limits
 from hydro_env.plant.parameters import PARAMETER_PATHS
-from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import Rig, read_rig
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE
@@ -182,7 +182,7 @@ def check_to_console(
         ConfigurationError: the rig is wrong or cannot work, the timing is impossible, or the folder cannot be used.
     """
     given = read_rig(rig) if rig is not None else Rig(PlantParameters(), {}, {}, "rig")
-    task = _task(rig, period, latency)
+    task = timed_task(None, rig, period, latency, "check-rig")
     rows = [*check_rig(given.plant, given.source, task), position_accuracy(given, task)]
     warnings = implausible(given.plant)
     notes = [note for note in (stability_note(rows),) if note]
@@ -206,20 +206,6 @@ def check_to_console(
         console.print(line)
     console.print(console_table(_table(rows), left=(0, 1, 3)))
     return files
-
-
-def _task(rig: Path | None, period: str | None, latency: str | None) -> TaskConfig:
-    """The default task on the rig with another timing.
-
-    Raises:
-        ConfigurationError: period or latency is impossible; the message names the option.
-    """
-    timing = {"control_period": period, "command_latency": latency}
-    try:
-        return task_config({name: text for name, text in timing.items() if text is not None}, rig=rig)
-    except ConfigurationError as error:
-        fault = str(error).replace("control_period", "--period").replace("command_latency", "--latency")
-        raise ConfigurationError(fault.replace("task: --", "check-rig: --")) from None
 
 
 def _summary(rig: Rig) -> str:

@@ -55,6 +55,7 @@ class SeedRange:
 LEARNING = SeedRange(0, 500_000, "policies, gains and test moves")
 HEAD_TRAINING = SeedRange(500_000, 490_000, "windows of the leakage head")
 ACCURACY = SeedRange(990_001, 9_000, "the errors of the integrator")
+RIGS = SeedRange(999_100, 600, "drawn rigs, for the gains of any rig")
 SCALES = SeedRange(999_760, 240, "the scales of a policy's inputs and errors")
 
 # Validation -----------------------------------------------------------------------------------------------------------
@@ -72,6 +73,7 @@ TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
 # Test -----------------------------------------------------------------------------------------------------------------
 EVALUATION = SeedRange(2_000_000, 120_000, "controllers, best found, leak bound and estimator on the same plants")
 DIAGNOSIS = SeedRange(2_120_000, 20_000, "diagnosed recordings")
+UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "drawn rigs that nobody tuned, and their plants")
 ROBUSTNESS = SeedRange(2_200_000, 120_000, "the robustness protocol")
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
 LEAKAGE_ALARMS = SeedRange(2_450_000, 30_000, "the false alarms of the leakage protocol")

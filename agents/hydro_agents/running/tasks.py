@@ -45,6 +45,25 @@ def noiseless(config: TaskConfig) -> TaskConfig:
     return task_config(config, sensors={channel: {"noise": 0.0} for channel in CHANNELS})
 
 
+def timed_task(
+    task: str | None, rig: str | Path | None, period: str | None, latency: str | None, command: str
+) -> TaskConfig:
+    """A task on a rig with another control period and latency, each given with its unit.
+
+    Raises:
+        ConfigurationError: task or rig is wrong, or period or latency is impossible; the message names the option.
+    """
+    timing = {"control_period": period, "command_latency": latency}
+    given: dict[str, Any] = {name: text for name, text in timing.items() if text is not None}
+    if not given:
+        return task_config(task, rig=rig)
+    try:
+        return task_config(task, rig=rig, **given)
+    except ConfigurationError as error:
+        fault = str(error).replace("control_period", "--period").replace("command_latency", "--latency")
+        raise ConfigurationError(fault.replace("task: --", f"{command}: --")) from None
+
+
 class Surroundings(Group):
     """Changes of an axis under a condition of a protocol: task, plants and sensors, or another rig."""
 

@@ -18,7 +18,7 @@ from hydro_agents.controllers.registry import CONTROLLERS, imported, make_contro
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.evaluation.evaluate import ProtocolSettings
 from hydro_agents.evaluation.participants import split_name
-from hydro_agents.learning.opponents import SHIPPED_WEIGHTS, gains_file, opponent, shipped
+from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, shipped, usual_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
 from hydro_agents.running.text import correction_name
@@ -265,8 +265,8 @@ def default_study(
 ) -> StudySettings:
     """The study of a file or of ``make study``, optionally with another task or rig.
 
-    Gains belong to a rig. On another rig every classical controller is therefore tuned first. Controllers that need
-    absent sensors are left out, with one line each on standard error.
+    Gains belong to a rig. On another rig every classical controller is therefore tuned first; flow linearisation begins
+    with its gains for any rig. Controllers that need absent sensors are left out, with one line each on standard error.
 
     Args:
         path: name in ``configs/studies`` or YAML file of the study; default: ``default``.
@@ -282,17 +282,22 @@ def default_study(
     changes: dict[str, Any] = {"task": task_config(study.task if task is None else task, rig=rig)}
     if rig is not None:
         changes["title"] = f"{study.title} (rig: {Path(rig).stem})"
-        changes["controllers"] = {
-            name: entry.model_copy(update={"tune": entry.tune or TuningSettings()})
-            if entry.kind in CONTROLLERS
-            else entry
-            for name, entry in study.controllers.items()
-        }
+        changes["controllers"] = {name: _begun(entry) for name, entry in study.controllers.items()}
     study, notes = without_absent_sensors(study.model_copy(update=changes))
     for note in notes:
         print(f"hydro: {note}", file=sys.stderr)
     study.check("study" if path is None else str(path))
     return study
+
+
+def _begun(entry: ControllerEntry) -> ControllerEntry:
+    """The entry of a controller for another rig, which tunes it; gains of the paper's rig give way to those for any."""
+    if entry.kind not in CONTROLLERS:
+        return entry
+    changes: dict[str, Any] = {"tune": entry.tune or TuningSettings()}
+    if entry.kind in ANY_RIG and entry.settings == read_yaml(usual_gains(entry.kind)):
+        changes["settings"] = CONTROLLERS[entry.kind][1]().model_dump(mode="json")
+    return entry.model_copy(update=changes)
 
 
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
