@@ -5,8 +5,8 @@ import pytest
 from recorded import CONFIG, changed, healthy
 
 from hydro_agents.recordings.findings import Weight
-from hydro_agents.recordings.quality import check_recording
-from hydro_agents.recordings.sampling import bridged, cut
+from hydro_agents.recordings.quality import check_driving, check_recording
+from hydro_agents.recordings.sampling import bridged, cut, sampled
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight
@@ -156,3 +156,23 @@ def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recordi
     assert np.abs(error).max() < 0.5 * spread
     assert np.isnan(samples.signals[:4, np.searchsorted(samples.place, lost)]).all()
     assert cut(samples, 300).commanded.tolist() == [True, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "volts", "words"),
+    [
+        (18.0, 3.0, ["axis oscillates at 18 Hz (command ±3 V, position ±1 mm)"]),
+        (18.0, 50.0, ["axis oscillates at 18 Hz (command ±10 V, position ±1 mm)", "command at its limit"]),
+        (2.0, 3.0, []),  # a reference may do so
+        (18.0, 0.1, []),
+    ],
+)
+def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, volts, words):
+    time = CONFIG.control_period * np.arange(len(recording.time))
+    signals, phase = recording.signals.copy(), 2.0 * np.pi * frequency * time
+    signals[4], signals[0] = np.clip(0.1 * volts * np.sin(phase), -1.0, 1.0), 1e-3 * np.cos(phase)
+    found = check_driving(sampled(changed(recording, time=time, signals=signals), CONFIG), CONFIG)
+    assert len(found) == len(words)
+    for finding, said in zip(found, words, strict=True):
+        assert said in finding.line()
+        assert finding.weight is NOTE

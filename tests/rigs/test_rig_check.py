@@ -21,6 +21,7 @@ from hydro_agents.rigs.stable_gain import (
     loops_within_ranges,
     nominal_loops,
     pid_from_figures,
+    stable_pid,
     stable_start,
     weakest,
 )
@@ -441,3 +442,11 @@ def test_gains_that_were_tuned_for_the_rig_remain_the_start():
     study = default_study(Path("own_rig_quick"))
     settings = PIDGains(**study.controllers["PID"].settings)
     assert stable_start(study.task, settings) is settings
+
+
+def test_a_recording_never_drives_a_rig_with_unstable_gains_without_saying_so():
+    assert stable_pid(TaskConfig())[1] == ""
+    heavy = TaskConfig(plant=PlantParameters().replace(load={"mass": 3000.0}))
+    controller, said = stable_pid(heavy)
+    assert "half of the largest stable gain" in said
+    assert controller.gains == pid_from_figures(heavy)

@@ -13,6 +13,7 @@ LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
 NOTE = Finding("time", "has a gap of 200 ms", Weight.NOTE)
 STUCK = Finding("pressure_a", "is stuck at one value", Weight.FAULT)
+OSCILLATES = Finding("axis", "oscillates at 18 Hz", Weight.NOTE)
 WRONG = Finding("position", "reads metres", Weight.SEVERE)
 
 
@@ -37,6 +38,14 @@ CASES = {
     "no pressures, seems tight": (NO_PRESSURES, HEALTHY, None, Kind.UNKNOWN, "record one pressure"),
     "one pressure, tight": (NO_PRESSURES[:1], HEALTHY, None, Kind.HEALTHY, "healthy"),
     "no pressures, leak": (NO_PRESSURES, LEAK, None, Kind.LEAK, "internal leak"),
+    "severe finding of an axis that oscillates": (
+        [WRONG, OSCILLATES],
+        None,
+        None,
+        Kind.UNKNOWN,
+        "cannot tell: position reads metres; axis oscillates at 18 Hz",
+    ),
+    "model misfits an axis that oscillates": ([OSCILLATES], misfit(), None, Kind.UNKNOWN, "axis oscillates at 18 Hz"),
     "notes change nothing": ([NOTE], LEAK, None, Kind.LEAK, ""),
     "severe finding": ([NOTE, WRONG], LEAK, LEAK, Kind.UNKNOWN, "cannot tell: position reads metres"),
     "several severe findings": ([WRONG, WRONG], LEAK, LEAK, Kind.UNKNOWN, "(and 1 more)"),

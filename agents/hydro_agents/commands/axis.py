@@ -118,7 +118,11 @@ def record(
     task draws the parameters that are not known exactly.
     """
     from hydro_agents.learning.opponents import opponent
+    from hydro_agents.recordings.quality import check_driving
+    from hydro_agents.recordings.recording import read_recording
+    from hydro_agents.recordings.sampling import sampled
     from hydro_agents.recordings.simulated import named_faults, record_axis
+    from hydro_agents.rigs.stable_gain import stable_pid
     from hydro_env import ConfigurationError
     from hydro_env.task.configuration import task_config
     from hydro_env.task.reference_signals import FAMILIES
@@ -136,11 +140,13 @@ def record(
         return
     check_new_file(output, overwrite)
     config = task_config(exact_task(task, rig), rig=rig, episode_duration=20.0 if duration is None else duration)
-    mover = opponent(controller, config, "--controller")
+    mover, gains = stable_pid(config) if controller == "pid" else (opponent(controller, config, "--controller"), "")
     done = record_axis(output, config, mover, seed, leakage, family, faults, command_line())
     end = f"; the axis failed after {done.failed_at:g} s" if done.failed_at is not None else ""
     drawn = f"; parameters of the plant drawn by --seed {seed}" if config.randomisation else ""
     leak = f"leak {done.leakage_flow_lpm:.3g} l/min at 100 bar"
+    driving = check_driving(sampled(read_recording(output), config), config)
+    say(*([f"{output}: {gains}"] if gains else []), *(f"{output}: {finding.line()}" for finding in driving))
     say(f"{output}: {done.rows} rows, {done.duration:g} s, {leak}{drawn}{end}")
 
 

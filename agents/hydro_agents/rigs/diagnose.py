@@ -20,7 +20,7 @@ from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.recordings.quality import Checked, check_recording
+from hydro_agents.recordings.quality import AXIS, Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
 from hydro_agents.running.text import decimals_for, number
@@ -259,12 +259,13 @@ def judge(
         window: s, length of a window.
     """
     severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
+    driven = "".join(f"; {finding.line()}" for finding in findings if finding.signal == AXIS)
     if severe:
-        more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
+        more = (f" (and {len(severe) - 1} more)" if len(severe) > 1 else "") + driven
         return Verdict(Kind.UNKNOWN, severe[0].line() + more, None, "")
     sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
     besides = f"{Cause.SENSOR.word}: {sensors[0].line()}" if sensors else ""
-    blamed = "".join(f"; {finding.line()}" for finding in sensors[:1])
+    blamed = "".join(f"; {finding.line()}" for finding in sensors[:1]) + driven
     ran, misfits = estimator is not None and any(why != NO_COMMANDS for why in estimator.why), 0.0
     if estimator is not None and ran:
         read = np.array([why != NO_COMMANDS for why in estimator.why])

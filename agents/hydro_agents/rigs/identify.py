@@ -14,7 +14,7 @@ from hydro_agents.estimation.model import LONG_STEP, Model
 from hydro_agents.estimation.solver import equations_of, prior_belief, without
 from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, priors_of, starts_of
 from hydro_agents.recordings.columns import ColumnMap
-from hydro_agents.recordings.quality import Checked, check_recording
+from hydro_agents.recordings.quality import AXIS, Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.rigs.fit import DETERMINED, Combination, Fit, Progress, combinations, fit_windows
 from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, share_in_words, shown
@@ -112,13 +112,22 @@ class Identification(NamedTuple):
                 what = f"explains {int(self.fit.explained.sum())} of {len(self.fit.misfit)} windows"
             elif self.share >= LEAST_SHARE:
                 what = f"fits it only with values outside the rig file's ranges ({', '.join(self.beyond)})"
-            return (
-                f"the model does not describe this axis: it {what}; another machine, a wrong sign or unit, or a fault"
+            return "; ".join(
+                [
+                    f"the model does not describe this axis: it {what}",
+                    "another machine, a wrong sign or unit, or a fault",
+                    *_driven(self.checked),
+                ]
             )
         outcome = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
             outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
-        return f"{known} of {count} unknowns determined; {outcome}"
+        return "; ".join([f"{known} of {count} unknowns determined", outcome, *_driven(self.checked)])
+
+
+def _driven(checked: Checked) -> list[str]:
+    """That the axis oscillates or its valve saturates, as phrases."""
+    return [finding.line() for finding in checked.findings if finding.signal == AXIS]
 
 
 def identify(
@@ -139,7 +148,7 @@ def identify(
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     if checked.severe:
-        raise ConfigurationError(f"{path}: {checked.severe[0].line()}")
+        raise ConfigurationError(f"{path}: {'; '.join([checked.severe[0].line(), *_driven(checked)])}")
     parts = parts_of(checked.samples, str(path))
     fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress)
     try:

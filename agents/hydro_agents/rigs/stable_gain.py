@@ -8,10 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.pid import PIDGains
+from hydro_agents.controllers.registry import make_controller
 from hydro_agents.controllers.sampled_loop import SampledLoop, places_in_reach, sampled_loop
+from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_env import HydroError, PlantParameters, TaskConfig
-from hydro_env.files import Group
+from hydro_env.files import Group, read_yaml
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.parameters import from_vector, to_vector
 from hydro_env.plant.parts.leakage import leak_past_piston
@@ -148,3 +151,19 @@ def stable_start(task: TaskConfig, given: Group) -> Group:
     if sum(not loop.is_stable(given.proportional) for loop in loops) <= FEW_UNSTABLE * len(loops):
         return given
     return pid_from_figures(task, loops) or given
+
+
+def stable_pid(task: TaskConfig) -> tuple[Controller, str]:
+    """The shipped PID, or, where its gains are unstable on this rig, one from the rig's figures; and what was done.
+
+    The text is empty on a rig with gains of its own.
+    """
+    controller = shipped("pid", task)
+    if task.plant == PlantParameters() or gains_file("pid", task) is not None:
+        return controller, ""
+    given = PIDGains.model_validate(read_yaml(usual_gains("pid")))
+    start = stable_start(task, given)
+    if start == given:
+        return controller, "the gains of the PID were tuned for another rig; they are stable here"
+    what = "no PID was tuned for this rig, and the usual gains are unstable here: half of the largest stable gain acts"
+    return make_controller("pid", task, start.model_dump()), what
