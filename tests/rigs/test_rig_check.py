@@ -26,7 +26,7 @@ from hydro_agents.rigs.stable_gain import (
     weakest,
 )
 from hydro_agents.study.settings import default_study
-from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv
+from hydro_env import HydroError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
 from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.plant.kernel import STABLE_PRODUCT
@@ -446,7 +446,7 @@ def test_gains_that_were_tuned_for_the_rig_remain_the_start():
 
 def test_a_recording_never_drives_a_rig_with_unstable_gains_without_saying_so():
     assert stable_pid(TaskConfig())[1] == ""
-    heavy = TaskConfig(plant=PlantParameters().replace(load={"mass": 3000.0}))
+    heavy = TaskConfig(plant=PlantParameters().replace(load={"mass": 3000.0}), randomisation={})
     controller, said = stable_pid(heavy)
     assert "half of the largest stable gain" in said
     assert controller.gains == pid_from_figures(heavy)
