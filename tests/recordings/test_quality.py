@@ -47,7 +47,23 @@ def command_moved(by):
     return change
 
 
+def resting_encoder(recording):
+    """From 4.5 s on the axis rests: an encoder of 25 µm repeats its value while the command hunts in the dead band."""
+    signals, noise = recording.signals.copy(), np.random.default_rng(3)
+    count = signals.shape[1] - 900
+    signals[:, 900:] = signals[:, 899:900] + np.array([0.0, 5e3, 2e4, 1e-3, 0.0])[:, None] * noise.normal(size=count)
+    signals[3:, 900:] += 0.015 * np.sin(0.8 * np.arange(count)) - signals[3:, 899:900]
+    signals[0] = 25e-6 * np.round(signals[0] / 25e-6)
+    return changed(recording, signals=signals)
+
+
 CASES = {
+    "encoder at rest": (resting_encoder, []),
+    "end of the position's range": (
+        edited(0, slice(None), lambda v: np.minimum(v, np.quantile(v, 0.7))),
+        [(NOTE, " mm, the end of its readings: left out there")],
+    ),
+    "position frozen": (edited(0, slice(700, None), 0.0), [(FAULT, "position is stuck at one value")]),
     "nothing": (lambda r: r, []),
     "clock 1 % off": (restamped(lambda t: 1.01 * t), []),
     "chambers exchanged": (

@@ -7,7 +7,10 @@ import yaml
 from browser import problems_everywhere
 from command_line import assert_one_clear_line, hydro, own_lines
 from published import assert_published_page
-from recorded import recorded_file
+from recorded import CONFIG, recorded_file
+
+from hydro_agents.detection.estimator import AT_REST
+from hydro_agents.detection.operations import MOTIONS
 
 FILES = {".hydro.json", "diagnosis.html", "diagnosis.png", "findings.csv", "leak.csv", "figures"}
 
@@ -61,6 +64,12 @@ def test_faults_are_told_from_leaks(tmp_path, faults, leakage, words):
 def test_a_rig_that_the_model_does_not_describe_ends_in_cannot_tell(tmp_path):
     recorded_file(tmp_path / "a.csv", {"plant": {"friction": {"model": "lugre"}}}, leakage=1.0, duration=2.0)
     assert verdict_on(tmp_path, tmp_path / "a.csv").startswith("cannot tell: the model does not describe this rig")
+
+
+def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
+    task = MOTIONS["standing still"].change(CONFIG)
+    recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)
+    assert verdict_on(tmp_path, tmp_path / "a.csv") == f"cannot tell: {AT_REST}"
 
 
 def test_no_motion_and_no_window_end_in_cannot_tell(tmp_path):

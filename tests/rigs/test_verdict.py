@@ -6,6 +6,8 @@ import pytest
 from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from hydro_agents.rigs.diagnose import Kind, Limits, combined, judge
+from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
 
 LIMITS = Limits(0.03, 0.1)
 NO_PRESSURES = [Finding(f"pressure_{chamber}", NOT_RECORDED, Weight.NOTE) for chamber in "ab"]
@@ -26,6 +28,9 @@ def misfit(count=4):
 
 
 HEALTHY, LEAK = reading(0.01, 0.012, 0.011), reading(1.0, 1.02, 0.99)
+HALF_MISFIT = Reading.of(
+    [0.2, 0.2], [Cause.UNKNOWN, Cause.UNDETERMINED], fault=("", ""), why=("misfit", "more motion is needed")
+)
 CASES = {
     "healthy": ([], HEALTHY, None, Kind.HEALTHY, "healthy: leak past the piston 0.011 [0.001, 0.021]"),
     "leak": ([], LEAK, None, Kind.LEAK, "internal leak of 1.000 ["),
@@ -37,8 +42,15 @@ CASES = {
     "several severe findings": ([WRONG, WRONG], LEAK, LEAK, Kind.UNKNOWN, "(and 1 more)"),
     "model misfits": ([], misfit(), LEAK, Kind.UNKNOWN, "cannot tell: the model does not describe this rig"),
     "stuck sensor, tight seal": ([STUCK], HEALTHY, None, Kind.OTHER, "something else: sensor fault: pressure_a"),
-    "stuck sensor, no reading": ([STUCK], None, None, Kind.OTHER, "something else: sensor fault: pressure_a"),
-    "stuck sensor, model misfits": ([STUCK], misfit(), None, Kind.OTHER, "sensor fault"),
+    "stuck sensor, no reading": ([STUCK], None, None, Kind.UNKNOWN, "one window; pressure_a is stuck at one value"),
+    "stuck sensor, model misfits": ([STUCK], misfit(), LEAK, Kind.UNKNOWN, "check --rig; pressure_a is stuck"),
+    "stuck sensor, leak undetermined": (
+        [STUCK],
+        reading(0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
+        LEAK,
+        Kind.OTHER,
+        "something else: sensor fault: pressure_a",
+    ),
     "stuck sensor and leak": ([STUCK], LEAK, None, Kind.LEAK, "besides, sensor fault: pressure_a is stuck"),
     "worn valve": ([], reading(0.01, 0.01, fault="worn edges"), None, Kind.OTHER, "something else: worn edges;"),
     "worn valve and leak": ([], reading(1.0, 1.0, fault="worn edges"), None, Kind.LEAK, "besides, worn edges"),
@@ -61,9 +73,17 @@ CASES = {
     "small but sure": ([], reading(0.05, 0.05), None, Kind.LEAK, "internal leak of 0.050"),
     "head alone": ([], None, LEAK, Kind.LEAK, "internal leak"),
     "estimator leads": ([], HEALTHY, LEAK, Kind.HEALTHY, "healthy"),
+    "head does not lead where the estimator could not determine the leak": (
+        [],
+        reading(0.2, 0.2, cause=Cause.UNDETERMINED, why="more motion is needed"),
+        LEAK,
+        Kind.UNKNOWN,
+        "cannot tell: more motion is needed",
+    ),
+    "head does not lead where half of the windows misfit": ([], HALF_MISFIT, LEAK, Kind.UNKNOWN, "cannot tell: "),
     "head leads where the estimator reads nothing": (
         [],
-        reading(0.2, cause=Cause.UNDETERMINED, why="commands are missing in the window"),
+        reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS),
         LEAK,
         Kind.LEAK,
         "internal leak",
@@ -82,6 +102,15 @@ def test_rule(case):
 
 def test_cannot_tell_gives_no_number_for_a_rig_that_the_model_does_not_describe():
     assert judge([], misfit(), LEAK, LIMITS).leak is None
+
+
+def test_limits_grow_with_the_flow_of_the_rig_and_stay_if_the_task_gives_its_own():
+    default = TaskConfig()
+    assert Limits.of(default) == LIMITS
+    wide = default.plant.replace(valve={"rated_flow": 4.0 * default.plant.valve.rated_flow})
+    assert Limits.of(task_config(default, plant=wide)) == pytest.approx((0.12, 0.4))
+    own = {"leakage": {"class_bounds": [0.05, 0.3, 1.0]}}
+    assert Limits.of(task_config(task_config(default, **own), plant=wide)) == (0.05, 0.1)
 
 
 def test_a_leak_that_has_changed_is_that_of_the_end():

@@ -3,6 +3,7 @@
 Its unknowns are the parameters that the task draws and those that change by wear: the valve's null shift, its edges,
 its flow, the return line, and offsets of the sensors. Without the latter the model would read a leak on an axis with a
 worn valve. Windows without signs of wear are fitted again without it: the simpler model gives the leak more precisely.
+A window at rest shows no signs of wear, whatever the valve is like, so that its leak keeps the uncertainty of the wear.
 """
 
 from __future__ import annotations
@@ -26,16 +27,23 @@ from hydro_agents.estimation.unknowns import (
     default_unknowns,
 )
 from hydro_agents.running.text import number
-from hydro_env import TaskConfig
+from hydro_env import PlantParameters, TaskConfig
+from hydro_env.plant.analysis import speed_limits
+from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
+from hydro_env.task.sensors import SENSORS
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 
 Progress = Callable[[int], None]
 
 SURE = 3.0  # distance of an estimate from its healthy range that names a fault, in standard deviations
 WIDE_BIAS = 3.0  # standard deviation of a sensor's offset, relative to the largest offset of the data sheet
-DETERMINED = 0.05  # largest standard deviation of a valid reading, in l/min at 100 bar, or as a share of the leak
+DETERMINED = 0.05
+"""Largest standard deviation of a valid reading, as a share of the leak, or in l/min at 100 bar on the default rig; on
+other rigs it grows with their flow (:func:`leak_scale`)."""
+
+LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
 
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
@@ -46,6 +54,7 @@ offset of a sensor relative to its data sheet."""
 
 MISFIT = "the model does not explain the readings"
 UNDETERMINED = "the window does not determine the leak; more motion is needed"
+AT_REST = "at rest a worn valve and a leak look alike; move the axis"
 
 
 class Wear(NamedTuple):
@@ -109,14 +118,21 @@ class EstimatorDetector:
         worn = self._fit(signals, expected, True, progress)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
-        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1))
+        still = self._at_rest(signals, task)
+        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
             plain, rows = self._fit_again(signals, simple, expected, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
-        return self._reading(worn, excess, value, deviation, task).among(chosen, len(windows), NO_COMMANDS)
+        return self._reading(worn, excess, value, deviation, still, task).among(chosen, len(windows), NO_COMMANDS)
+
+    def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
+        """Windows (N,) that stand still and thus cannot show whether the valve is worn."""
+        position = signals[:, SENSORS.index("position")]
+        travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
+        return np.asarray(travel < LEAST_TRAVEL * task.sensors.position.noise)
 
     def names(self, task: TaskConfig, worn: bool) -> tuple[str, ...]:
         """Unknowns of a fit, with or without wear."""
@@ -139,9 +155,17 @@ class EstimatorDetector:
         spread = np.hypot(deviation, LEAST_DEVIATION * bound)
         return (value - bound) / spread, deviation / spread
 
-    def _reading(self, worn: Estimate, excess: Floats, value: Floats, deviation: Floats, task: TaskConfig) -> Reading:
+    def _reading(
+        self,
+        worn: Estimate,
+        excess: Floats,
+        value: Floats,
+        deviation: Floats,
+        still: NDArray[np.bool_],
+        task: TaskConfig,
+    ) -> Reading:
         fits = worn.holds & (value + SURE * deviation >= 0.0)  # a negative leak: the model is wrong
-        known = deviation <= np.maximum(DETERMINED, DETERMINED * value)
+        known = deviation <= DETERMINED * np.maximum(leak_scale(task), value)
         causes = np.array([wear.cause for wear in WEAR.values()])
         cause = np.where(excess.max(axis=1) > 0.0, causes[excess.argmax(axis=1)], Cause.NONE)
         score, sigma = self._score(value, deviation, task)
@@ -154,7 +178,7 @@ class EstimatorDetector:
             low_lpm=value - HALF_WIDTH * deviation,
             high_lpm=value + HALF_WIDTH * deviation,
             fault=_in_words(worn, excess > 0.0),
-            why=tuple(np.where(~fits, MISFIT, np.where(known, "", UNDETERMINED)).tolist()),
+            why=tuple(np.where(~fits, MISFIT, np.where(known, "", np.where(still, AT_REST, UNDETERMINED))).tolist()),
         )
 
 
@@ -192,8 +216,22 @@ class FollowingDetector(EstimatorDetector):
     ) -> tuple[Estimate, NDArray[np.int64]]:
         return self._fit(signals, task, False), simple  # a follower needs all axes
 
+    def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
+        del task  # the alarm compares the readings of an axis at rest with one another
+        return np.zeros(len(signals), dtype=np.bool_)
+
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
         return value, deviation
+
+
+def leak_scale(task: TaskConfig) -> float:
+    """Flow into chamber a at full opening over that of the default rig: what counts as a small leak grows with it."""
+    return _full_flow(task.plant) / _full_flow(PlantParameters())
+
+
+def _full_flow(plant: PlantParameters) -> float:
+    """Piston area times the speed at full opening, the mean of both directions, m³/s."""
+    return plant_coefficients(plant).area_a * float(np.mean(speed_limits(plant)))
 
 
 def wear_priors(task: TaskConfig) -> dict[str, Prior]:

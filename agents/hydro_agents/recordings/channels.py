@@ -12,6 +12,7 @@ from hydro_agents.recordings.columns import COMMAND, MEASURED, UNITS
 from hydro_agents.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_agents.recordings.sampling import Sampled
 from hydro_env import TaskConfig
+from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.sensors import Sensor
 
 Floats = NDArray[np.float64]
@@ -20,8 +21,10 @@ Found = tuple[NDArray[np.bool_], str, Weight]
 MOST_MISSING = 0.2  # share of a channel
 MOST_SATURATED = 0.6  # largest share of a channel at an end of its range: a cavitating pressure stays at zero
 
-ACTIVE_COMMAND = 0.01
-"""Range of the command, as a fraction of full command, over which a sensor without noise must change."""
+ACTIVE_COMMAND = 0.01  # range of the command, as a fraction of full command, over which the spool must move
+FEWEST_STEPS = 20.0  # change of another channel that a sensor cannot miss, in steps of its acquisition
+LEAST_TRAVEL = 2e-3  # m; travel that the oil through the valve would cause
+LEAST_PRESSURE_CHANGE = 0.02  # of the other chamber, as a share of the supply pressure
 
 MOST_SPIKES = 0.05  # largest share of out-of-range values that count as single spikes, which are left out
 DROP = 0.1  # smallest fall of a reading, as a fraction of the sensor's range, when its current loop breaks
@@ -31,6 +34,7 @@ LEAST_SHARE = 0.05  # smallest used fraction of a signal's range
 LEAST_PRESSURE = 0.2  # fraction of the supply pressure that at least one of the two chambers reaches
 
 PRESSURES = (MEASURED.index("pressure_a"), MEASURED.index("pressure_b"))
+SPOOL = MEASURED.index("spool_position")
 
 OVERRANGE = 1.05  # readings may exceed the rig's limits by 5 %
 
@@ -162,24 +166,55 @@ def _at_end(values: Floats, sensor: Sensor) -> NDArray[np.bool_]:
 
 
 def _stuck(values: Floats, samples: Sampled, signal: str, config: TaskConfig) -> Found:
-    """Runs of equal readings that the sensor's noise or the axis's motion rules out."""
+    """Runs of equal readings while another channel shows that this one must have changed.
+
+    Equal readings alone are no fault: an encoder repeats its value while the axis rests, and a position that leaves
+    its highest or lowest reading again was at the end of the sensor's range or of the stroke.
+    """
     sensor = getattr(config.sensors, signal)
     same = np.append(False, (np.diff(values) == 0.0) & (np.diff(samples.place) == 1)) & ~_at_end(values, sensor)
     shortest = max(FEWEST, round(SHORTEST / samples.period))
-    noisy = config.sensors.enabled and sensor.noise > 0.5 * sensor.resolution
-    command, stuck, runs = samples.signals[COMMAND], np.zeros(len(values), dtype=np.bool_), 0
+    stuck, ended, runs = np.zeros(len(values), dtype=np.bool_), np.zeros(len(values), dtype=np.bool_), 0
+    extremes = (np.nanmin(values), np.nanmax(values)) if np.isfinite(values).any() else ()
     for begin, end in zip(*runs_of(same), strict=True):
         if end - begin < shortest:
             continue
-        acting = command[begin:end]
-        moving = np.isfinite(acting).any() and np.nanmax(acting) - np.nanmin(acting) > ACTIVE_COMMAND
-        # Real sensors may be better than those of the task: without motion, only a long run counts.
-        if moving or (noisy and end - begin >= 10 * shortest):
+        if signal == "position" and values[begin] in extremes and end < len(values):
+            ended[begin - 1 : end] = True
+        elif _must_change(samples.signals[:, begin - 1 : end], signal, samples, config):
             stuck[begin - 1 : end] = True
             runs += 1
     levels = np.unique(values[stuck])
-    cut = runs > 1 and len(levels) == 1 and levels[0] in (np.nanmin(values), np.nanmax(values))
-    return stuck, f"is cut off at {_shown(signal, levels[0])}" if cut else "is stuck at one value", Weight.FAULT
+    cut = runs > 1 and len(levels) == 1 and levels[0] in extremes
+    if not runs and ended.any():
+        ends = " and ".join(_shown(signal, end) for end in extremes if end in values[ended])
+        return ended, f"rests at {ends}, the end of its readings: left out there", Weight.NOTE
+    return stuck | ended, f"is cut off at {_shown(signal, levels[0])}" if cut else "is stuck at one value", Weight.FAULT
+
+
+def _must_change(during: Floats, signal: str, samples: Sampled, config: TaskConfig) -> bool:
+    """Whether the other channels (5, n) of a stretch show a motion that ``signal`` cannot miss.
+
+    The spool follows the command. The piston follows the oil through the valve, whatever constant part of it a shifted
+    null or a leak takes. A pressure changes with that of the other chamber; if that was not recorded, with the command.
+    """
+    command = during[COMMAND]
+    swing = np.ptp(command[np.isfinite(command)]) if np.isfinite(command).any() else 0.0
+    if signal == "spool_position":
+        return bool(swing > max(ACTIVE_COMMAND, FEWEST_STEPS * config.sensors.spool_position.resolution))
+    if signal == "position":
+        spool = during[SPOOL] if np.isfinite(during[SPOOL]).all() else command
+        if not np.isfinite(spool).all():
+            return False
+        travel = np.cumsum(spool - spool.mean()) * samples.period * np.mean(speed_limits(config.plant))
+        return bool(np.ptp(travel) > max(LEAST_TRAVEL, FEWEST_STEPS * config.sensors.position.resolution))
+    other = PRESSURES[0] if signal == "pressure_b" else PRESSURES[1]
+    known = during[other][np.isfinite(during[other])]
+    if len(known) < 2:
+        return bool(swing > ACTIVE_COMMAND)
+    noise = 1.05 * np.median(np.abs(np.diff(known)))  # of one reading: 1.483 / √2 of that of a difference
+    low, high = np.quantile(known, [0.05, 0.95])
+    return bool(high - low > max(10.0 * noise, LEAST_PRESSURE_CHANGE * config.plant.supply.pressure))
 
 
 def _shown(signal: str, value: float) -> str:

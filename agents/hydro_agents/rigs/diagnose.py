@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Detector, Reading, Windows
-from hydro_agents.detection.estimator import EstimatorDetector
+from hydro_agents.detection.estimator import EstimatorDetector, leak_scale
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HeadDetector
@@ -25,6 +25,7 @@ from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, cut
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
+from hydro_env.task.configuration import LeakageDraw
 
 Progress = Callable[[str, int, int], None]
 
@@ -123,7 +124,7 @@ def diagnose(
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     windows = cut(checked.samples, max(round(window / config.control_period), 2))
-    limits = Limits(config.leakage.class_bounds[0], config.leakage.faulty_range[0])
+    limits = Limits.of(config)
     estimator, reading, watched = None, None, None
     note = second.refuses(config, windows.samples)
     if not checked.severe and len(windows):
@@ -201,6 +202,13 @@ class Limits(NamedTuple):
     healthy: float  # largest leak of a healthy seal
     fault: float  # smallest leak that counts as a fault
 
+    @classmethod
+    def of(cls, config: TaskConfig) -> Limits:
+        """Those of the task; its defaults hold for the default rig, and grow with the flow of a rig."""
+        given, usual = ((one.class_bounds[0], one.faulty_range[0]) for one in (config.leakage, LeakageDraw()))
+        scale = leak_scale(config) if given == usual else 1.0
+        return cls(scale * given[0], scale * given[1])
+
 
 class Verdict(NamedTuple):
     """The answer."""
@@ -224,20 +232,19 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
     """The verdict on a recording; the first rule that applies decides.
 
     1. A severe finding about the recording → **cannot tell**: what was found.
-    2. A sensor sticks or loses readings, and the estimator's model explains less than half of the windows, or no
-       detector has read a window → **something else**: that sensor.
-    3. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this
-       rig.
-    4. No detector has read a window → **cannot tell**: why not.
-    5. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any
+    2. The estimator's model explains less than half of the windows → **cannot tell**: the model does not describe this
+       rig. No sensor is blamed then: a model that does not explain the other channels is no witness against one.
+    3. The estimator has read windows, and none determines the leak; or no detector has read a window → **something
+       else** if a sensor sticks or loses readings while the model explains the others, otherwise **cannot tell**: why.
+    4. The interval of the leak lies above the largest leak of a healthy seal → **internal leak** of that size; any
        other fault is named too.
-    6. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
-    7. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither
+    5. A sensor sticks or loses readings, or most windows show another fault → **something else**: which.
+    6. The interval lies below the smallest leak that counts as a fault → **healthy**; **cannot tell** if neither
        pressure was recorded.
-    8. The interval contains healthy and faulty leaks → **cannot tell**.
+    7. The interval contains healthy and faulty leaks → **cannot tell**.
 
-    The estimator decides if it has read at least one window, because its model shows when it is not valid; otherwise
-    the leakage head decides.
+    The estimator decides if it has run, because its model shows when it is not valid, and its intervals what a
+    recording does not determine; the leakage head decides only where the estimator has not run.
 
     Args:
         findings: about the recording.
@@ -245,23 +252,26 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         head: readings of the leakage head in the order of time; ``None``: it was not used.
         limits: of leaks.
     """
-    readings = {"estimator": estimator, "leakage head": head}
-    leader = next((name for name, reading in readings.items() if reading is not None and reading.answers.any()), "")
-    reading = readings.get(leader)
     severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
     if severe:
         more = f" (and {len(severe) - 1} more)" if len(severe) > 1 else ""
         return Verdict(Kind.UNKNOWN, severe[0].line() + more, None, "")
     sensors = [finding for finding in findings if finding.weight is Weight.FAULT]
     besides = f"{Cause.SENSOR.word}: {sensors[0].line()}" if sensors else ""
-    if estimator is not None and _share(estimator.cause == Cause.UNKNOWN) > MOST:
-        if besides:
-            return Verdict(Kind.OTHER, besides, None, "estimator")
-        share = number(100.0 * _share(estimator.cause == Cause.UNKNOWN), 0)
-        why = f"the model does not describe this rig: it explains too little in {share} % of the windows; check --rig"
-        return Verdict(Kind.UNKNOWN, why, None, "estimator")
-    if reading is None:
-        return Verdict(*(Kind.OTHER, besides) if besides else (Kind.UNKNOWN, _why_nothing(estimator, head)), None, "")
+    blamed = "".join(f"; {finding.line()}" for finding in sensors[:1])
+    ran, misfits = estimator is not None and any(why != NO_COMMANDS for why in estimator.why), 0.0
+    if estimator is not None and ran:
+        read = np.array([why != NO_COMMANDS for why in estimator.why])
+        misfits = _share(estimator.cause[read] == Cause.UNKNOWN)
+        if misfits > MOST:
+            why = "the model does not describe this rig: it explains too little in "
+            why += f"{number(100.0 * misfits, 0)} % of the windows; check --rig{blamed}"
+            return Verdict(Kind.UNKNOWN, why, None, "estimator")
+    leader, reading = ("estimator", estimator) if ran else ("leakage head", head)
+    if reading is None or not reading.answers.any():
+        if ran and besides and misfits < MOST:
+            return Verdict(Kind.OTHER, besides, None, leader)
+        return Verdict(Kind.UNKNOWN, _why_nothing(estimator, head) + blamed, None, "")
     leak, change = combined(reading)
     besides = besides or named_fault(reading)
     if leak.low > limits.healthy:
