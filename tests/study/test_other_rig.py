@@ -7,6 +7,7 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.commands.options import exact_task
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.features import PolicyFeatures
@@ -184,7 +185,7 @@ def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
     study = default_study(rig="symmetric_eha").with_shipped_gains()
     assert study.tuned == []
     gains = read_yaml(config_folder() / "agents" / "pid_symmetric_eha.yaml")
-    assert study.make("PID").gains.model_dump() == gains
+    assert study.make("PID").gains == PIDGains(**gains)
     assert shipped("ppo", study.task).features.config.plant == study.task.plant
     assert gains_file("pid", TaskConfig()) is None
     other = task_config(study.task, control_period=0.002)  # the shipped gains are for another period
