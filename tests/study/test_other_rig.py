@@ -7,11 +7,12 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.commands.options import exact_task
+from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
 from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.features import PolicyFeatures
-from hydro_agents.learning.opponents import gains_file, shipped
+from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
@@ -179,6 +180,16 @@ def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, mo
     assert named.stderr.splitlines()[-1].startswith("hydro: mine: was trained on other observations")
     assert hydro("evaluate", "--rig", "symmetric_eha", "--output", tmp_path / "other").returncode == 0
     assert seen[1:] == [["PID", "Flow linearisation", "PPO on flow linearisation"]]
+
+
+def test_on_another_rig_flow_linearisation_begins_with_its_gains_for_any_rig(tmp_path):
+    found = default_study(rig="kovari_2015").controllers["Flow linearisation"]
+    assert found.settings == FlowLinearisingGains().model_dump()
+    assert found.tune is not None
+    assert default_study().controllers["Flow linearisation"].settings == read_yaml(usual_gains("flow_linearising"))
+    file = tmp_path / "study.yaml"
+    file.write_text("controllers: {mine: {kind: flow_linearising, settings: {position_gain: 0.5}}}\n")
+    assert default_study(file, rig="kovari_2015").controllers["mine"].settings == {"position_gain": 0.5}  # the user's
 
 
 def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
