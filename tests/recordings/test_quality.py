@@ -6,7 +6,7 @@ from recorded import CONFIG, changed, healthy
 
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.recordings.quality import check_recording
-from hydro_agents.recordings.sampling import cut
+from hydro_agents.recordings.sampling import bridged, cut
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight
@@ -143,3 +143,16 @@ def test_windows_keep_gaps_as_missing_samples(recording):
     np.testing.assert_array_equal(windows.signals[0], recording.signals[:, :300])
     assert np.isnan(windows.signals[1, :, 100:140]).all()
     np.testing.assert_array_equal(windows.signals[1, :, 140:], recording.signals[:, 440:600])
+
+
+def test_single_lost_commands_are_filled_in_from_the_signals_around_them(recording):
+    lost = np.arange(50, 1150, 100)
+    damaged = rows(lambda n: np.delete(np.arange(n), [*lost, 1000, 1001, 1002, 1003]))(recording)
+    samples, findings = bridged(check_recording(damaged, CONFIG).samples)
+    assert [finding.weight for finding in findings] == [NOTE]
+    assert np.isin([*lost, 999, 1000], samples.place).tolist() == [True] * len(lost) + [True, False]
+    error = samples.signals[4, np.searchsorted(samples.place, lost)] - recording.signals[4, lost]
+    spread = np.std(recording.signals[4, lost] - recording.signals[4, lost - 1])
+    assert np.abs(error).max() < 0.5 * spread
+    assert np.isnan(samples.signals[:4, np.searchsorted(samples.place, lost)]).all()
+    assert cut(samples, 300).commanded.tolist() == [True, True, True, False]

@@ -100,6 +100,12 @@ def test_rule(case):
     assert "\n" not in verdict.line()
 
 
+def test_the_advice_is_not_the_option_that_was_just_used():
+    gaps = reading(0.2, cause=Cause.UNDETERMINED, why=NO_COMMANDS)
+    assert "--window 0.5" in judge([], gaps, None, LIMITS, window=2.0).line()
+    assert judge([], gaps, None, LIMITS, window=0.5).line().endswith("record without gaps")
+
+
 def test_cannot_tell_gives_no_number_for_a_rig_that_the_model_does_not_describe():
     assert judge([], misfit(), LEAK, LIMITS).leak is None
 

@@ -231,7 +231,7 @@ def leak_scale(task: TaskConfig) -> float:
 
 def _full_flow(plant: PlantParameters) -> float:
     """Piston area times the speed at full opening, the mean of both directions, m³/s."""
-    return plant_coefficients(plant).area_a * float(np.mean(speed_limits(plant)))
+    return float(plant_coefficients(plant).area_a * np.mean(speed_limits(plant)))
 
 
 def wear_priors(task: TaskConfig) -> dict[str, Prior]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.recordings.columns import COMMAND, UNITS
-from hydro_agents.recordings.findings import Finding, Weight, finding_of, severe_if
+from hydro_agents.recordings.findings import Finding, Weight, finding_of, runs_of, severe_if
 from hydro_agents.recordings.recording import Recording
 from hydro_env import TaskConfig
 
@@ -28,6 +28,8 @@ MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
 
 FOLLOWING = 0.1
 """Share of a stamp's deviation by which the clock is corrected: a slightly wrong clock then loses no row."""
+
+LONGEST_FILL = 3  # largest number of successive missing commands that are filled in
 
 HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
 
@@ -88,6 +90,48 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
         chosen = place % rows_per_period == phase
     index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
     return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+
+
+def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
+    """The samples with up to LONGEST_FILL missing commands in a row filled in, and a finding about them.
+
+    Lost rows come back with this command alone; readings stay missing. A command comes from the signals
+    around it: the linear combination that fits the other commands of the recording best.
+    """
+    jumps = np.diff(samples.place)
+    lost = [
+        samples.place[k] + np.arange(1, jumps[k]) for k in np.flatnonzero((jumps > 1) & (jumps <= LONGEST_FILL + 1))
+    ]
+    place = np.sort(np.concatenate([samples.place, *lost])).astype(np.int64)
+    signals = np.full((len(samples.signals), len(place)), np.nan)
+    signals[:, np.searchsorted(place, samples.place)] = samples.signals
+    missing = np.isnan(signals[COMMAND])
+    filled = np.zeros(len(place), dtype=np.bool_)
+    for begin, end in zip(*runs_of(missing), strict=True):
+        inside = begin > 0 and end < len(place) and end - begin <= LONGEST_FILL
+        filled[begin:end] = inside and place[end] - place[begin - 1] == end - begin + 1
+    if not filled.any():
+        return samples, []
+    signals[COMMAND, filled] = _likely(signals, filled)
+    time = np.interp(place, samples.place, samples.time)
+    what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
+    finding = finding_of(filled, time, "command", what, Weight.NOTE)
+    return samples._replace(place=place, time=time, signals=signals), [finding]
+
+
+def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
+    """The commands at ``filled``, from all signals in the two rows before and after."""
+    places, sure = np.arange(signals.shape[1]), np.isfinite(signals[COMMAND])
+    inputs = [np.ones(len(places))]
+    for values in signals:
+        known = np.isfinite(values)
+        if known.any():
+            whole = np.interp(places, places[known], values[known])
+            scale = float(whole.std()) or 1.0
+            inputs += [np.roll((whole - whole.mean()) / scale, by) for by in (2, 1, -1, -2)]
+    around = np.column_stack(inputs)
+    weights, *_ = np.linalg.lstsq(around[sure], signals[COMMAND, sure], rcond=None)
+    return np.asarray(np.clip(around[filled] @ weights, -1.0, 1.0))
 
 
 def cut(samples: Sampled, length: int) -> Windows:

@@ -22,7 +22,7 @@ from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
-from hydro_agents.recordings.sampling import Sampled, cut
+from hydro_agents.recordings.sampling import Sampled, bridged, cut
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.configuration import LeakageDraw
@@ -33,7 +33,8 @@ MOST = 0.5  # share of the windows that counts as "most"
 CHANGED = 3.0
 """Change of the leak within the recording that the verdict mentions, in standard deviations of a window's reading."""
 
-SHORTER = "shorter ones (--window 0.5) may fit between the gaps, and read the leak less exactly"
+SHORT = 0.5  # s; the shortest window that is recommended
+SHORTER = f"shorter ones (--window {SHORT:g}) may fit between the gaps, and read the leak less exactly"
 
 MOST_GAPS = 20
 """Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
@@ -123,7 +124,9 @@ def diagnose(
     second = HeadDetector(head) if isinstance(head, LeakageHead) else head
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
-    windows = cut(checked.samples, max(round(window / config.control_period), 2))
+    whole, filled = bridged(checked.samples)
+    checked = Checked(whole, [*checked.findings, *filled])
+    windows = cut(whole, max(round(window / config.control_period), 2))
     limits = Limits.of(config)
     estimator, reading, watched = None, None, None
     note = second.refuses(config, windows.samples)
@@ -140,7 +143,7 @@ def diagnose(
             chosen = np.flatnonzero(windows.commanded)
             reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
             watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
-    verdict = judge(checked.findings, estimator, reading, limits)
+    verdict = judge(checked.findings, estimator, reading, limits, window)
     return Diagnosis(recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note)
 
 
@@ -228,7 +231,9 @@ class Verdict(NamedTuple):
         return f"{self.kind.value}: {self.why}{seal}"
 
 
-def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading | None, limits: Limits) -> Verdict:
+def judge(
+    findings: Sequence[Finding], estimator: Reading | None, head: Reading | None, limits: Limits, window: float = 2.0
+) -> Verdict:
     """The verdict on a recording; the first rule that applies decides.
 
     1. A severe finding about the recording → **cannot tell**: what was found.
@@ -251,6 +256,7 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
         estimator: readings of the estimator in the order of time; ``None``: it was not used.
         head: readings of the leakage head in the order of time; ``None``: it was not used.
         limits: of leaks.
+        window: s, length of a window.
     """
     severe = [finding for finding in findings if finding.weight is Weight.SEVERE]
     if severe:
@@ -271,7 +277,7 @@ def judge(findings: Sequence[Finding], estimator: Reading | None, head: Reading 
     if reading is None or not reading.answers.any():
         if ran and besides and misfits < MOST:
             return Verdict(Kind.OTHER, besides, None, leader)
-        return Verdict(Kind.UNKNOWN, _why_nothing(estimator, head) + blamed, None, "")
+        return Verdict(Kind.UNKNOWN, _why_nothing(window, estimator, head) + blamed, None, "")
     leak, change = combined(reading)
     besides = besides or named_fault(reading)
     if leak.low > limits.healthy:
@@ -331,10 +337,12 @@ def _share(mask: NDArray[np.bool_]) -> float:
     return float(mask.mean()) if len(mask) else 0.0
 
 
-def _why_nothing(*readings: Reading | None) -> str:
+def _why_nothing(window: float, *readings: Reading | None) -> str:
     """The most frequent reason of the first detector that ran."""
     for reading in readings:
         if reading is not None and any(reading.why):
             why = Counter(why for why in reading.why if why).most_common(1)[0][0]
-            return f"commands are missing in every window; {SHORTER}" if why == NO_COMMANDS else why
+            if why != NO_COMMANDS:
+                return why
+            return f"commands are missing in every window; {SHORTER if window > SHORT else 'record without gaps'}"
     return "the recording is shorter than one window"

@@ -13,8 +13,8 @@ from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.model import Model, noise_of
 from hydro_agents.estimation.unknowns import priors_of, starts_of
 from hydro_agents.recordings.columns import COMMAND
-from hydro_agents.recordings.findings import Finding, Weight
-from hydro_agents.recordings.sampling import Sampled, cut
+from hydro_agents.recordings.findings import Finding
+from hydro_agents.recordings.sampling import Sampled, bridged, cut
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.plant.parameters import to_vector
 from hydro_env.task.sensors import SENSORS
@@ -31,7 +31,6 @@ MOST_WINDOWS = 12
 
 LONGEST_HELD_BACK = 10.0  # s
 
-LONGEST_FILL = 3  # largest number of successive missing commands that are interpolated; their readings stay missing
 FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
@@ -72,10 +71,9 @@ def parts_of(samples: Sampled, source: str) -> Parts:
     if length * samples.period < SHORTEST_WINDOW:
         needed = FEWEST_WINDOWS * SHORTEST_WINDOW
         raise ConfigurationError(f"{source}: holds {duration:.3g} s of samples; at least {needed:g} s are needed")
+    samples, findings = bridged(samples)
     windows = cut(samples, length)
-    signals, filled = _with_commands(windows.signals)
-    windows = Windows(signals, windows.begin, windows.end)
-    usable = windows.commanded & (np.isfinite(signals[:, POSITION]).mean(axis=1) > 0.5)
+    usable = windows.commanded & (np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
     windows = windows.part(usable)
     count = len(windows)
     if count < FEWEST_WINDOWS - 1:
@@ -85,27 +83,7 @@ def parts_of(samples: Sampled, source: str) -> Parts:
         )
     fitted = min(round(FITTED_SHARE * count), count - 1)
     begin, held_back = _held_back(windows.part(np.arange(count) >= fitted))
-    findings = []
-    if filled:
-        share = filled / signals[:, COMMAND].size
-        what = "lacks samples; up to three in a row are interpolated between their neighbours"
-        findings.append(Finding("command", what, Weight.NOTE, share=share))
     return Parts(_liveliest(windows.part(np.arange(count) < fitted)), begin, held_back, findings)
-
-
-def _with_commands(signals: Floats) -> tuple[Floats, int]:
-    """Windows with short gaps of the command filled, and the number of filled samples."""
-    signals, filled = signals.copy(), 0
-    for command in signals[:, COMMAND]:
-        missing = np.isnan(command)
-        if missing[[0, -1]].any() or not missing.any():
-            continue
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(np.int8), [0]])))
-        if (edges[1::2] - edges[::2]).max() <= LONGEST_FILL:
-            places = np.arange(len(command))
-            command[missing] = np.interp(places[missing], places[~missing], command[~missing])
-            filled += int(missing.sum())
-    return signals, filled
 
 
 def _travel(windows: Windows) -> Floats:
