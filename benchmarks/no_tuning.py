@@ -26,7 +26,8 @@ from hydro_agents.controllers.flow_linearising import FlowLinearising, FlowLinea
 from hydro_agents.controllers.pid import PID
 from hydro_agents.evaluation.limit_cycles import counted_at_rest
 from hydro_agents.learning.opponents import usual_gains
-from hydro_agents.learning.tuning import JUDGED, LEAK_LEVELS, REST, REST_LEAKS, RESTING, Tuned, tune
+from hydro_agents.learning.trials import JUDGED, LEAK_LEVELS, REST, REST_LEAKS, RESTING
+from hydro_agents.learning.tuning import Tuned, tune
 from hydro_agents.rigs.stable_gain import pid_from_figures
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import RIGS, UNTUNED_RIGS

@@ -42,6 +42,7 @@ def open_page(browser, path, width=1000, height=900, scheme="light", **options):
         viewport={"width": width, "height": height}, color_scheme=scheme, offline=True, **options
     )
     page = context.new_page()
+    page.set_default_timeout(180_000)  # ms; a busy machine draws slowly
     page.problems = []
     page.on("pageerror", lambda error: page.problems.append(f"error: {error}"))
     page.on("requestfailed", lambda request: page.problems.append(f"request: {request.url}"))

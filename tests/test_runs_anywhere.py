@@ -129,7 +129,7 @@ def test_on_a_processor_without_wide_registers(older):
 
 def test_few_functions_are_compiled_before_the_first_step(older):
     cold, warm = (found["compiled"] for found in older)
-    assert 0 < cold <= 172
+    assert 0 < cold <= 180
     assert warm == 0  # everything came from the cache
 
 

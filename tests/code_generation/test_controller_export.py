@@ -145,7 +145,7 @@ def test_the_compensation_of_an_overlapped_valve_is_exported(tmp_path):
         assert commands[1] == pytest.approx(commands[0], abs=1e-6)
         added = max(added, abs(commands[0] - commands[2]))
         observation, *_ = env.step([[commands[0]]])
-    assert added == pytest.approx(0.1, rel=0.2)
+    assert 0.08 < added < 0.25  # the overlap, on one side of zero or from one side to the other
     assert len(report) > 1
 
 

@@ -68,7 +68,7 @@ def test_models_that_do_not_fit_are_refused():
     with pytest.raises(ConfigurationError, match="TD3Policy: must be an MlpPolicy of tanh or relu"):
         PolicyController.from_sb3(TD3("MlpPolicy", plain, device="cpu", buffer_size=10))
     policy = PolicyController.load(pretrained_folder() / "policy")
-    with pytest.raises(ConfigurationError, match=r"inputs of shape \(13,\), the policy needs \(126,\)"):
+    with pytest.raises(ConfigurationError, match=r"inputs of shape \(13,\), the policy needs \(129,\)"):
         policy.to_sb3(plain)
 
 

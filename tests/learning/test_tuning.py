@@ -8,7 +8,8 @@ from hydro_agents.commands.study import Objective, train
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.controllers.base import gain, search_space
 from hydro_agents.controllers.registry import CONTROLLERS, make_controller
-from hydro_agents.learning.tuning import JUDGED, LEAK_LEVELS, REFUSED, REST, Space, Trial, TuningCases, scores, tune
+from hydro_agents.learning.trials import JUDGED, LEAK_LEVELS, REFUSED, REST, Trial, TuningCases, scores
+from hydro_agents.learning.tuning import Space, tune
 from hydro_agents.running.cases import Cases, run_cases
 from hydro_agents.running.seeds import TRAINING_SEEDS
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig

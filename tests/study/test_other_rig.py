@@ -7,10 +7,12 @@ import pytest
 from command_line import assert_one_clear_line, hydro
 
 from hydro_agents.commands.options import exact_task
+from hydro_agents.controllers.flow_linearising import FlowLinearisingGains
+from hydro_agents.controllers.pid import PIDGains
 from hydro_agents.controllers.registry import make_controller
 from hydro_agents.detection.training_settings import HeadTrainingSettings
 from hydro_agents.learning.features import PolicyFeatures
-from hydro_agents.learning.opponents import gains_file, shipped
+from hydro_agents.learning.opponents import gains_file, shipped, usual_gains
 from hydro_agents.learning.policy import PolicyController
 from hydro_agents.learning.settings import PPOSettings
 from hydro_agents.learning.training import train_ppo
@@ -180,11 +182,21 @@ def test_evaluate_leaves_out_shipped_weights_that_do_not_fit(files, tmp_path, mo
     assert seen[1:] == [["PID", "Flow linearisation", "PPO on flow linearisation"]]
 
 
+def test_on_another_rig_flow_linearisation_begins_with_its_gains_for_any_rig(tmp_path):
+    found = default_study(rig="kovari_2015").controllers["Flow linearisation"]
+    assert found.settings == FlowLinearisingGains().model_dump()
+    assert found.tune is not None
+    assert default_study().controllers["Flow linearisation"].settings == read_yaml(usual_gains("flow_linearising"))
+    file = tmp_path / "study.yaml"
+    file.write_text("controllers: {mine: {kind: flow_linearising, settings: {position_gain: 0.5}}}\n")
+    assert default_study(file, rig="kovari_2015").controllers["mine"].settings == {"position_gain": 0.5}  # the user's
+
+
 def test_the_gains_and_weights_that_ship_for_a_rig_are_taken():
     study = default_study(rig="symmetric_eha").with_shipped_gains()
     assert study.tuned == []
     gains = read_yaml(config_folder() / "agents" / "pid_symmetric_eha.yaml")
-    assert study.make("PID").gains.model_dump() == gains
+    assert study.make("PID").gains == PIDGains(**gains)
     assert shipped("ppo", study.task).features.config.plant == study.task.plant
     assert gains_file("pid", TaskConfig()) is None
     other = task_config(study.task, control_period=0.002)  # the shipped gains are for another period

@@ -106,7 +106,7 @@ def ladder(
 
 
 class Objective(StrEnum):
-    """The figure that tuning minimises; see :class:`hydro_agents.learning.tuning.Score`."""
+    """The figure that tuning minimises; see :class:`hydro_agents.learning.trials.Score`."""
 
     MEAN = "mean"
     EQUAL = "equal"

@@ -40,9 +40,9 @@ class FlowLinearisingGains(Group):
     The defaults are for any rig: ``benchmarks/no_tuning.py`` tuned them over drawn rigs.
     """
 
-    position_gain: float = gain(0.876, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
+    position_gain: float = gain(0.758, (0.1, 1.5), "1", "speed per error, times a pace", high=100.0, logarithmic=True)
     braking: float = gain(
-        1.08,
+        1.14,
         (0.3, 20.0),
         "1",
         "error beyond which the speed grows with its root, per travel at full speed in a pace",
@@ -50,24 +50,24 @@ class FlowLinearisingGains(Group):
         high=1e4,
         logarithmic=True,
     )
-    lead: float = gain(0.996, (0.5, 2.0), "1", "of the reference speed, in delays of the damped axis", high=10.0)
-    smoothing: float = gain(0.876, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
-    prediction: float = gain(0.29, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
-    force_rate: float = gain(0.421, (0.0, 2.0), "1", "of the rate of the accelerating force, fed forward", high=10.0)
+    lead: float = gain(0.925, (0.5, 2.0), "1", "of the reference speed, in delays of the damped axis", high=10.0)
+    smoothing: float = gain(0.737, (0.1, 2.0), "1", "half width of its mean, in delays", low=0.01, high=10.0)
+    prediction: float = gain(0.188, (0.0, 1.5), "1", "of the position, in delays", high=10.0)
+    force_rate: float = gain(0.529, (0.0, 2.0), "1", "of the rate of the accelerating force, fed forward", high=10.0)
     set_off_share: float = gain(
-        1.4, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
+        1.47, (0.5, 2.0), "1", "set-off before a jump, per half its time at full speed", high=10.0
     )
-    set_off_delay: float = gain(1.7, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
-    damping: float = gain(0.471, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
+    set_off_delay: float = gain(1.11, (0.0, 3.0), "1", "earlier set-off before a jump, in delays", high=10.0)
+    damping: float = gain(0.422, (-0.5, 1.0), "1", "dynamic pressure feedback; adds half of it", low=-10.0, high=10.0)
     damping_filter: float = gain(
-        1.31, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
+        1.56, (0.1, 4.0), "1", "time of its high-pass, in paces", low=1e-3, high=1e3, logarithmic=True
     )
-    friction: float = gain(1.24, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
+    friction: float = gain(1.1, (0.0, 2.0), "1", "of the data sheet's friction, fed forward at reversals", high=10.0)
     flow_gain_spread: float = gain(
-        0.0236, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
+        0.0306, (0.01, 0.5), "1", "uncertainty of the flow gain at the start", low=1e-6, high=10.0, logarithmic=True
     )
     flow_gain_memory: float = gain(
-        2.07,
+        5.13,
         (0.3, 10.0),
         "s",
         "time in which the flow gain returns to the data sheet's",
@@ -76,19 +76,19 @@ class FlowLinearisingGains(Group):
         logarithmic=True,
     )
     leak_spread: float = gain(
-        0.609, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
+        0.952, (0.1, 20.0), "l/min at 100 bar", "uncertainty of the leak", low=1e-6, high=1e3, logarithmic=True
     )
     leak_memory: float = gain(
-        18.6, (1.0, 60.0), "s", "time in which the leak returns to 0", low=1e-3, high=1e6, logarithmic=True
+        13.1, (1.0, 60.0), "s", "time in which the leak returns to 0", low=1e-3, high=1e6, logarithmic=True
     )
     offset_spread: float = gain(
-        0.00351, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
+        0.00216, (1e-3, 0.5), "1", "uncertainty of the offset, per full speed", low=1e-9, high=10.0, logarithmic=True
     )
     offset_memory: float = gain(
-        3.61, (0.1, 5.0), "s", "time in which the offset returns to 0", low=1e-3, high=1e6, logarithmic=True
+        3.27, (0.1, 5.0), "s", "time in which the offset returns to 0", low=1e-3, high=1e6, logarithmic=True
     )
     motion_spread: float = gain(
-        0.000279, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
+        0.000494, (1e-5, 0.03), "√s", "uncertainty of the motion, per full speed", low=1e-9, high=10.0, logarithmic=True
     )
 
 

@@ -38,7 +38,7 @@ from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import validate
 from hydro_env.mistakes import known_name
 from hydro_env.task.configuration import task_config
-from hydro_env.task.reference_signals import MOVING_FAMILIES
+from hydro_env.task.reference_signals import FAMILIES, MOVING_FAMILIES
 
 
 class ProtocolSettings(PairedCases):
@@ -53,7 +53,7 @@ class ProtocolSettings(PairedCases):
     leak_levels: tuple[float, ...] = Field(
         (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0), min_length=1, description="l/min at 100 bar"
     )
-    families: tuple[Annotated[str, known_name(MOVING_FAMILIES, "family")], ...] = Field(MOVING_FAMILIES, min_length=1)
+    families: tuple[Annotated[str, known_name(tuple(FAMILIES), "family")], ...] = Field(MOVING_FAMILIES, min_length=1)
     plants: int = Field(32, ge=3, le=SEEDS_PER_FAMILY, description="per level and family")
     standstill_plants: int = Field(
         8,

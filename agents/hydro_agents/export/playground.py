@@ -138,7 +138,7 @@ CHOICES = (
         "Flow linearisation",
         {
             "position_gain": ("Position gain, per pace of the loop", ""),
-            "damping": ("Pressure feedback", ""),
+            "force_rate": ("Accelerating force fed forward", ""),
             "friction": ("Friction fed forward, share of data sheet", ""),
         },
     ),

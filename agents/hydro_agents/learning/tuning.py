@@ -1,9 +1,5 @@
 """Tunes the gains of any classical controller by CMA-ES on training plants with all leak levels and families.
 
-A controller must also rest well: pauses with a move at their end, slow runs and small steps count as three further
-families. There an oscillation of its own costs most. Errors are those that the position sensor shows without its noise:
-no controller sees the sensor's bias.
-
 Source: Hansen & Ostermeier, *Completely derandomized self-adaptation in evolution strategies*, Evolutionary Computation
 9(2), 2001; the package ``cmaes``. Every kind gets the same optimiser, budget and training cases.
 """
@@ -27,165 +23,18 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller, search_space
 from hydro_agents.controllers.registry import CONTROLLERS
-from hydro_agents.running.seeds import LEARNING
-from hydro_env import REFERENCE_FAMILIES, ConfigurationError, PlantParameters, ServoHydraulicVectorEnv, TaskConfig
+from hydro_agents.learning.trials import JUDGED, REST, Score, Trial, TuningCases, over_tasks, scores
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.files import Group, read_text, validate, write_text
 from hydro_env.mistakes import unknown
-from hydro_env.plant.analysis import speed_limits
 from hydro_env.task.configuration import task_config
-from hydro_env.task.sensors import CHANNELS
 
 Floats = NDArray[np.float64]
 Objective = Literal["mean", "equal"]
 
-LEAK_LEVELS = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0)
-"""l/min at 100 bar; every candidate runs with each leak in each family."""
-
-RESTING = ("pause", "creep", "staircase")
-"""Further families of every candidate, in episodes of :data:`REST`, of which the end counts; each with
-:data:`REST_LEAKS`."""
-
-REST, JUDGED = 5.0, 1.5  # s
-REST_LEAKS = (0.03, 0.3, 2.0)  # l/min at 100 bar
-
 POPULATION = 14  # number of candidates per generation
 EVALUATIONS = 2800
-EFFORT_TIME = 3e-3
-"""s; the squared change of the command in a period costs as much as the travel at full speed in this time."""
-
-REFUSED = 1e3  # m; cost of an invalid or failing candidate
 _SIGMA = 0.2
-_POSITION = CHANNELS.index("position")
-
-
-@dataclass(frozen=True)
-class TuningCases:
-    """The training cases of every candidate, each (N,); N should be a multiple of families × leak levels."""
-
-    seeds: tuple[int, ...]
-    leakage_flow_lpm: tuple[float, ...]
-    families: tuple[str, ...]
-
-    @classmethod
-    def of(cls, config: TaskConfig, count: int, seed: int = 0) -> TuningCases:
-        """``count`` cases of the training seeds; families and leak levels are spread evenly over them."""
-        known = [name for name in REFERENCE_FAMILIES if config.references.weights.get(name, 0.0) > 0.0]
-        seeds, levels = LEARNING.training(seed, count), len(LEAK_LEVELS)
-        # With fewer cases than pairs, the families take turns: none is missing.
-        turns = levels if count >= levels * len(known) else 1
-        return cls(
-            tuple(seeds),
-            tuple(LEAK_LEVELS[index % levels] for index in range(count)),
-            tuple(known[(index // turns) % len(known)] for index in range(count)),
-        )
-
-    @classmethod
-    def resting(cls, seed: int = 0) -> TuningCases:
-        """The cases of the families :data:`RESTING`."""
-        pairs = [(leak, family) for family in RESTING for leak in REST_LEAKS]
-        leaks, families = zip(*pairs, strict=True)
-        return cls(tuple(LEARNING.training(seed, len(pairs))), leaks, families)
-
-    def __len__(self) -> int:
-        return len(self.seeds)
-
-
-@dataclass(frozen=True)
-class Score:
-    """Costs of a candidate on the training cases, in m; each includes the cost of command changes."""
-
-    mean: float  # mean over the cases of the task of the mean absolute error
-    equal: float  # geometric mean over the families, resting ones too, of the mean over their cases
-
-
-class Trial:
-    """Runs candidates side by side: each drives its slice of one vector environment, on the same cases.
-
-    Args:
-        config: the task.
-        cases: the same for every candidate.
-        candidates: number of candidates.
-        judged: s, end of each episode whose errors count; default: all.
-    """
-
-    def __init__(self, config: TaskConfig, cases: TuningCases, candidates: int, judged: float | None = None) -> None:
-        self.config, self.cases, self.candidates = config, cases, candidates
-        self._judged = config.steps if judged is None else round(judged / config.control_period)
-        count = candidates * len(cases)
-        self._env = ServoHydraulicVectorEnv(count, config, autoreset_mode="NextStep", info=False)
-        self._price = EFFORT_TIME * float(np.mean(speed_limits(config.plant)))
-
-    def close(self) -> None:
-        """Release the threads of the environment."""
-        self._env.close()
-
-    def costs(self, controllers: Sequence[Controller | None]) -> Floats:
-        """Mean absolute error in the sensor's frame plus cost of command changes, m, (candidates, cases).
-
-        A failed axis costs the length of the stroke in every remaining period. A candidate that is ``None``, raises an
-        error or returns a command that is not finite costs :data:`REFUSED`.
-        """
-        config, cases, size = self.config, self.cases, len(self.cases)
-        count = self.candidates * size
-        observation, _ = self._env.reset(
-            seed=list(cases.seeds) * self.candidates,
-            options={
-                "leakage_flow_lpm": np.tile(cases.leakage_flow_lpm, self.candidates),
-                "reference": list(cases.families) * self.candidates,
-            },
-        )
-        axes = self._env.axes
-        reference = axes.reference[:, : config.steps + 1] - axes.column("bias")[:, _POSITION, None]
-        before = axes.column("command").copy()
-        memories: list[Any] = [None] * self.candidates
-        able = [controller is not None for controller in controllers]
-        alive, total = np.ones(count, dtype=np.bool_), np.zeros(count)
-        action = np.zeros((count, 1), dtype=np.float32)
-        started = np.ones(size, dtype=np.bool_)
-        for step in range(config.steps):
-            for number, controller in enumerate(controllers):
-                part = slice(number * size, (number + 1) * size)
-                action[part] = 0.0
-                if controller is not None and able[number]:
-                    try:
-                        commands, memories[number] = controller.predict(observation[part], memories[number], started)
-                        able[number] = bool(np.isfinite(commands).all())
-                    except Exception:
-                        able[number] = False
-                    if able[number]:
-                        action[part] = commands
-            observation, _, terminated, _, _ = self._env.step(action)
-            command = np.clip(action[:, 0].astype(np.float64), -1.0, 1.0)
-            error = np.abs(reference[:, step + 1] - axes.column("position"))
-            paid = error + self._price * (command - before) ** 2
-            if step >= config.steps - self._judged:
-                total += np.where(alive, paid, config.plant.cylinder.stroke)
-            before = command
-            alive &= ~terminated
-            started = np.zeros(size, dtype=np.bool_)
-        result = (total / self._judged).reshape(self.candidates, size)
-        result[~np.array(able)] = REFUSED
-        return result
-
-
-def scores(trials: Sequence[Trial], controllers: Sequence[Controller | None]) -> list[Score]:
-    """:class:`Score` of each candidate; the first trial holds the cases of the task."""
-    costs = [trial.costs(controllers) for trial in trials]
-    parts = [
-        rows[:, np.array(trial.cases.families) == family].mean(axis=1)
-        for trial, rows in zip(trials, costs, strict=True)
-        for family in dict.fromkeys(trial.cases.families)
-    ]
-    equal = np.exp(np.mean(np.log(parts), axis=0))
-    return [Score(float(mean), float(value)) for mean, value in zip(costs[0].mean(axis=1), equal, strict=True)]
-
-
-def _over_tasks(costed: Sequence[Sequence[Score]]) -> list[Score]:
-    """The scores of each candidate on one task, or their geometric means over several."""
-    if len(costed) == 1:
-        return list(costed[0])
-    logs = np.log([[(score.mean, score.equal) for score in row] for row in costed])
-    return [Score(float(mean), float(equal)) for mean, equal in np.exp(logs.mean(axis=0))]
 
 
 class Space:
@@ -297,7 +146,7 @@ def tune(
             if generation < len(done):
                 costed = done[generation]
             else:
-                costed = _over_tasks(
+                costed = over_tasks(
                     [scores(pair, [_controller(make, one, pair[0].config) for one in gains]) for pair in trials]
                 )
                 rows.append(costed)

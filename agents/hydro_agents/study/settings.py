@@ -95,9 +95,9 @@ class StudySettings(Group):
         earlier: list[str] = []
         for name, entry in self.controllers.items():
             if entry.corrects is not None and entry.corrects not in earlier:
-                known = f"({', '.join(earlier) or 'none'}){did_you_mean(entry.corrects, earlier)}"
-                must = f"must be a controller before it {known}"
-                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}")
+                must = f"must be a controller before it ({', '.join(earlier) or 'none'})"
+                guess = did_you_mean(entry.corrects, earlier)
+                raise ValueError(f"controllers.{name}: corrects = '{entry.corrects}': {must}{guess}")
             earlier.append(name)
         return self
 
@@ -235,11 +235,11 @@ class StudySettings(Group):
 
     def with_shipped_gains(self) -> StudySettings:
         """The study with the gains that ship for its rig, where a controller would have to be tuned for it first."""
-        controllers = {}
-        for name, entry in self.controllers.items():
-            file = gains_file(entry.kind, self.task) if entry.tune is not None else None
-            changes = {"settings": read_yaml(file), "tune": None} if file is not None else {}
-            controllers[name] = entry.model_copy(update=changes)
+        controllers = dict(self.controllers)
+        for name in self.tuned:
+            if (file := gains_file(controllers[name].kind, self.task)) is not None:
+                changes = {"settings": read_yaml(file), "tune": None}
+                controllers[name] = controllers[name].model_copy(update=changes)
         return self.model_copy(update={"controllers": controllers})
 
     def fitting(self, agents: Mapping[str, str]) -> tuple[dict[str, Controller], list[str]]:
@@ -255,9 +255,6 @@ class StudySettings(Group):
                     others = {key: value for key, value in study.controllers.items() if key != name}
                     study = study.model_copy(update={"controllers": others})
         return study.with_weights(agents), reasons
-
-
-# Another task or rig ------------------------------------------------------------------------------------------------
 
 
 def default_study(
@@ -294,10 +291,9 @@ def _begun(entry: ControllerEntry) -> ControllerEntry:
     """The entry of a controller for another rig, which tunes it; gains of the paper's rig give way to those for any."""
     if entry.kind not in CONTROLLERS:
         return entry
-    changes: dict[str, Any] = {"tune": entry.tune or TuningSettings()}
-    if entry.kind in ANY_RIG and entry.settings == read_yaml(usual_gains(entry.kind)):
-        changes["settings"] = CONTROLLERS[entry.kind][1]().model_dump(mode="json")
-    return entry.model_copy(update=changes)
+    usual = entry.kind in ANY_RIG and entry.settings == read_yaml(usual_gains(entry.kind))
+    settings = CONTROLLERS[entry.kind][1]().model_dump(mode="json") if usual else entry.settings
+    return entry.model_copy(update={"tune": entry.tune or TuningSettings(), "settings": settings})
 
 
 def without_absent_sensors(study: StudySettings) -> tuple[StudySettings, list[str]]:
