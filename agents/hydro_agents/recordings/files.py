@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.recordings.columns import UNITS, split_heading
 from hydro_agents.recordings.findings import Finding, Weight
+from hydro_agents.recordings.mat_files import Channel, read_mat
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
@@ -166,16 +167,6 @@ def _read_parquet(path: Path, _: Any) -> Columns:
     return _of_table(table.reset_index() if table.index.name is not None else table)
 
 
-class _Channel(NamedTuple):
-    """A channel with or without (None) its own time stamps."""
-
-    group: str
-    name: str
-    unit: str
-    values: Any
-    stamps: Floats | None
-
-
 def _read_mdf(path: Path, asammdf: Any) -> Columns:
     channels = []
     with asammdf.MDF(path) as file:
@@ -186,7 +177,7 @@ def _read_mdf(path: Path, asammdf: Any) -> Columns:
                 signal = file.get(group=number, index=place)
                 if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
                     stamps = np.asarray(signal.timestamps, dtype=np.float64)
-                    channels.append(_Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
+                    channels.append(Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
     return _of_channels(channels)
 
 
@@ -200,27 +191,15 @@ def _read_tdms(path: Path, nptdms: Any) -> Columns:
             unit = str(channel.properties.get("unit_string", ""))
             # Only a waveform has stamps; otherwise a column of the file is the time.
             stamps = channel.time_track() if "wf_increment" in channel.properties else None
-            channels.append(_Channel(group.name, channel.name, unit, values, stamps))
+            channels.append(Channel(group.name, channel.name, unit, values, stamps))
     return _of_channels(channels)
 
 
 def _read_mat(path: Path, scipy_io: Any) -> Columns:
-    try:
-        content = scipy_io.loadmat(path)
-    except NotImplementedError:  # version 7.3 is HDF5
-        with importlib.import_module("h5py").File(path) as file:
-            content = {name: item[()] for name, item in file.items() if hasattr(item, "shape")}
-    channels = [
-        _Channel("", name, "", np.ravel(values), None)
-        for name, values in content.items()
-        if not name.startswith("__") and np.issubdtype(values.dtype, np.number) and np.size(values) == max(values.shape)
-    ]
-    lengths = [len(channel.values) for channel in channels]
-    usual = max(set(lengths), key=lengths.count, default=0)
-    return _of_channels([channel for channel in channels if len(channel.values) == usual and usual > 1])
+    return _of_channels(read_mat(path, scipy_io))
 
 
-def _of_channels(channels: Sequence[_Channel]) -> Columns:
+def _of_channels(channels: Sequence[Channel]) -> Columns:
     """Headings ``name [unit]``, with the group before names that occur twice; the common time comes first."""
     names = [channel.name for channel in channels]
     headings = [

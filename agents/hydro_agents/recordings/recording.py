@@ -60,8 +60,15 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         columns = own_map(headings, source)
     places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
     cells, findings = together(file, places)
+    rows = len(cells["command"])
+    for signal, values_of in cells.items():
+        if len(values_of) != rows:
+            raise ConfigurationError(
+                f"{source}: {signal}: column '{headings[places[signal]][:40]}' has {len(values_of)} values, that of "
+                f"the command has {rows}, and one of them has no time of its own"
+            )
     units: dict[str, str] = {}
-    time, signals = np.zeros(0), np.full((len(MEASURED), len(cells["command"])), np.nan)
+    time, signals = np.zeros(0), np.full((len(MEASURED), rows), np.nan)
     for signal, column in columns.columns().items():
         values = _time_stamps(cells[signal]) if signal == "time" else None
         if values is None:
