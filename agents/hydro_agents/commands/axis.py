@@ -26,6 +26,7 @@ from hydro_agents.commands.options import (
     check_new_file,
     command_line,
     exact_task,
+    guesses_shown,
     named_agents,
     say,
 )
@@ -224,7 +225,7 @@ def identify(
     known = read_rig(rig)
     config = task_config(task, rig=known.source)
     maps = maps_of(columns or [], recordings)
-    with ProgressDisplay() as display:
+    with guesses_shown(), ProgressDisplay() as display:
         found = identify_recordings(recordings, config, known, maps, display.update, hold_back or [])
     say(*identify_to_folder(output, found, overwrite, command_line()))
 
@@ -262,7 +263,7 @@ def diagnose(
     weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
-    with ProgressDisplay() as display:
+    with guesses_shown(), ProgressDisplay() as display:
         found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
     say(*diagnose_to_folder(output, found, overwrite, command_line()))
 
