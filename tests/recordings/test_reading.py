@@ -38,6 +38,19 @@ def test_record_keeps_every_step_of_the_sensors(tmp_path):
     assert np.abs(places - np.rint(places)).max() < 0.1
 
 
+def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
+    rows = [line.replace(",", "   ") for line in PLAIN.splitlines() if not line.startswith("#")]
+    head = "#" + ",".join(PLAIN.splitlines()[1].split(","))
+    found = read_recording(written(tmp_path, "\n".join(["# of a test bench", head, *("  " + row for row in rows[1:])])))
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    spaced = written(tmp_path, "\n".join(["time command position", *(" ".join(row.split()[:3]) for row in rows[1:])]))
+    (tmp_path / "map.yaml").write_text(
+        "time: time\nposition: {column: command, unit: mm}\ncommand: {column: 3, unit: bar}"
+    )
+    with pytest.raises(ConfigurationError, match="bar"):
+        read_recording(spaced, read_map(tmp_path / "map.yaml"))
+
+
 def test_a_sensor_that_the_rig_lacks_has_no_column(tmp_path):
     recorded_file(tmp_path / "a.csv", {"sensors": {"spool_position": {"fitted": False}}}, duration=0.1)
     assert "spool" not in (tmp_path / "a.csv").read_text()

@@ -34,6 +34,8 @@ LONGEST_STEP = 2.0
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 MOST_LINES = 200  # in which the headings must stand
 
+SPACES = r"\s+"  # any number of spaces between two columns
+
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
 Floats = NDArray[np.float64]
@@ -237,7 +239,8 @@ def find_table(text: str) -> Found | None:
 
     The headings are the first line that has as many cells as most lines, more than half of them filled and none a
     number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
-    What stands before the headings, empty lines and lines that begin with ``#`` are skipped.
+    What stands before the headings, empty lines and lines that begin with ``#`` are skipped; without headings, the
+    last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
 
     Raises:
         csv.Error: a line is too long for a table.
@@ -245,11 +248,18 @@ def find_table(text: str) -> Found | None:
     lines = _lines(text)
     if not lines:
         return None
-    separator = next((mark for mark in ";\t" if 2 * sum(mark in line.text for line in lines) > len(lines)), ",")
+    separator = next((mark for mark in ";\t," if 2 * sum(mark in line.text for line in lines) > len(lines)), SPACES)
+    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].text.split()):
+        separator = ","
     rows = [_cells(line.text, separator) for line in lines]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
-    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), 0)
+    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
+    if place is None:
+        above = _cells(lines[0].comment, "," if separator == SPACES and "," in lines[0].comment else separator)
+        if len(above) == usual and _are_headings(above):
+            return Found(above, separator, lines[0].begin, lines[0].number)
+        place = 0
     headings = rows[place]
     if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
         place += 1
@@ -258,26 +268,32 @@ def find_table(text: str) -> Found | None:
 
 
 class _Line(NamedTuple):
+    begin: int  # characters before it
     end: int  # characters up to the next line
     number: int  # from 1
     text: str
+    comment: str  # the last one above, without its mark
 
 
 def _lines(text: str) -> list[_Line]:
     """The first lines that are neither empty nor comments."""
     lines: list[_Line] = []
-    start, number = 0, 0
+    start, number, comment = 0, 0, ""
     while start < len(text) and len(lines) < MOST_LINES:
         end = text.find("\n", start)
         end = end if end >= 0 else len(text)
         line, number = text[start:end].strip("\r"), number + 1
-        if line.strip() and not line.lstrip().startswith("#"):
-            lines.append(_Line(end + 1, number, line))
+        if line.lstrip().startswith("#"):
+            comment = line.strip().lstrip("# ")
+        elif line.strip():
+            lines.append(_Line(start, end + 1, number, line, comment))
         start = end + 1
     return lines
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    if separator == SPACES:
+        return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 
