@@ -32,10 +32,9 @@ EVERY = 30  # rigs until the pattern below repeats
 WITHOUT_PRESSURES = (1, 5, 9, 13, 17, 20, 24, 28)  # number of the rig within the pattern
 WITHOUT_SPOOL = (2, 6, 10, 14, 18, 22, 25, 29)
 CLIPPED = (3, 11, 19, 27)
-WRONG = {7: "bore", 16: "rated_drop", 23: "supply_pressure"}
-"""Number whose value in the file is wrong: 4 % of the bore, half of the rated pressure drop, 15 % of the supply."""
-
-WRONG_FACTORS = {"bore": 1.04, "rated_drop": 0.5, "supply_pressure": 0.85}
+WRONG_FACTORS = {"bore": 1.04, "rated_drop": 0.5, "rod": 1.12}
+WRONG = dict(zip((7, 16, 23), WRONG_FACTORS, strict=True))
+"""Answer that is wrong in the file, by the number of the rig within the pattern; the file calls it certain."""
 
 
 class HiddenRig(NamedTuple):

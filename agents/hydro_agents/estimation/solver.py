@@ -91,6 +91,7 @@ def fit(
     give_up: float = 1e4,
     shared: Indices = NONE_SHARED,
     progress: Callable[[int, int], None] | None = None,
+    central: bool = False,
 ) -> Fit:
     """Improve the unknowns of some windows until convergence.
 
@@ -112,6 +113,7 @@ def fit(
         give_up: largest damping; a window that no step with more improves is finished.
         shared: indices of the unknowns that all windows have in common.
         progress: called with the number of iterations and its limit.
+        central: take differences to both sides (:meth:`~hydro_agents.estimation.model.Model.linearise`).
     """
     scaled = first.copy()
     used = measured[window, :, :samples]
@@ -125,7 +127,7 @@ def fit(
         if progress is not None:
             progress(iteration, iterations)
         here, data, mask = scaled[active], used[active], known[active]
-        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples)
+        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples, central)
         residual, jacobian = masked(linear, data, mask)
         weight = channel_weights(residual, mask)
         mean, precision = belief.mean[active], prior[active]
