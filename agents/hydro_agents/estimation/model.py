@@ -127,6 +127,7 @@ class Model:
         resting[_UNFOLLOWED] = np.nan
         self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
 
+        self.priors = dict(priors)
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)

@@ -11,6 +11,7 @@ import yaml
 
 from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
 from hydro_agents.rigs.fit import Fit
+from hydro_agents.rigs.intervals import within_bounds
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
@@ -46,7 +47,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
             values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
         elif name in PATHS:
             values[name] = value
-    values = {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
+    values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
     if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
         values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
@@ -66,19 +67,6 @@ def found_biases(fit: Fit) -> list[float]:
     """Bias of each channel, SI; 0 where it was not fitted."""
     own = fit.own()
     return [own.get(name, 0.0) for name in BIASES]
-
-
-def _within_bounds(plant: PlantParameters, path: str, value: float) -> float:
-    group, field = path.split(".")
-    for bound in type(getattr(plant, group)).model_fields[field].metadata:
-        low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
-        if low is not None:
-            value = max(value, low)
-        if above is not None and value <= above:
-            value = above + 1e-6
-        if high is not None:
-            value = min(value, high)
-    return value
 
 
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
@@ -114,7 +102,7 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             result[path] = _external(low, high, given)
         else:
             ends = _overlap((low, high), hull(config.plant, plant, path, given))
-            ends = (_within_bounds(plant, path, ends[0]), _within_bounds(plant, path, ends[1]))
+            ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
             if given.times is None:
                 result[path] = {"uniform": _rounded(ends)}
             else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
