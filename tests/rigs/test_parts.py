@@ -179,7 +179,7 @@ def fit_of(values, remaining=None):
     value, low, high = np.array(list(values.values())).T
     left = np.array([(remaining or {}).get(name, 0.1) for name in names])
     priors = {name: Prior(1.0, 1.0) for name in names}
-    return Fit(names, priors, value, low, high, left, 1.0, np.eye(len(names)), np.zeros(5))
+    return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
 
 
 def test_ranges_are_narrowed_to_the_intervals_and_never_widened():

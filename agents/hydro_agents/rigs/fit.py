@@ -172,7 +172,7 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     return Fit(
         names=names,
         priors=priors,
-        values=values,
+        values=np.array([within_bounds(config.plant, *pair) for pair in zip(names, values.tolist(), strict=True)]),
         low=intervals[:, 0],
         high=intervals[:, 1],
         remaining=np.minimum(np.diff(scaled, axis=1)[:, 0] / (2.0 * COVERAGE), 1.0),

@@ -87,16 +87,17 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
 def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
     """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
-    An undetermined parameter keeps its range. So does the leak, which a task draws.
+    An undetermined parameter keeps its range; if one end of its interval is known, the part beyond that end. The leak,
+    which a task draws, keeps its range too.
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
-    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+    for name, low, high, determined, side in zip(fit.names, fit.low, fit.high, fit.determined, fit.side, strict=True):
         path = path_of(name)
         if path not in ranges:
             continue
         given = ranges[path]
-        if not determined:
+        if not (determined or side):
             result[path] = _undetermined(config.plant, path, given)
         elif name == EXTERNAL_LEAKAGE:
             result[path] = _external(low, high, given)
@@ -104,7 +105,8 @@ def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -
             ends = _overlap((low, high), hull(config.plant, plant, path, given))
             ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
             if given.times is None:
-                result[path] = {"uniform": _rounded(ends)}
+                form = "log_uniform" if side and given.logarithmic else "uniform"
+                result[path] = {form: _rounded(ends)}
             else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
@@ -233,6 +235,12 @@ class Shown(NamedTuple):
         difference = abs(high - low)
         decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
         return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
+
+    def interval(self, low: float, high: float, side: int) -> str:
+        """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
+        if not side:
+            return self.span(low, high)
+        return f"at least {self.value(low, 0.01 * low)}" if side > 0 else f"at most {self.value(high, 0.01 * high)}"
 
     def value(self, value: float, uncertainty: float) -> str:
         """A value with the digits that its uncertainty allows; both in the unknown's unit."""
