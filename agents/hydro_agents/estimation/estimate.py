@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from statistics import NormalDist
 from typing import Any
@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hydro_agents.estimation.errors import Errors, errors_of, spikes_of
 from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import SHORT_STEP, Model
 from hydro_agents.estimation.solver import Belief, fit, masked, misfit_of, prior_belief
-from hydro_agents.estimation.unknowns import STARTS, Prior, priors_of
+from hydro_agents.estimation.unknowns import LATENCY, RISE_TIME, STARTS, Prior, prior_of, priors_of
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group
 from hydro_env.task.sensors import SENSORS
@@ -28,6 +29,14 @@ SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in on
 SHORTEST_FIT = 10  # samples; shorter fits carry no information
 RESTART = 0.7  # standard deviation of the random start of a further search, in standard deviations of the prior
 UNLIKELY = 4.0  # standard deviations of the prior beyond which a value contradicts it
+NEW_MINIMUM = 0.97  # a search with a larger chi2, over the lowest, ended in the same minimum or in a worse one
+UNEVEN = 2.0  # largest white noise of a channel, over the median of all, that raises no doubt
+ROUNDS = 3  # of a fit and an estimate of the errors of its readings, one after the other
+WIDENING = 1.5
+"""Factor on the standard deviations of a window with a slow error: it is an error of the model, and not only of the
+readings. Chosen on validation plants with LuGre friction, a moving supply and drifting sensors."""
+LARGEST_SLOW_ERROR = 0.05  # of a channel's standard deviation in the window; with a larger one the model does not hold
+SMALL_SLOW_ERROR = 3.0  # the same in standard deviations of the data sheet's noise, which is always allowed
 UNDETERMINED = 0.7  # an unknown is undetermined if its standard deviation remains above this share of the prior's
 
 
@@ -56,6 +65,9 @@ class Estimate:
 
     ``deviations`` and ``covariance`` are valid where ``holds`` is true. Elsewhere the model does not explain the
     readings, or the search ended in a local minimum; the values are then unreliable.
+
+    ``white``, ``slow``, ``spikes``, ``latency`` and ``rise_time`` are those of the data sheet, unless the readings
+    contradict it.
     """
 
     names: tuple[str, ...]
@@ -70,6 +82,13 @@ class Estimate:
     searches: Indices  # (B,), 1 if the first search gave the result
     scaled: Array  # (B, P), the values in standard deviations of the prior from its mean
     precision: Array  # (B, P, P), inverse covariance of the scaled unknowns
+    white: Array  # (B, channels), standard deviation of the white noise, over that of the data sheet
+    slow: Array  # (B, channels), the same of the slow error of the model and the sensors
+    memory: Array  # (B, channels), correlation time of the slow error, samples
+    spikes: Array  # (B, channels), share of the readings that are spikes, and were left out
+    latency: Array  # (B,), of the command, s
+    rise_time: Array  # (B,), of the pressure transducers, s
+    unlikelihood: Array  # (B,), twice the negative log-likelihood of the readings with their errors; inf: not estimated
 
     def __len__(self) -> int:
         return len(self.values)
@@ -100,6 +119,30 @@ class Estimate:
         """Unknowns whose value lies more than 4 standard deviations from the prior's mean."""
         far = np.abs(self.scaled[window]) > UNLIKELY
         return tuple(name for name, is_far in zip(self.names, far, strict=True) if is_far)
+
+    @property
+    def uneven(self) -> NDArray[np.bool_]:
+        """Windows (B,) where one channel scatters far more than the others: perhaps the search ended too early."""
+        return np.asarray(self.white.max(axis=1) > UNEVEN * np.median(self.white, axis=1))
+
+    def widen(self, scaled: Array, scale: Array) -> None:
+        """Add a difference of scaled values, (B, P), to the uncertainty; ``scale``: value per scaled value, (B, P)."""
+        square = scaled[:, :, None] * scaled[:, None]
+        self.precision[:] = np.linalg.inv(np.linalg.inv(self.precision) + square)
+        self.covariance[:] += square * scale[:, :, None] * scale[:, None]
+        self.deviations[:] = np.hypot(self.deviations, scaled * scale)
+        self.remaining[:] = np.hypot(self.remaining, scaled)
+
+    def part(self, windows: Indices) -> Estimate:
+        """Some of the windows."""
+        return Estimate(names=self.names, **{name: getattr(self, name)[windows] for name in _PER_WINDOW})
+
+    def among(self, names: tuple[str, ...]) -> Estimate:
+        """The same estimate of some of the unknowns, the first ones; the others are left unknown."""
+        count = len(names)
+        own = {name: getattr(self, name)[:, :count] for name in ("values", "deviations", "remaining", "scaled")}
+        precision = np.linalg.inv(np.linalg.inv(self.precision)[:, :count, :count])
+        return replace(self, names=names, **own, covariance=self.covariance[:, :count, :count], precision=precision)
 
     def replace(self, windows: Indices, by: Estimate, its: Indices) -> None:
         """Replace ``windows`` of this estimate by the windows ``its`` of another estimate."""
@@ -229,18 +272,22 @@ def search(
     settings: EstimationSettings,
     directions: Array | None = None,
 ) -> Estimate:
-    """Search the most probable values from a first guess, (B, P) scaled; repeat the search for windows with a misfit.
+    """Search the most probable values from a first guess, (B, P) scaled.
 
-    The second search approaches the whole window in more steps. Further searches begin at random values from the
-    priors, with a fixed seed; their initial states begin at the first guess again. ``directions`` are the steps of the
-    first differences (:meth:`~hydro_agents.estimation.model.Model.directions`).
+    Windows with a misfit are fitted again with errors of the readings and a timing of their own (:func:`_fit_errors`).
+    The search is repeated for those that even this does not explain. The second search approaches the whole window in
+    more steps. Further searches begin at random values from the priors, with a fixed seed; their initial states begin
+    at the first guess again. ``directions`` are the steps of the first differences
+    (:meth:`~hydro_agents.estimation.model.Model.directions`).
     """
     best = _descend(model, measured, np.arange(model.count), first, belief, settings, directions)
+    lowest = best.chi2_per_sample.copy()
+    _fit_errors(model, measured, np.arange(model.count), best, belief, settings)
     random = np.random.default_rng(0)
     varied = np.array([name not in STARTS for name in model.names])
     slowly = settings.model_copy(update={"horizons": _between(settings.horizons)})
     for attempt in range(settings.restarts):
-        again = np.flatnonzero(~best.holds)
+        again = np.flatnonzero(~best.holds | (best.uneven if attempt == 0 else False))
         if not len(again):
             break
         begin = first[again]
@@ -248,9 +295,62 @@ def search(
             begin = np.where(varied, RESTART * random.standard_normal(begin.shape), begin)
         part = Belief(belief.mean[again], belief.precision[again])
         found = _descend(model, measured, again, begin, part, slowly, None, attempt + 2)
-        better = np.flatnonzero(found.misfit < best.misfit[again])
+        lower = np.flatnonzero(found.chi2_per_sample < NEW_MINIMUM * lowest[again])
+        again, found = again[lower], found.part(lower)
+        lowest[again] = found.chi2_per_sample
+        _fit_errors(model, measured, again, found, belief, settings)
+        better = np.flatnonzero(found.unlikelihood < best.unlikelihood[again])
         best.replace(again[better], found, better)
     return best
+
+
+def _fit_errors(
+    model: Model, measured: Array, window: Indices, found: Estimate, belief: Belief, settings: EstimationSettings
+) -> None:
+    """Fit windows with a misfit again, and write the results into ``found``, (B,) of the windows ``window``.
+
+    Latency and rise time are further unknowns. White noise, slow error and spikes of each channel follow from the
+    residuals; they weigh the readings of the next fit.
+    """
+    odd = np.flatnonzero(~found.holds & np.isfinite(found.scaled).all(axis=1))
+    if not len(odd):
+        return
+    window, count, own = window[odd], len(odd), len(model.names)
+    more = {name: prior for name, prior in timing_priors(model.config).items() if name not in model.names}
+    wide, row = model.with_more(more, window), np.arange(count)
+    scaled = np.concatenate([found.scaled[odd], np.zeros((count, len(more)))], axis=1)
+    mean, precision = np.zeros_like(scaled), np.tile(np.eye(own + len(more)), (count, 1, 1))
+    mean[:, :own], precision[:, :own, :own] = belief.mean[window], belief.precision[window]
+    wider, data, first = Belief(mean, precision), measured[window], scaled
+    errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, np.bool_)
+    for attempt in range(ROUNDS):
+        limit, tolerance = settings.iterations, settings.tolerance
+        kept = np.where(spikes, np.nan, data)
+        last = fit(wide, kept, row, scaled, wider, wide.samples, limit, tolerance, step=SHORT_STEP, errors=errors)
+        scaled = last.scaled
+        if attempt <= 1:  # the spikes of the second round are left out
+            first = np.where(spikes.any(axis=(1, 2))[:, None] | (attempt == 0), scaled, first)
+        residual = data - wide.readings(scaled, row)[0]
+        spikes = spikes_of(residual, np.isfinite(residual))
+        known = np.isfinite(residual) & ~spikes
+        errors, unlikelihood = errors_of(np.where(known, residual, 0.0), known)
+    kept = np.where(spikes, np.nan, data)
+    again = assess(
+        wide, kept, row, scaled, wider, settings, last.iterations, last.directions, found.searches[odd], errors
+    )
+    again.widen(scaled - first, wide.derivative(scaled))
+    signal = np.nanstd(kept, axis=2)
+    small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(signal), SMALL_SLOW_ERROR)
+    again.holds[:] &= small.all(axis=1)
+    again.spikes[:] = spikes.sum(axis=2) / np.maximum(known.sum(axis=2) + spikes.sum(axis=2), 1)
+    again.unlikelihood[:] = unlikelihood
+    found.replace(odd, again.among(model.names), row)
+
+
+def timing_priors(config: TaskConfig) -> dict[str, Prior]:
+    """Priors of the timing of a recording whose data sheet does not hold: from about one row early to two rows late."""
+    latency = {LATENCY: Prior(config.command_latency, config.control_period)}
+    return latency | ({RISE_TIME: prior_of(config, RISE_TIME)} if config.sensors.enabled else {})
 
 
 def _between(horizons: Sequence[float]) -> tuple[float, ...]:
@@ -299,14 +399,23 @@ def assess(
     settings: EstimationSettings,
     iterations: Indices,
     directions: Array,
-    searches: int = 1,
+    searches: int | Indices = 1,
+    errors: Errors | None = None,
 ) -> Estimate:
-    """Uncertainty and goodness of fit at some values, (B, P) scaled."""
+    """Uncertainty and goodness of fit at some values, (B, P) scaled.
+
+    ``errors`` are those of the readings; ``None``: white noise as in the data sheet. A slow error widens the deviations.
+    """
     known = np.isfinite(measured[window])
     linear = model.linearise(scaled, window, directions)
-    residual, jacobian = masked(linear, measured[window], known)
+    residual, jacobian = masked(linear, measured[window], known, errors)
+    errors = errors or Errors.of_data_sheet(len(scaled), known.shape[1])
     precision = jacobian @ jacobian.transpose(0, 2, 1) + belief.precision
     covariance = np.linalg.inv(precision)
+    values = model.values(scaled)
+    timing = {LATENCY: model.config.command_latency, RISE_TIME: model.config.sensors.pressure_rise_time}
+    for name, usual in timing.items():
+        timing[name] = values[:, model.names.index(name)] if name in model.names else np.full(len(scaled), usual)
     count = known.sum(axis=(1, 2))
     chi2 = (residual**2).sum(axis=1)
     variance = np.einsum("bii->bi", covariance)
@@ -314,10 +423,12 @@ def assess(
     solvable = np.all(variance > 0.0, axis=1)
     misfit = np.where(solvable, misfit_of(residual, jacobian, covariance, known), np.inf)
     scale = model.derivative(scaled)
-    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))
+    widening = np.where((errors.slow > 0.0).any(axis=1), WIDENING, 1.0)
+    precision, covariance = precision / widening[:, None, None] ** 2, covariance * widening[:, None, None] ** 2
+    deviation = widening[:, None] * np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return Estimate(
         names=model.names,
-        values=model.values(scaled),
+        values=values,
         deviations=deviation * scale,
         covariance=covariance * scale[:, :, None] * scale[:, None, :],
         remaining=deviation,
@@ -325,7 +436,14 @@ def assess(
         misfit=misfit,
         holds=misfit < settings.largest_misfit,
         iterations=iterations,
-        searches=np.full(len(scaled), searches),
+        searches=np.array(np.broadcast_to(searches, len(scaled))),
         scaled=scaled,
         precision=precision,
+        white=errors.white,
+        slow=errors.slow,
+        memory=errors.memory,
+        spikes=np.zeros_like(errors.white),
+        latency=np.asarray(timing[LATENCY]),
+        rise_time=np.asarray(timing[RISE_TIME]),
+        unlikelihood=chi2,
     )
