@@ -23,7 +23,8 @@ from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.operations import MOTIONS
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.diagnose import Diagnosis, Kind, diagnose
+from hydro_agents.rigs.diagnose import Diagnosis, diagnose
+from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig

@@ -90,7 +90,7 @@ def spikes_of(residual: Array, known: Mask) -> Mask:
     with np.errstate(invalid="ignore"):
         usual = 1.483 * np.nanmedian(away, axis=2, keepdims=True) if known.any() else np.zeros((1, 1, 1))
         spikes = known & (away > np.maximum(SPIKE * np.nan_to_num(usual), LEAST_SPIKE))
-    spikes &= (spikes.sum(axis=2, keepdims=True) <= MOST_SPIKES * known.sum(axis=2, keepdims=True))
+    spikes &= spikes.sum(axis=2, keepdims=True) <= MOST_SPIKES * known.sum(axis=2, keepdims=True)
     return np.asarray(spikes)
 
 

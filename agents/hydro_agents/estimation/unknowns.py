@@ -1,8 +1,8 @@
 """The unknowns of an estimate: their names, those that are estimated by default, and their priors.
 
 Names: ``leakage_flow_lpm`` and ``external_leakage_flow_lpm`` (l/min at 100 bar), the path of any number of the plant
-(``valve.rated_flow``), ``command_latency`` (s), ``pressure_rise_time`` (of the transducers, s), ``start.`` and a state (``start.velocity``), a sensor and ``_bias``
-(its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
+(``valve.rated_flow``), ``command_latency`` (s), ``pressure_rise_time`` (of the transducers, s), ``start.`` and a
+state (``start.velocity``), a sensor and ``_bias`` (its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
 
 Priors: the ranges of the task become normal distributions with the same mean and variance; that of a positive quantity
 is log-normal.
