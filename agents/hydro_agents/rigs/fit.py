@@ -199,12 +199,12 @@ def _common_fit(
 ) -> tuple[Model, Joint, Array]:
     """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
-    for _ in range(2):  # the second time without the outliers of the first
+    for again in (False, True):  # the second time without the outliers of the first
         model = Model(config, priors, signals[kept, -1])
         readings = usable_readings(signals[kept], config, model)
         joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
         still = _without_outliers(joint.misfit)
-        if len(still) == len(kept):
+        if again or len(still) == len(kept):
             break
         kept = kept[still]
     misfit = np.full(len(signals), np.inf)
