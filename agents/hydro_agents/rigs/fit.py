@@ -71,6 +71,7 @@ class Fit(NamedTuple):
     widening: float  # factor on the standard deviations of a fit to white noise
     information: Array  # (p, p), of the readings, for unknowns scaled by their ranges
     misfit: Array  # (B,), of each window; infinite for a window that was left out
+    joint: Joint | None = None  # the common fit of the other windows
 
     @property
     def determined(self) -> NDArray[np.bool_]:
@@ -200,12 +201,12 @@ def _common_fit(
 ) -> tuple[Model, Joint, Array]:
     """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
-    for _ in range(2):  # the second time without the outliers of the first
+    for again in (False, True):  # the second time without the outliers of the first
         model = Model(config, priors, signals[kept, -1])
         readings = usable_readings(signals[kept], config, model)
         joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
         still = _without_outliers(joint.misfit)
-        if len(still) == len(kept):
+        if again or len(still) == len(kept):
             break
         kept = kept[still]
     misfit = np.full(len(signals), np.inf)
@@ -256,6 +257,7 @@ def _summary(model: Model, joint: Joint, priors: Mapping[str, Prior], misfit: Ar
         widening=widening,
         information=joint.information.sum(axis=0),
         misfit=misfit,
+        joint=joint,
     )
 
 
