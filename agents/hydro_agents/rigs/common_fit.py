@@ -13,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import Estimate, EstimationSettings, estimate, search, usable_readings
+from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.result import Estimate
+from hydro_agents.estimation.search import EstimationSettings, search
 from hydro_agents.estimation.solver import (
     Belief,
     channel_weights,
@@ -37,10 +39,12 @@ OUTLIER = 3.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
 local minimum, or there was a disturbance."""
 
-ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
+ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2, errors=False)
 """Search settings of the single windows; the common fit continues from their results."""
 
-RANDOMLY = ROUGHLY.model_copy(update={"restarts": 3})  # where no common values explain most windows
+RANDOMLY, FEW = ROUGHLY.model_copy(update={"restarts": 3}), 2
+"""The same for the few best windows, where no common values explain most of all."""
+
 LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a window that they do not explain
 
 ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
@@ -189,19 +193,22 @@ def common_fit(signals: Array, config: TaskConfig, priors: Mapping[str, Prior], 
     report("windows", len(signals), len(signals))
     best = _common_fit(signals, config, priors, alone, report)
     if best.explained < len(signals):
+        better = np.empty(0, np.int64)
         if 2 * best.explained >= len(signals):
-            _again(signals, config, best, alone)
+            better = _again(signals, config, best, alone)
         else:
-            other = estimate(signals, config, list(priors), settings=RANDOMLY)
-            better = np.flatnonzero(other.misfit < alone.misfit)
-            alone.replace(better, other, better)
-        again = _common_fit(signals, config, priors, alone, report)
-        best = max(best, again, key=lambda one: (one.explained, -float(np.median(one.misfit))))
+            few = np.sort(np.argsort(alone.misfit)[:FEW])
+            other = estimate(signals[few], config, list(priors), settings=RANDOMLY)
+            better = np.flatnonzero(other.misfit < alone.misfit[few])
+            alone.replace(few[better], other, better)
+        if len(better):
+            again = _common_fit(signals, config, priors, alone, report)
+            best = max(best, again, key=lambda one: (one.explained, -float(np.median(one.misfit))))
     report("common fit", 1, 1)
     return best
 
 
-def _again(signals: Array, config: TaskConfig, found: Common, alone: Estimate) -> None:
+def _again(signals: Array, config: TaskConfig, found: Common, alone: Estimate) -> Indices:
     """Fit the windows that common values do not explain again, near these values; the better ones go to ``alone``."""
     left = np.flatnonzero(~(found.misfit < WELL_FITTED))
     model, joint = found.model, found.joint
@@ -216,6 +223,7 @@ def _again(signals: Array, config: TaskConfig, found: Common, alone: Estimate) -
     again = search(windows, measured, first, Belief(mean, precision), ROUGHLY)
     better = np.flatnonzero(again.misfit < alone.misfit[left])
     alone.replace(left[better], again, better)
+    return better
 
 
 def _common_fit(
@@ -227,7 +235,7 @@ def _common_fit(
         report("common fit", done, total)
 
     kept = _without_outliers(alone.misfit)
-    for _ in range(2):  # the second time without the outliers of the first
+    for again in (False, True):  # the second time without the outliers of the first
         model = Model(config, priors, signals[kept, -1])
         readings, shared = usable_readings(signals[kept], config, model), shared_and_own(model)[0]
         rough = [
@@ -238,7 +246,7 @@ def _common_fit(
         order = np.argsort(costs)
         joint = fit_together(model, readings, rough[order[0]], progress)
         still = _without_outliers(joint.misfit)
-        if len(still) == len(kept):
+        if again or len(still) == len(kept):
             break
         kept = kept[still]
     second = None
