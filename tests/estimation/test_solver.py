@@ -71,25 +71,26 @@ def test_ten_windows_end_in_the_minimum_that_scipy_finds():
 
 def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():
     unknowns = (*FEW[:4], *(name for name in FEW if name in STARTS))
-    count = 10
-    model, measured, guess = problem([0.3] * count, [1_300_200] * count, unknowns)
+    seeds = [1_300_200] * 3
+    model, measured, guess = problem([0.3] * 3, seeds, unknowns)
     measured = measured.copy()
-    for window in range(1, count):  # each sees another part of the motion
-        measured[window, :, : 10 * window] = measured[window, :, 10 * window + 60 :] = np.nan
+    measured[1, :, 80:], measured[2, :, :80] = np.nan, np.nan
     shared = np.arange(4)
     guess[:, shared] = guess[0, shared]
-    windows, belief = np.arange(count), prior_belief(model, count)
+    windows, belief = np.arange(3), prior_belief(model, 3)
     found = fit(model, measured, windows, guess, belief, 161, 200, 1e-3, step=SHORT_STEP, shared=shared)
     own = guess.shape[1] - 4
-    places = np.array([[*shared, *(4 + own * window + np.arange(own))] for window in windows])
+    places = np.array([[*shared, *(4 + own * window + np.arange(own))] for window in range(3)])
     equations, roots = final_equations(model, measured, windows, found.scaled, shared)
     start = np.concatenate([guess[0, :4], guess[:, 4:].ravel()])
     best = by_scipy(model, measured, windows, roots, places, start).x
-    identified = fit_together(model, measured, guess).scaled  # the search of hydro identify
+    apart = found.scaled.copy()  # from where the search of hydro identify comes back
+    apart[:, shared] += 3.0 * np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))[shared]
+    identified = fit_together(model, measured, apart).scaled
     for window in windows:
         deviation = np.sqrt(np.diag(np.linalg.inv(equations.precision[window])))
         assert (np.abs(best[places[window]] - found.scaled[window]) < 0.1 * deviation).all()
-        assert (np.abs(best[places[window], shared] - identified[window, shared]) < 0.1 * deviation[shared]).all()
+        assert (np.abs(best[places[window]] - identified[window]) < 0.1 * deviation).all()
         assert (found.scaled[window, shared] == found.scaled[0, shared]).all()
 
 

@@ -64,7 +64,7 @@ def coverage(jacobian, disturbed, runs=600):
 def test_intervals_hold_as_often_as_they_promise_where_noise_is_all(jacobian):
     inside, widening = coverage(jacobian, 0.0)
     assert (inside > 0.93).all(), inside  # a variance is never below the noise's: they hold rather more often
-    assert (inside < 0.995).all(), inside
+    assert inside.mean() < 0.985, inside
     assert (widening < 1.2).all()
 
 

@@ -30,8 +30,7 @@ from hydro_env.task.randomisation import Distribution, own_value
 Array = NDArray[np.float64]
 
 TAIL = 0.025  # of the 95 % interval, to each side
-MODERATION = 6.0
-"""Degrees of freedom of the common ratio; as many as those of seven windows, the usual number in 20 s."""
+MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the usual number in 20 s, have six
 
 LEAST_RATIO = 1.0  # a variance is never below this share of the model's
 MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
