@@ -13,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import Estimate, EstimationSettings, estimate, usable_readings
+from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.result import Estimate
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, misfit_of, prior_belief, without
 from hydro_agents.estimation.unknowns import (
     BIASES,
