@@ -100,6 +100,55 @@ def test_mat_files_with_a_map(tmp_path, version):
     same_as_written(path, read_map(tmp_path / "map.yaml"))
 
 
+@pytest.mark.parametrize("version", ["5", "7.3"])
+def test_mat_files_with_a_struct_per_channel_and_unequal_lengths(tmp_path, version):
+    path, own = tmp_path / "a.mat", TIME[:-20:2]
+    channels = {
+        "position": {
+            "Time": own,
+            "Data": 100.0 * own,
+            "Unit": "mm",
+        },  # a line, which linear interpolation meets exactly
+        "command": {"time": TIME, "signals": {"values": COMMAND, "dimensions": 1.0}, "unit": "V"},
+    }
+    if version == "5":
+        importlib.import_module("scipy.io").savemat(path, channels | {"note": "text", "other": np.arange(7.0)})
+    else:
+        with library("h5py").File(path, "w", userblock_size=512) as file:
+            for name, content in channels.items():
+                group = file.create_group(name)
+                for key, value in content.items():
+                    if isinstance(value, str):
+                        group[key] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                        group[key].attrs["MATLAB_class"] = np.bytes_(b"char")
+                    elif isinstance(value, dict):
+                        group.create_group(key)["values"] = value["values"][None]
+                    else:
+                        group[key] = value[None]
+        head = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+        path.write_bytes(head + path.read_bytes()[len(head) :])
+    found = read_recording(path)
+    np.testing.assert_allclose(found.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(found.signals[4], 0.1 * COMMAND, rtol=1e-9)
+    known = np.isfinite(found.signals[0])
+    np.testing.assert_allclose(found.signals[0, known], 0.1 * TIME[known], rtol=1e-9)
+    assert known.sum() == np.sum(own[-1] >= TIME)
+
+
+def test_vectors_of_unequal_length_find_their_time(tmp_path):
+    path, own = tmp_path / "a.mat", TIME[:150]
+    content = {"t": TIME, "u": COMMAND, "t2": own, "x": 100.0 * own**2 - own, "gain": np.arange(5.0) % 2}
+    importlib.import_module("scipy.io").savemat(path, content)
+    (tmp_path / "map.yaml").write_text(MAP, encoding="utf-8")
+    found = read_recording(path, read_map(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(found.time, TIME)
+    np.testing.assert_allclose(found.signals[0, :150], 1e-3 * content["x"], atol=1e-12)
+    assert np.isnan(found.signals[0, 150:]).all()
+    (tmp_path / "map.yaml").write_text(MAP.replace("column: x", "column: gain"), encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="'gain' has 5 values, that of the command has 200"):
+        read_recording(path, read_map(tmp_path / "map.yaml"))
+
+
 @pytest.mark.parametrize(
     ("kind", "name"), [("parquet", "pyarrow"), ("mf4", "asammdf"), ("tdms", "nptdms"), ("mat", "scipy.io")]
 )

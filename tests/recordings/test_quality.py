@@ -6,7 +6,8 @@ from recorded import CONFIG, changed, healthy
 
 from hydro_agents.recordings.findings import Weight
 from hydro_agents.recordings.quality import check_driving, check_recording
-from hydro_agents.recordings.sampling import bridged, cut, sampled
+from hydro_agents.recordings.recording import Recording
+from hydro_agents.recordings.sampling import bridged, cut, on_grid, sampled
 
 BAR = 1e5
 NOTE, FAULT, SEVERE = Weight
@@ -133,6 +134,49 @@ def test_a_faster_recording_keeps_the_rows_in_which_the_controller_sampled(recor
     assert checked.findings == []
     np.testing.assert_array_equal(checked.samples.signals[0], recording.signals[0])
     np.testing.assert_array_equal(checked.samples.signals[4], recording.signals[4])
+
+
+def stepped(rows_per_second, steps, duration=1.0):
+    """A fast log of a step test in open loop: the command takes each level of ``steps`` (time in s, level)."""
+    time = np.arange(round(duration * rows_per_second)) / rows_per_second
+    command = np.zeros(len(time))
+    for begin, level in steps:
+        command[time >= begin - 1e-9] = level
+    noise = np.random.default_rng(0)
+    signals = np.full((5, len(time)), np.nan)
+    signals[0] = 0.02 * time + np.where(noise.random(len(time)) < 0.08, 0.01, 0.0)  # spikes
+    signals[4] = command
+    return changed(healthy_stub(time), time=time, signals=signals)
+
+
+def healthy_stub(time):
+    return Recording("steps", time, np.zeros((5, len(time))), {}, [])
+
+
+def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
+    log = stepped(10_000, [(0.1003, 0.1), (0.5, 0.0), (0.6012, -0.1)])
+    assert check_recording(log, CONFIG).samples.time.size == 0  # a diagnosis reads windows of the control period
+    checked = check_recording(log, CONFIG, own_grid=None)
+    samples = checked.samples
+    assert samples.period == pytest.approx(1e-3)
+    assert "each sample the median of 10 rows" in checked.findings[-1].line() or any(
+        "each sample the median of 10 rows" in finding.line() for finding in checked.findings
+    )
+    np.testing.assert_allclose(samples.signals[0], 0.02 * samples.time, atol=2e-5)  # without the spikes
+    # Column k holds what acted since the sample before: a step at 0.5 s shows in the sample that follows it.
+    assert samples.time[np.flatnonzero(np.diff(samples.signals[4])) + 1] == pytest.approx(
+        [0.1013, 0.501, 0.602], abs=1e-3
+    )
+    assert on_grid(CONFIG, samples.period).control_period == samples.period
+    assert on_grid(CONFIG, samples.period).command_latency == 0.0
+    assert on_grid(CONFIG, CONFIG.control_period) is CONFIG
+
+
+def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
+    assert check_recording(recording, CONFIG, own_grid=None).samples.period == CONFIG.control_period
+    forced = check_recording(recording, CONFIG, own_grid=True).samples
+    np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
+    np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
 
 
 def test_windows_keep_gaps_as_missing_samples(recording):

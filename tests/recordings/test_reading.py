@@ -1,10 +1,13 @@
 """Reading a recording: columns, units, time stamps, and what is no recording."""
 
 import numpy as np
+import pandas as pd
 import pytest
+from command_line import assert_one_clear_line, hydro
 from recorded import recorded_file
 
 from hydro_agents.recordings.columns import read_map
+from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_agents.recordings.recording import read_recording
 from hydro_agents.recordings.simulated import named_faults, recording_csv
 from hydro_env import ConfigurationError
@@ -33,6 +36,19 @@ def test_record_keeps_every_step_of_the_sensors(tmp_path):
     step = 0.4 / (65536 * 8.0 / 20.0)
     places = (found.signals[0] + 0.2) / step
     assert np.abs(places - np.rint(places)).max() < 0.1
+
+
+def test_columns_between_spaces_have_their_headings_in_a_comment(tmp_path):
+    rows = [line.replace(",", "   ") for line in PLAIN.splitlines() if not line.startswith("#")]
+    head = "#" + ",".join(PLAIN.splitlines()[1].split(","))
+    found = read_recording(written(tmp_path, "\n".join(["# of a test bench", head, *("  " + row for row in rows[1:])])))
+    np.testing.assert_allclose(found.signals, SIGNALS, rtol=1e-6)
+    spaced = written(tmp_path, "\n".join(["time command position", *(" ".join(row.split()[:3]) for row in rows[1:])]))
+    (tmp_path / "map.yaml").write_text(
+        "time: time\nposition: {column: command, unit: mm}\ncommand: {column: 3, unit: bar}"
+    )
+    with pytest.raises(ConfigurationError, match="bar"):
+        read_recording(spaced, read_map(tmp_path / "map.yaml"))
 
 
 def test_a_sensor_that_the_rig_lacks_has_no_column(tmp_path):
@@ -158,3 +174,70 @@ def test_faults_are_named():
     for text in ("x=1", "valve_null_shift", "valve_null_shift=x"):
         with pytest.raises(ConfigurationError, match="--fault"):
             named_faults([text])
+
+
+GUESSES = {
+    "Zeit [ms],Stellgröße [V],Weg [mm],Soll-Weg [mm],Druck A [bar],Druck B [bar],Schieber [%]": {
+        "time": "Zeit [ms]", "command": "Stellgröße [V]", "position": "Weg [mm]", "pressure_a": "Druck A [bar]",
+        "pressure_b": "Druck B [bar]", "spool_position": "Schieber [%]",
+    },
+    "time (s),Cylinder Position (mm),P_A (psi),P_B (psi),Valve Command (V),Position Setpoint (mm)": {
+        "time": "time (s)", "command": "Valve Command (V)", "position": "Cylinder Position (mm)",
+        "pressure_a": "P_A (psi)", "pressure_b": "P_B (psi)",
+    },
+    "Time_s,xRef,xPiston,pCap,pRod,uValve": {
+        "time": "Time_s", "command": "uValve", "position": "xPiston", "pressure_a": "pCap", "pressure_b": "pRod",
+    },
+    "Timestamp,AO_1,PT1,PT2": {"time": "Timestamp", "command": "AO_1", "pressure_a": "PT1", "pressure_b": "PT2"},
+    "Temperature [°C],Counter,Button": {},
+}  # fmt: skip
+"""Columns that are guessed from headings."""
+
+
+@pytest.mark.parametrize("headings", GUESSES)
+def test_a_map_is_guessed_from_unknown_headings_and_can_be_saved(tmp_path, headings):
+    width = headings.count(",") + 1
+    rows = [
+        ",".join([str(5 * k)] + [f"{3.0 + 0.5 * (k % 3 + column):g}" for column in range(1, width)]) for k in range(9)
+    ]
+    path = written(tmp_path, "\n".join([headings, *rows]))
+    with pytest.raises(UnknownHeadingsError, match="a map guessed from the headings stands above") as error:
+        read_recording(path)
+    assert "\n" not in str(error.value)
+    (tmp_path / "map.yaml").write_text(error.value.guess, encoding="utf-8")
+    wanted = GUESSES[headings]
+    if not wanted:
+        assert "# command: which column? It is needed." in error.value.guess
+        with pytest.raises(ConfigurationError):
+            read_map(tmp_path / "map.yaml")
+        return
+    found = read_map(tmp_path / "map.yaml")
+    assert {signal: column.column for signal, column in found.columns().items()} == wanted
+    again = read_recording(path, found)
+    assert np.isfinite(again.signals[4]).all()
+
+
+@pytest.mark.parametrize(
+    ("signal", "values", "unit"),
+    [
+        ("time", [0.0, 5.0], "ms"), ("time", [0.0, 0.005], "s"), ("command", [-0.5, 0.9], "'-'"),
+        ("command", [0.0, 9.0], "V"), ("command", [0.0, 99.0], "'%'"),
+        ("position", [0.0, 0.4], "m"), ("pressure", [0.0, 4e6], "Pa"),
+        ("pressure", [1.0, 4.3], "MPa"), ("pressure", [1.0, 200.0], "bar"),
+    ],
+)  # fmt: skip
+def test_a_unit_that_no_heading_gives_is_assumed_from_the_values(signal, values, unit):
+    columns = {"t": [0.0, 0.1], "u": [1.0, 2.0], "x": [1.0, 2.0], "p1": [1.0, 2.0]}
+    columns[{"time": "t", "command": "u", "position": "x", "pressure": "p1"}[signal]] = values
+    guess = guessed_map(list(columns), [pd.Series(column) for column in columns.values()], "a.csv")
+    line = next(line for line in guess.splitlines() if line.startswith(signal))
+    assert f"unit: {unit}}}" in line, line
+
+
+def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
+    path = written(tmp_path, "Zeit [s],Ventil [V],Weg [mm]\n" + "\n".join(f"{0.005 * k:g},1,{k}" for k in range(20)))
+    for command in (["diagnose", path], ["identify", path, "--rig", "kovari_2015"]):
+        answer = hydro(*command, "--output", tmp_path / "out")
+        assert_one_clear_line(answer, "no column has the heading 'time'")
+        (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
+        assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}

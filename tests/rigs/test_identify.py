@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -13,8 +14,8 @@ from published import assert_published_page
 from recorded import SEED, recorded_file
 
 from hydro_agents.recordings.recording import read_recording
+from hydro_agents.rigs.advice import advise
 from hydro_agents.rigs.fit import fit_windows
-from hydro_agents.rigs.identify import advise
 from hydro_env import PlantParameters, ServoHydraulicVectorEnv
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -62,7 +63,11 @@ def truth(folder):
 def test_the_hidden_rig_is_found(folder, done):
     out, answer = done
     assert answer.returncode == 0, answer.stderr
-    assert own_lines(answer.stdout)[-1].endswith("of the position's variance explained on the held-back part")
+    assert re.search(
+        r"of the position's variance explained on the held-back part; "
+        r"root mean square error there [\d.]+ mm, [\d.]+ mm/s, [\d.]+ bar \(a\) and [\d.]+ bar \(b\)$",
+        own_lines(answer.stdout)[-1],
+    )
     assert {path.name for path in out.iterdir()} == {
         ".hydro.json", "figures", "identification.html", "identification.json", "rig.yaml",
     }  # fmt: skip
@@ -109,6 +114,61 @@ def test_the_page_stands_alone_and_nothing_is_overwritten(browser, folder, done)
     assert "src=" not in page
     assert "http" not in page.replace("http://www.w3.org", "")
     assert_one_clear_line(identified(folder, "out", folder / "a.csv")[1], "holds results already")
+
+
+def test_recordings_with_their_own_sensors_share_the_unknowns(folder, tmp_path):
+    """One file has pressure a, the other pressure b under another heading; a third one tests the fit."""
+    families = {
+        "one_a": ("multi_sine", "pressure_b"),
+        "two_b": ("sine", "pressure_a"),
+        "test_a": ("ramp", "pressure_b"),
+    }
+    for name, (family, absent) in families.items():
+        recorded_file(tmp_path / f"{name}.csv", hidden(folder), LEAK, family=family, duration=DURATION)
+        table = pd.read_csv(tmp_path / f"{name}.csv", comment="#").drop(
+            columns=[f"{absent} [bar]", "spool_position [%]"]
+        )
+        table.rename(columns={"pressure_b [bar]": "PT2 [bar]"}).to_csv(tmp_path / f"{name}.csv", index=False)
+    (tmp_path / "b.yaml").write_text("{time: time, command: command, position: position, pressure_b: PT2}")
+    files = [tmp_path / f"{name}.csv" for name in families]
+    options = ["--map", f"*_b.csv={tmp_path / 'b.yaml'}", "--hold-back", "test_*", "--output", tmp_path / "out"]
+    answer = hydro("identify", *files, "--rig", folder / "rig.yaml", *options)
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads((tmp_path / "out" / "identification.json").read_text(encoding="utf-8"))
+    assert [Path(part["recording"]).name for part in result["held_back"]["parts"]] == ["test_a.csv"]
+    assert result["held_back"]["parts"][0]["position_rms"] < 1e-3
+    assert result["held_back"]["parts"][0]["pressure_b_rms"] is None
+    assert {"pressure_a_bias", "pressure_b_bias"} < set(result["unknowns"])
+    true = truth(folder)
+    for path, value in true.items():
+        one = result["unknowns"][path]
+        assert one["low"] - (one["high"] - one["low"]) < value < one["high"] + (one["high"] - one["low"]), path
+        own = result["repeatability"][path]
+        assert [Path(repeat["recording"]).name for repeat in own] == ["one_a.csv", "two_b.csv"]
+        assert all(repeat["low"] <= repeat["value"] <= repeat["high"] for repeat in own)
+    assert result["repeatability"]["valve.rated_flow"][0]["determined"]
+    assert result["repeats_inside_their_intervals"] > 0.5
+    page = (tmp_path / "out" / "identification.html").read_text(encoding="utf-8")
+    assert "Repeatability" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--hold-back", "*_b*"], "--hold-back *_b*: matches none of the recordings, such as a.csv"),
+        (["--hold-back", "*.csv"], "matches every recording"),
+        (["--map", "x.yaml", "--map", "y.yaml"], "several maps need patterns"),
+        (["--map", "b*=x.yaml"], "'b*' matches none of the recordings"),
+    ],
+)
+def test_patterns_that_match_nothing_are_refused(folder, tmp_path, options, words):
+    answer = identified(folder, "nothing", folder / "a.csv", *options)[1]
+    assert answer.returncode == 2
+    assert_one_clear_line(answer, words)
+    twice = hydro(
+        "identify", folder / "a.csv", folder / "a.csv", "--rig", folder / "rig.yaml", "--output", tmp_path / "o"
+    )
+    assert_one_clear_line(twice, "is given twice")
 
 
 @pytest.mark.parametrize(

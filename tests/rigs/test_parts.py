@@ -10,7 +10,8 @@ from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import _line, _with_unit, found_values, narrowed
-from hydro_agents.rigs.parts import COMMAND, POSITION, _share, parts_of
+from hydro_agents.rigs.held_back import HeldBack, _share, errors_in_words
+from hydro_agents.rigs.parts import COMMAND, POSITION, parts_of
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
 from hydro_env.task.randomisation import Distribution
@@ -30,36 +31,83 @@ def samples_of(count, place=None):
     return Sampled(place, PERIOD * place, signals, PERIOD, {}, [])
 
 
-def test_seven_tenths_are_fitted_and_the_rest_is_held_back():
-    parts = parts_of(samples_of(4000), "a.csv")
-    assert parts.fitted.begin.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0]
-    assert parts.begin == 14.0
-    np.testing.assert_array_equal(parts.held_back, samples_of(4000).signals[:, 2800:])
-    assert parts.findings == []
+def parts_alone(samples):
+    return parts_of([samples], ["a.csv"])
+
+
+def test_the_last_part_with_its_share_of_the_motion_is_held_back():
+    parts = parts_alone(samples_of(4000))  # it moves from 10 s to 20 s
+    (part,) = parts.held_back
+    assert part.begin == 8.0  # two of five moving windows; the last three windows would have most of the motion
+    np.testing.assert_array_equal(part.signals, samples_of(4000).signals[:, 1600:2800])
+    assert parts.fitted.begin.tolist() == [0.0, 2.0, 4.0, 6.0, 14.0, 16.0, 18.0]
+    assert parts.findings == [[]]
+
+
+def test_an_axis_that_always_moves_is_held_back_from_the_end():
+    samples = samples_of(4000)
+    samples.signals[POSITION] = 0.01 * np.sin(9.0 * samples.time)
+    assert parts_alone(samples).held_back[0].begin == 14.0
 
 
 def test_of_a_long_recording_each_section_gives_its_liveliest_window():
-    parts = parts_of(samples_of(40_000), "a.csv")
+    parts = parts_alone(samples_of(40_000))
     assert len(parts.fitted.begin) == 12
     assert (np.diff(parts.fitted.begin) > 0.0).all()
     # The axis moves from 100 s on: the section that holds this moment gives a window behind it.
     assert not ((parts.fitted.begin >= 94.0) & (parts.fitted.begin < 98.0)).any()
-    assert parts.held_back.shape[1] == 2000
+    assert parts.held_back[0].signals.shape[1] == 2000
+
+
+def levels(amplitudes, sensors):
+    """Recordings with these largest commands; each has only the named one of the two pressures."""
+    recordings = []
+    for amplitude, pressure in zip(amplitudes, sensors, strict=True):
+        samples = samples_of(1600)
+        samples.signals[COMMAND] *= amplitude / 0.5
+        samples.signals[3 - pressure] = np.nan
+        recordings.append(samples)
+    return recordings
+
+
+@pytest.mark.parametrize(
+    ("amplitudes", "sensors", "apart", "reason"),
+    [
+        ([0.1, 0.2, 0.3], [1, 1, 1], [1], "another amplitude"),
+        ([0.1, 0.1, 0.2, 0.2, 0.3, 0.3], [1, 2] * 3, [2, 3], "another amplitude"),
+        ([0.1, 0.1, 0.2, 0.2], [1, 2, 1, 2], [2, 3], "other recordings"),
+        ([0.1, 0.1], [1, 2], [], "share of the motion"),
+    ],
+)
+def test_whole_recordings_are_held_back_by_amplitude_and_sensors(amplitudes, sensors, apart, reason):
+    recordings = levels(amplitudes, sensors)
+    names = [f"{k}.csv" for k in range(len(recordings))]
+    parts = parts_of(recordings, names)
+    assert reason in parts.reason
+    if apart:
+        assert [part.recording for part in parts.held_back] == apart
+        assert not set(apart) & set(parts.recording.tolist())
+        assert parts.held_back[0].signals.shape[1] == 1600  # whole
+    else:
+        assert [part.recording for part in parts.held_back] == [0, 1]
+    asked = parts_of(recordings, names, {0})
+    assert [part.recording for part in asked.held_back] == [0]
+    assert 0 not in asked.recording
 
 
 def test_short_gaps_of_the_command_are_interpolated_and_told():
     place = np.delete(np.arange(4003), [500, 501, 1300])
-    parts = parts_of(samples_of(4000, place), "a.csv")
+    parts = parts_alone(samples_of(4000, place))
     assert len(parts.fitted.begin) == 7
     command = parts.fitted.signals[1, COMMAND]
     assert command[100] == pytest.approx(command[99] + (command[102] - command[99]) / 3.0, abs=1e-5)
     assert np.isnan(parts.fitted.signals[1, POSITION, 100])
-    assert "filled in" in parts.findings[0].line()
+    assert "filled in" in parts.findings[0][0].line()
 
 
 def test_windows_with_a_long_gap_are_left_out():
     place = np.concatenate([np.arange(1000), np.arange(1300, 4300)])
-    parts = parts_of(samples_of(4000, place), "a.csv")
+    parts = parts_alone(samples_of(4000, place))
     assert 4.0 not in parts.fitted.begin
     assert 6.0 not in parts.fitted.begin
 
@@ -81,20 +129,36 @@ def test_what_tells_nothing_is_refused(row, columns, value, words):
     samples = samples_of(4000)
     samples.signals[row, columns] = value
     with pytest.raises(ConfigurationError, match=words):
-        parts_of(samples, "a.csv")
+        parts_alone(samples)
 
 
 def test_a_recording_of_a_second_is_refused():
     with pytest.raises(ConfigurationError, match="holds 1 s of samples; at least 2 s are needed"):
-        parts_of(samples_of(200), "a.csv")
+        parts_alone(samples_of(200))
 
 
 def test_the_share_of_variance_is_that_of_a_regression():
     measured = np.array([0.0, 2.0, 4.0, np.nan])
-    assert _share(measured, measured) == 1.0
-    assert _share(measured, np.full(4, 2.0)) == pytest.approx(0.0)
-    assert _share(measured, measured[::-1] * np.nan) == -math.inf
-    assert math.isnan(_share(np.full(3, np.nan), np.zeros(3)))
+    assert _share([(measured, measured)]) == 1.0
+    assert _share([(measured, np.full(4, 2.0))]) == pytest.approx(0.0)
+    assert _share([(measured, measured[::-1] * np.nan)]) == -math.inf
+    assert math.isnan(_share([(np.full(3, np.nan), np.zeros(3))]))
+
+
+def test_errors_are_told_in_mm_mm_per_s_and_bar():
+    time = 0.005 * np.arange(400)
+    measured = np.full((4, 400), np.nan)
+    measured[POSITION] = 0.1 * np.where(time < 1.0, time, 2.0 - time)
+    measured[1] = 20e5
+    simulated = measured.copy()
+    simulated[POSITION], simulated[1] = 1.02 * measured[POSITION], 20.5e5
+    part = HeldBack(0, 0.0, time, measured, simulated, np.full(4, np.nan))
+    assert part.speed_ratios == pytest.approx((0.02, 0.02))
+    assert part.error[1] == pytest.approx(0.5e5)
+    assert part.speed_error == pytest.approx(2e-3, rel=0.05)
+    assert errors_in_words([part, part]) == "1.2 mm, 2.0 mm/s, 0.50 bar (a)"
+    nothing = np.full((4, 400), np.nan)
+    assert errors_in_words([part._replace(measured=nothing)]) == ""
 
 
 CONFIG = TaskConfig()

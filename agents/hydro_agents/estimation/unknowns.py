@@ -15,6 +15,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import MODEL_CODES, PARAMETER_PATHS
 from hydro_env.plant.parts.leakage import ROD_SEAL
@@ -77,6 +80,11 @@ class Prior:
             )
         if self.logarithmic and self.mean <= 0.0:
             raise ConfigurationError(f"prior: mean = {self.mean:g}: must be above 0 for a logarithmic prior")
+
+    def value(self, scaled: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values in the unknown's unit, (…), of scaled ones: standard deviations from the mean."""
+        away = self.deviation * scaled
+        return self.mean * np.exp(away) if self.logarithmic else self.mean + away
 
 
 def starts_of(config: TaskConfig) -> list[str]:

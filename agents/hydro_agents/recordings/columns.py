@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -108,6 +109,28 @@ def read_map(path: Path) -> ColumnMap:
         ConfigurationError: the file is unreadable, or not a map.
     """
     return validate(ColumnMap, read_yaml(path), str(path))
+
+
+def maps_of(texts: Sequence[str], paths: Sequence[Path]) -> list[ColumnMap | None]:
+    """The map of each recording, from FILE (for all) or PATTERN=FILE; the last pattern that matches counts.
+
+    Raises:
+        ConfigurationError: a map is unreadable, a pattern matches no recording, or two maps are for all.
+    """
+    maps: list[ColumnMap | None] = [None] * len(paths)
+    for text in texts:
+        pattern, _, file = text.rpartition("=")
+        if not pattern and len(texts) > 1:
+            raise ConfigurationError(f"--map {text}: several maps need patterns: --map '*_a.csv={file}'")
+        own = [k for k, path in enumerate(paths) if not pattern or fnmatch(path.name, pattern) or str(path) == pattern]
+        if not own:
+            raise ConfigurationError(
+                f"--map {text}: '{pattern}' matches none of the recordings, such as {paths[0].name}"
+            )
+        read = read_map(Path(file))
+        for k in own:
+            maps[k] = read
+    return maps
 
 
 def own_map(headings: Sequence[str], source: str) -> ColumnMap:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.recordings.columns import UNITS, split_heading
 from hydro_agents.recordings.findings import Finding, Weight
+from hydro_agents.recordings.mat_files import Channel, read_mat
 from hydro_env import ConfigurationError
 from hydro_env.files import read_text
 
@@ -32,6 +33,8 @@ LONGEST_STEP = 2.0
 
 TIME_HEADING = "time [s]"  # heading of the common time of channels with their own stamps
 MOST_LINES = 200  # in which the headings must stand
+
+SPACES = r"\s+"  # any number of spaces between two columns
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -166,16 +169,6 @@ def _read_parquet(path: Path, _: Any) -> Columns:
     return _of_table(table.reset_index() if table.index.name is not None else table)
 
 
-class _Channel(NamedTuple):
-    """A channel with or without (None) its own time stamps."""
-
-    group: str
-    name: str
-    unit: str
-    values: Any
-    stamps: Floats | None
-
-
 def _read_mdf(path: Path, asammdf: Any) -> Columns:
     channels = []
     with asammdf.MDF(path) as file:
@@ -186,7 +179,7 @@ def _read_mdf(path: Path, asammdf: Any) -> Columns:
                 signal = file.get(group=number, index=place)
                 if np.ndim(signal.samples) == 1 and np.issubdtype(signal.samples.dtype, np.number):
                     stamps = np.asarray(signal.timestamps, dtype=np.float64)
-                    channels.append(_Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
+                    channels.append(Channel(f"group {number}", signal.name, signal.unit or "", signal.samples, stamps))
     return _of_channels(channels)
 
 
@@ -200,27 +193,15 @@ def _read_tdms(path: Path, nptdms: Any) -> Columns:
             unit = str(channel.properties.get("unit_string", ""))
             # Only a waveform has stamps; otherwise a column of the file is the time.
             stamps = channel.time_track() if "wf_increment" in channel.properties else None
-            channels.append(_Channel(group.name, channel.name, unit, values, stamps))
+            channels.append(Channel(group.name, channel.name, unit, values, stamps))
     return _of_channels(channels)
 
 
 def _read_mat(path: Path, scipy_io: Any) -> Columns:
-    try:
-        content = scipy_io.loadmat(path)
-    except NotImplementedError:  # version 7.3 is HDF5
-        with importlib.import_module("h5py").File(path) as file:
-            content = {name: item[()] for name, item in file.items() if hasattr(item, "shape")}
-    channels = [
-        _Channel("", name, "", np.ravel(values), None)
-        for name, values in content.items()
-        if not name.startswith("__") and np.issubdtype(values.dtype, np.number) and np.size(values) == max(values.shape)
-    ]
-    lengths = [len(channel.values) for channel in channels]
-    usual = max(set(lengths), key=lengths.count, default=0)
-    return _of_channels([channel for channel in channels if len(channel.values) == usual and usual > 1])
+    return _of_channels(read_mat(path, scipy_io))
 
 
-def _of_channels(channels: Sequence[_Channel]) -> Columns:
+def _of_channels(channels: Sequence[Channel]) -> Columns:
     """Headings ``name [unit]``, with the group before names that occur twice; the common time comes first."""
     names = [channel.name for channel in channels]
     headings = [
@@ -258,7 +239,8 @@ def find_table(text: str) -> Found | None:
 
     The headings are the first line that has as many cells as most lines, more than half of them filled and none a
     number; without such a line, the first one. If the line below holds units, each heading gets its own: ``P_A [bar]``.
-    What stands before the headings, empty lines and lines that begin with ``#`` are skipped.
+    What stands before the headings, empty lines and lines that begin with ``#`` are skipped; without headings, the
+    last comment above the numbers counts if it has as many cells. Spaces separate columns where nothing else does.
 
     Raises:
         csv.Error: a line is too long for a table.
@@ -266,11 +248,18 @@ def find_table(text: str) -> Found | None:
     lines = _lines(text)
     if not lines:
         return None
-    separator = next((mark for mark in ";\t" if 2 * sum(mark in line.text for line in lines) > len(lines)), ",")
+    separator = next((mark for mark in ";\t," if 2 * sum(mark in line.text for line in lines) > len(lines)), SPACES)
+    if separator == SPACES and not all(_NUMBER.fullmatch(cell) for cell in lines[-1].text.split()):
+        separator = ","
     rows = [_cells(line.text, separator) for line in lines]
     widths = [len(row) for row in rows]
     usual = max(set(widths), key=widths.count)
-    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), 0)
+    place = next((k for k, row in enumerate(rows) if len(row) == usual and _are_headings(row)), None)
+    if place is None:
+        above = _cells(lines[0].comment, "," if separator == SPACES and "," in lines[0].comment else separator)
+        if len(above) == usual and _are_headings(above):
+            return Found(above, separator, lines[0].begin, lines[0].number)
+        place = 0
     headings = rows[place]
     if place + 1 < len(rows) and len(rows[place + 1]) == len(headings) and _are_units(rows[place + 1]):
         place += 1
@@ -279,26 +268,32 @@ def find_table(text: str) -> Found | None:
 
 
 class _Line(NamedTuple):
+    begin: int  # characters before it
     end: int  # characters up to the next line
     number: int  # from 1
     text: str
+    comment: str  # the last one above, without its mark
 
 
 def _lines(text: str) -> list[_Line]:
     """The first lines that are neither empty nor comments."""
     lines: list[_Line] = []
-    start, number = 0, 0
+    start, number, comment = 0, 0, ""
     while start < len(text) and len(lines) < MOST_LINES:
         end = text.find("\n", start)
         end = end if end >= 0 else len(text)
         line, number = text[start:end].strip("\r"), number + 1
-        if line.strip() and not line.lstrip().startswith("#"):
-            lines.append(_Line(end + 1, number, line))
+        if line.lstrip().startswith("#"):
+            comment = line.strip().lstrip("# ")
+        elif line.strip():
+            lines.append(_Line(start, end + 1, number, line, comment))
         start = end + 1
     return lines
 
 
 def _cells(line: str, separator: str) -> list[str]:
+    if separator == SPACES:
+        return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 

@@ -21,7 +21,7 @@ from hydro_agents.recordings.channels import OVERRANGE, check_channels
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding, Weight, finding_of
 from hydro_agents.recordings.recording import Recording
-from hydro_agents.recordings.sampling import Sampled, cut, sampled
+from hydro_agents.recordings.sampling import Sampled, cut, on_grid, sampled
 from hydro_env import TaskConfig, simulate
 from hydro_env.plant.analysis import closed_port_natural_frequency
 from hydro_env.plant.arrays import plant_coefficients
@@ -89,12 +89,14 @@ class Checked(NamedTuple):
         return [finding for finding in self.findings if finding.weight is Weight.FAULT]
 
 
-def check_recording(recording: Recording, config: TaskConfig) -> Checked:
+def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Checked:
     """Check time stamps, channels and wiring of a recording for the rig of a task.
 
-    Each check relies on the previous ones, and is left out after a severe finding.
+    Each check relies on the previous ones, and is left out after a severe finding. ``own_grid`` is that of
+    :func:`~hydro_agents.recordings.sampling.sampled`.
     """
-    samples = sampled(recording, config)
+    samples = sampled(recording, config, own_grid)
+    config = on_grid(config, samples.period)
     findings = [*recording.findings, *samples.findings]
     checked = Checked(samples, findings)
     if not len(samples.time):
@@ -261,7 +263,7 @@ def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
         return [Finding("spool_position", what, Weight.SEVERE)]
     expected = _response_at_next_sample(config)
     later, now = weights[0] / slope, weights[1] / slope
-    if later > 0.5 * expected:
+    if expected > LEAST_RESPONSE and later > 0.5 * expected:
         what = "is one row too late for the spool; 'rows_early: -1' in the map would fit"
         return [Finding("command", what, Weight.SEVERE)]
     if expected > LEAST_RESPONSE and now < 0.25 * expected:

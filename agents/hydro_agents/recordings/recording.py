@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hydro_agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_agents.recordings.files import read_columns, together
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, severe_if
+from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_env import ConfigurationError
 
 FEWEST_ROWS = 3
@@ -42,6 +43,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 
     Raises:
         ConfigurationError: the file is unreadable, too large or not a table, or a column or its unit is missing.
+        UnknownHeadingsError: there is no map, and the headings are others; it holds a guess.
 
     Example:
         >>> from pathlib import Path
@@ -57,11 +59,23 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
     file = read_columns(path)
     headings, source = file.headings, str(path)
     if columns is None:
-        columns = own_map(headings, source)
+        try:
+            columns = own_map(headings, source)
+        except ConfigurationError as error:
+            guess = guessed_map(headings, file.cells, source)
+            what = f"{error}; a map guessed from the headings stands above: save it as FILE, check it, add --map FILE"
+            raise UnknownHeadingsError(what, guess) from None
     places = {signal: place_of(column, signal, headings, source) for signal, column in columns.columns().items()}
     cells, findings = together(file, places)
+    rows = len(cells["command"])
+    for signal, values_of in cells.items():
+        if len(values_of) != rows:
+            raise ConfigurationError(
+                f"{source}: {signal}: column '{headings[places[signal]][:40]}' has {len(values_of)} values, that of "
+                f"the command has {rows}, and one of them has no time of its own"
+            )
     units: dict[str, str] = {}
-    time, signals = np.zeros(0), np.full((len(MEASURED), len(cells["command"])), np.nan)
+    time, signals = np.zeros(0), np.full((len(MEASURED), rows), np.nan)
     for signal, column in columns.columns().items():
         values = _time_stamps(cells[signal]) if signal == "time" else None
         if values is None:

@@ -1,7 +1,12 @@
-"""Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps."""
+"""Resamples a recording at the control period of the rig: it checks time stamps, selects rows, and keeps gaps.
+
+A log that is faster than the controller, whose commands keep no fixed place in the control period, such as a step test
+in open loop, is taken on its own grid instead: about one sample per millisecond.
+"""
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +38,8 @@ LONGEST_FILL = 3  # largest number of successive missing commands that are fille
 
 HOLD_SHARE = 0.8  # smallest share of command changes at the same row within the control period
 
+OWN_PERIOD = 1e-3  # s, approximate distance of the samples on a log's own grid; from a faster log, medians of its rows
+
 
 class Sampled(NamedTuple):
     """A recording at the control period; T samples."""
@@ -45,11 +52,17 @@ class Sampled(NamedTuple):
     findings: list[Finding]
 
 
-def sampled(recording: Recording, config: TaskConfig) -> Sampled:
+def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
     """The samples of a recording, one per control period of the task.
 
     From n rows per control period, the last row before the command changes is the sample; the command of the previous
     period still acts there. After a severe finding the samples are empty.
+
+    Args:
+        recording: the rows.
+        config: the task; it gives the control period.
+        own_grid: whether to take the log's own grid (:func:`on_grid`): always, never, or (``None``) where the log is
+            faster than the control period and its commands keep no fixed place in it.
     """
     findings: list[Finding] = []
     period = config.control_period
@@ -74,6 +87,11 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
 
     distance = _row_distance(time, period)
     rows_per_period = _whole_fraction(distance, period)
+    if own_grid or (own_grid is None and not rows_per_period and distance < period):
+        place, jitter_findings = _places(time, distance)
+        findings += jitter_findings
+        severe = any(finding.weight is Weight.SEVERE for finding in findings)
+        return nothing if severe else _on_own_grid(recording, time, signals, place, distance, findings)
     if not rows_per_period:
         findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
         return nothing
@@ -84,12 +102,67 @@ def sampled(recording: Recording, config: TaskConfig) -> Sampled:
     chosen = np.ones(len(place), dtype=np.bool_)
     if rows_per_period > 1:
         phase, hold_findings = _phase(place, time, signals[COMMAND], rows_per_period, distance, config)
+        if hold_findings and own_grid is None:
+            return _on_own_grid(recording, time, signals, place, distance, findings)
         findings += hold_findings
         if any(finding.weight is Weight.SEVERE for finding in findings):
             return nothing
         chosen = place % rows_per_period == phase
     index = (place[chosen] - place[chosen][0]) // rows_per_period if chosen.any() else place[:0]
     return Sampled(index, time[chosen], signals[:, chosen], period, recording.units, findings)
+
+
+def _on_own_grid(
+    recording: Recording,
+    time: Floats,
+    signals: Floats,
+    place: NDArray[np.int64],
+    distance: float,
+    findings: list[Finding],
+) -> Sampled:
+    """The samples of a log on its own grid of about OWN_PERIOD.
+
+    From a faster log, readings are medians of the rows around each sample, which leave out spikes. As many commands as
+    possible change at a sample: in column k stands the one that acted since the sample before.
+    """
+    rows = max(round(OWN_PERIOD / distance), 1)
+    period = float(f"{rows * distance:.6g}")
+    changed = place[1:][np.diff(signals[COMMAND]) != 0.0]
+    first = int(np.bincount(changed % rows, minlength=rows).argmax())
+    around = (place - first + rows // 2) // rows
+    number = np.unique(around)
+    values = _medians(signals, np.searchsorted(number, around), len(number))
+    acting = (place - first) // rows + 1
+    inside = np.isin(acting, number)
+    commands = _medians(signals[COMMAND:, inside], np.searchsorted(number, acting[inside]), len(number))[0]
+    values[COMMAND] = commands
+    if len(number) > 1 and number[1] == number[0] + 1 and np.isnan(commands[0]):
+        values[COMMAND, 0] = signals[COMMAND, 0]  # what acted before the first row
+    what = f"has one row every {1e3 * distance:.4g} ms and no fixed place for the command in the control period; taken "
+    what += "on its own grid" + (
+        f" of {1e3 * period:.4g} ms, each sample the median of {rows} rows" if rows > 1 else ""
+    )
+    told = [*findings, Finding("time", what, Weight.NOTE)]
+    stamps = time[0] + (number - number[0]) * period
+    return Sampled(number - number[0], stamps, values, period, recording.units, told)
+
+
+def _medians(values: Floats, group: NDArray[np.int64], count: int) -> Floats:
+    """Medians (channels, count) of the values (channels, n) of each group (n,), rising; NaN where there are none."""
+    place = np.arange(len(group)) - np.searchsorted(group, group)
+    filled = np.full((len(values), count, int(place.max(initial=0)) + 1), np.nan)
+    filled[:, group, place] = values
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a group without a reading
+        medians: Floats = np.nanmedian(filled, axis=2)
+    return medians
+
+
+def on_grid(config: TaskConfig, period: float) -> TaskConfig:
+    """The task with the sample time of a log on its own grid, in which a command acts when it is logged."""
+    if period == config.control_period:
+        return config
+    return config.model_copy(update={"control_period": period, "command_latency": 0.0, "command_latency_range": None})
 
 
 def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:

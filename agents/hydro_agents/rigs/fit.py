@@ -69,6 +69,7 @@ class Fit(NamedTuple):
     widening: float  # factor on the standard deviations of a fit to white noise
     information: Array  # (p, p), of the readings, for unknowns scaled by their ranges
     misfit: Array  # (B,), of each window; infinite for a window that was left out
+    joint: Joint | None = None  # the common fit of the other windows
 
     @property
     def determined(self) -> NDArray[np.bool_]:
@@ -254,6 +255,7 @@ def _summary(model: Model, joint: Joint, priors: Mapping[str, Prior], misfit: Ar
         widening=widening,
         information=joint.information.sum(axis=0),
         misfit=misfit,
+        joint=joint,
     )
 
 

@@ -12,33 +12,48 @@ import pandas as pd
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.report.canvas import GREY, WIDE, make_plot, row_axis, thinned
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import COLOURS
 from hydro_agents.report.sections import Block, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
-from hydro_agents.rigs.found_rig import hull, path_of, rig_yaml, share_in_words, shown
+from hydro_agents.rigs.found_rig import rig_yaml, shown
+from hydro_agents.rigs.held_back import HeldBack
+from hydro_agents.rigs.identification_tables import (
+    combinations_table,
+    errors_table,
+    open_table,
+    place_of_part,
+    repeats_tables,
+    shares_table,
+    unknowns_table,
+)
 from hydro_agents.rigs.identify import Identification, as_json
-from hydro_agents.rigs.parts import HeldBack
+from hydro_agents.rigs.parts import POSITION
+from hydro_agents.rigs.repeatability import share_inside
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Table, capitalised, listed, number, setting
+from hydro_agents.running.text import capitalised, listed, number
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
-from hydro_env.task.sensors import SENSORS
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
 JOB = "identify"
 
-IDENTIFICATION = ("identified", "held_back", "unknowns", "undetermined", "recording")  # sections of the page, in order
+IDENTIFICATION = (
+    "identified",
+    "held_back",
+    "unknowns",
+    "repeatability",
+    "undetermined",
+    "recording",
+)  # sections of the page, in order
 SOURCES = Markup(
     "All numbers: <code>identification.json</code> beside this page. How it works: <code>docs/identify.md</code>."
 )
 
-MOST_COMBINATIONS = 6  # rows of the table of singular values, the least determined first
 PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 1e-5), ("spool, %", 100.0))
 """Label and factor from SI of each channel."""
 
@@ -62,8 +77,8 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
             text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
             write_text(folder / RIG_FILE, text)
     if not found.describes:
-        raise ConfigurationError(f"{found.recording.source}: {found.verdict()}; see {folder / PAGE_FILE}")
-    findings = [finding.line() for finding in [*found.checked.findings, *found.parts.findings]]
+        raise ConfigurationError(f"{found.source}: {found.verdict()}; see {folder / PAGE_FILE}")
+    findings = [finding.line() for finding in found.findings]
     open_ones = [name for name, known in zip(found.fit.names, found.fit.determined, strict=True) if not known]
     lines = [*findings, *found.noted]
     if open_ones:
@@ -73,20 +88,24 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
 
 def render_identification(found: Identification, origin: Origin) -> Page:
     """The page."""
-    recording, parts = found.recording, found.parts
-    length = float(round(parts.fitted.end[0] - parts.fitted.begin[0], 6))
+    parts, windows = found.parts, found.parts.fitted
+    length = float(round(windows.end[0] - windows.begin[0], 6))
+    used = [found.recordings[number].source for number in dict.fromkeys(parts.recording.tolist())]
+    rows = sum(len(recording.time) for recording in found.recordings)
+    duration = sum(float(recording.time[-1]) for recording in found.recordings)
     facts = {
-        "Recording": recording.source,
-        "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
+        "Recordings": listed([recording.source for recording in found.recordings]),
+        "Duration": f"{number(duration, 2)} s, {rows} rows",
         "Rig file": found.rig.source,
-        "Fitted to": f"{len(parts.fitted.begin)} windows of {length:g} s, up to {parts.fitted.end[-1]:g} s",
+        "Fitted to": f"{len(windows)} windows of {length:g} s"
+        + (f" of {len(used)} recordings" if len(used) > 1 else ""),
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
-        "Held back": f"{parts.begin:g} to {parts.begin + float(found.held_back.time[-1]):.4g} s",
+        "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
         "Standard deviations": f"widened by {found.fit.widening:.3g}",
     }
     tables = {
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
-        "findings": findings_frame([*found.checked.findings, *parts.findings]),
+        "findings": findings_frame(found.findings),
     }
     content = Content(tables, found.config, {"identification": found})
     return render_page("Identification of the axis", IDENTIFICATION, content, origin, SOURCES)
@@ -112,22 +131,26 @@ def identified(content: Content) -> list[Block]:
 
 @section("Measured and simulated", needs=("identification",))
 def held_back(content: Content) -> list[Block]:
-    """The part that the fit did not use."""
+    """The parts that the fit did not use."""
     found = content.part("identification", Identification)
+    if not found.held_back:
+        return [Text("The recording is too short: nothing was held back.")]
+    worst = max(found.held_back, key=lambda part: np.nan_to_num(part.error[POSITION]))
     plot = make_plot(
         "held_back",
         "The held-back part",
         "Grey: measured; blue: simulated. The second panel shows their difference in position.",
         f"Held-back part, measured and simulated. {found.verdict()}",
-        lambda figure: paint_held_back(figure, found.held_back),
+        lambda figure: paint_held_back(figure, worst),
         7.5,
         WIDE,
     )
+    which = "The part" if len(found.held_back) == 1 else "The part with the largest error"
     note = (
-        f"The fit did not use the part from {setting(found.parts.begin)} s on. The simulation gets the state at its "
-        "start and the recorded commands, and then runs freely: its errors add up."
+        f"The fit did not use these parts: {found.parts.reason}. The simulation gets the state at the start of a part "
+        f"and the recorded commands, and then runs freely: its errors add up. {which}: {place_of_part(found, worst)}."
     )
-    return [Text(note), plot, shares_table(found)]
+    return [Text(note), plot, errors_table(found), shares_table(found)]
 
 
 @section("Identified values", needs=("identification",))
@@ -150,6 +173,22 @@ def unknowns(content: Content) -> list[Block]:
     return [Text(note), unknowns_table(found), plot]
 
 
+@section("Repeatability", needs=("identification",))
+def repeatability(content: Content) -> list[Block]:
+    """What each recording says by itself about each unknown; nothing for a single recording."""
+    found = content.part("identification", Identification)
+    if not found.repeats:
+        return []
+    inside = share_inside(found.repeats)
+    note = (
+        "Each recording by itself: one step of the fit from the common values with its own windows and the ranges of "
+        "the rig file. Values count where the recording alone determines them."
+    )
+    if not math.isnan(inside):
+        note += f" {100 * inside:.0f} % of their 95 % intervals hold the common value."
+    return [Text(note), *repeats_tables(found)]
+
+
 @section("What this recording cannot determine", needs=("identification",))
 def undetermined(content: Content) -> list[Block]:
     """Undetermined unknowns, motions that would help, and combinations that compensate each other."""
@@ -166,69 +205,6 @@ def undetermined(content: Content) -> list[Block]:
     )
     first = [Text("Every unknown is determined.")] if left is None else [Text(note), left]
     return [*first, Text(combined), combinations_table(found)]
-
-
-# Tables -------------------------------------------------------------------------------------------------------------
-
-
-def unknowns_table(found: Identification) -> Table:
-    """Each unknown: its range before, its value, its interval, and whether it is determined."""
-    rows = []
-    fit, plant = found.fit, found.config.plant
-    for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
-        look, before = shown(name, plant), range_before(found, name)
-        width = look.value(float(value), float(high - low)), look.span(float(low), float(high))
-        span = look.span(*before) if before is not None else "–"
-        rows.append((look.words, look.unit, span, *width, "yes" if known else "no"))
-    header = ("Unknown", "Unit", "Range before", "Found", "95 % interval", "Determined")
-    return Table("", header, rows, style="words", folded=False)
-
-
-def range_before(found: Identification, name: str) -> tuple[float, float] | None:
-    """Range of an unknown before the recording, in its unit; ``None`` for leaks, whose resistance has the range."""
-    if name in (LEAKAGE, EXTERNAL_LEAKAGE):
-        return None
-    if name in BIASES:
-        bias = getattr(found.config.sensors, name.removesuffix("_bias")).bias
-        return -bias, bias
-    path = path_of(name)
-    return hull(found.config.plant, found.plant, path, found.rig.randomisation[path])
-
-
-def open_table(found: Identification) -> Table | None:
-    """The undetermined unknowns, each with a motion that would determine it; ``None`` if all are determined."""
-    rows = []
-    for name, advice in found.advice.items():
-        before = f"{100 * found.fit.remaining[found.fit.names.index(name)]:.0f} %"
-        words = shown(name, found.config.plant).words
-        if advice is None:
-            rows.append((words, before, "none of the candidates", "–"))
-        else:
-            left = f"{100 * advice.remaining:.0f} %"
-            rows.append((words, before, advice.motion, left if advice.enough else f"{left}, not enough alone"))
-    header = ("Unknown", "Uncertainty left", "Most informative motion", "Left after 8 s of it")
-    return Table("", header, rows, style="words") if rows else None
-
-
-def combinations_table(found: Identification) -> Table:
-    """The least determined combinations of unknowns."""
-    rows = []
-    for one in found.combinations[:MOST_COMBINATIONS]:
-        parts = [
-            f"{number(weight, 2, signed=True)} × {shown(name, found.config.plant).words}" for name, weight in one.parts
-        ]
-        rows.append((number(one.singular_value, digits=3), listed(parts) if parts else "many, none of them large"))
-    return Table("", ("Singular value", "Combination"), rows, style="words")
-
-
-def shares_table(found: Identification) -> Table:
-    """Share of the variance explained, by signal."""
-    shares = zip(SENSORS, found.held_back.share.tolist(), strict=True)
-    rows = [
-        (name.replace("_", " "), "– (absent, or at rest)" if math.isnan(share) else share_in_words(share))
-        for name, share in shares
-    ]
-    return Table("", ("Signal", "Share of variance explained"), rows)
 
 
 # Figures ------------------------------------------------------------------------------------------------------------

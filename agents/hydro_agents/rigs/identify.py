@@ -3,65 +3,67 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import usable_readings
-from hydro_agents.estimation.model import LONG_STEP, Model
-from hydro_agents.estimation.solver import equations_of, prior_belief, without
-from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, priors_of, starts_of
+from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE
 from hydro_agents.recordings.columns import ColumnMap
+from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.quality import AXIS, Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
-from hydro_agents.rigs.fit import DETERMINED, Combination, Fit, Progress, combinations, fit_windows
+from hydro_agents.recordings.sampling import on_grid
+from hydro_agents.rigs.advice import Advice, advise
+from hydro_agents.rigs.fit import Combination, Fit, Progress, combinations, fit_windows
 from hydro_agents.rigs.found_rig import beyond_range, found_biases, found_plant, share_in_words, shown
-from hydro_agents.rigs.parts import POSITION, HeldBack, Parts, parts_of, simulate_held_back
-from hydro_env import ConfigurationError, HydroError, PlantParameters, TaskConfig, __version__
-from hydro_env.plant.analysis import reachable_range, speed_limits
-from hydro_env.plant.arrays import equilibrium
+from hydro_agents.rigs.held_back import HeldBack, errors_in_words, share_of_all, simulate_held_back
+from hydro_agents.rigs.parts import POSITION, Parts, parts_of
+from hydro_agents.rigs.repeatability import Repeat, repeats_of, share_inside
+from hydro_env import ConfigurationError, PlantParameters, TaskConfig, __version__
 from hydro_env.task.rig import Rig
 from hydro_env.task.sensors import SENSORS
 
-Array = NDArray[np.float64]
-
 LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
-
-
-DURATION = 8.0  # s, of each candidate motion
-
-LEAST_GAIN = 0.8
-"""A motion is recommended if it lowers the standard deviation to less than this share of the present one."""
-
-
-class Advice(NamedTuple):
-    """The most informative motion for an unknown."""
-
-    motion: str
-    remaining: float  # standard deviation after it, as a share of the range's
-    enough: bool  # whether the unknown is then determined
 
 
 class Identification(NamedTuple):
     """All results of an identification."""
 
-    recording: Recording
-    checked: Checked
+    recordings: list[Recording]
+    checked: list[Checked]  # by recording
     rig: Rig
     config: TaskConfig
     parts: Parts
     fit: Fit
     plant: PlantParameters
-    held_back: HeldBack
+    held_back: list[HeldBack]
     combinations: list[Combination]
     advice: dict[str, Advice | None]
+    repeats: list[Repeat]
 
     @property
     def share(self) -> float:
         """Share of the position's variance that is explained on the held-back part; NaN if the axis stood still."""
-        return float(self.held_back.share[POSITION])
+        return float(share_of_all(self.held_back)[POSITION])
+
+    @property
+    def source(self) -> str:
+        """The recordings in a few words."""
+        first = self.recordings[0].source
+        return first if len(self.recordings) == 1 else f"{first} and {len(self.recordings) - 1} more"
+
+    @property
+    def findings(self) -> list[Finding]:
+        """All findings; with several recordings each begins with the name of its file."""
+        named = len(self.recordings) > 1
+        return [
+            finding._replace(signal=f"{Path(recording.source).name}: {finding.signal}") if named else finding
+            for recording, checked, changes in zip(self.recordings, self.checked, self.parts.findings, strict=True)
+            for finding in [*checked.findings, *changes]
+        ]
 
     @property
     def describes(self) -> bool:
@@ -116,50 +118,107 @@ class Identification(NamedTuple):
                 [
                     f"the model does not describe this axis: it {what}",
                     "another machine, a wrong sign or unit, or a fault",
-                    *_driven(self.checked),
+                    *self._driven,
                 ]
             )
         outcome = "the axis stood still on the held-back part"
         if not math.isnan(self.share):
             outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
-        return "; ".join([f"{known} of {count} unknowns determined", outcome, *_driven(self.checked)])
+        errors = errors_in_words(self.held_back)
+        errors = f"root mean square error there {errors}" if errors else ""
+        return "; ".join(filter(None, [f"{known} of {count} unknowns determined", outcome, errors, *self._driven]))
+
+    @property
+    def _driven(self) -> list[str]:
+        return [line for checked in self.checked for line in driven(checked)]
 
 
-def _driven(checked: Checked) -> list[str]:
+def driven(checked: Checked) -> list[str]:
     """That the axis oscillates or its valve saturates, as phrases."""
     return [finding.line() for finding in checked.findings if finding.signal == AXIS]
 
 
 def identify(
-    path: Path, config: TaskConfig, rig: Rig, columns: ColumnMap | None = None, progress: Progress | None = None
+    paths: Path | Sequence[Path],
+    config: TaskConfig,
+    rig: Rig,
+    columns: ColumnMap | Sequence[ColumnMap | None] | None = None,
+    progress: Progress | None = None,
+    hold_back: Sequence[str] = (),
 ) -> Identification:
-    """Read a recording, check it, fit the unknowns of the rig file, and test the fit on the held-back part.
+    """Read recordings of one axis, check them, fit the unknowns of the rig file, and test the fit on held-back parts.
 
     Args:
-        path: the recording.
+        paths: the recording, or several; each may have its own sensors. All share the unknowns of the rig.
         config: the task on this rig.
         rig: the rig; its ranges define the unknown parameters.
-        columns: the signal of each column; default: the names that ``hydro record`` writes.
+        columns: the signal of each column, one map for all or one for each; default: the names that ``hydro record``
+            writes.
         progress: called with phase, done, total.
+        hold_back: patterns of names of recordings that test the fit instead of being used for it; default: chosen by
+            motion and amplitude (:func:`~hydro_agents.rigs.parts.parts_of`).
 
     Raises:
-        ConfigurationError: the recording cannot be read, contradicts the rig, or carries no information.
+        ConfigurationError: a recording cannot be read, contradicts the rig, or carries no information.
     """
-    recording = read_recording(path, columns)
-    checked = check_recording(recording, config)
-    if checked.severe:
-        raise ConfigurationError(f"{path}: {'; '.join([checked.severe[0].line(), *_driven(checked)])}")
-    parts = parts_of(checked.samples, str(path))
+    paths = [paths] if isinstance(paths, Path) else list(paths)
+    maps = [columns] * len(paths) if columns is None or isinstance(columns, ColumnMap) else list(columns)
+    sources = [str(path) for path in paths]
+    for source in sources:
+        if sources.count(source) > 1:
+            raise ConfigurationError(f"{source}: is given twice")
+    whole = _matching(paths, hold_back)
+    recordings = [read_recording(path, own) for path, own in zip(paths, maps, strict=True)]
+    checked = _on_one_grid(recordings, config)
+    for source, one in zip(sources, checked, strict=True):
+        if one.severe:
+            raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *driven(one)])}")
+    config = on_grid(config, checked[0].samples.period)
+    parts = parts_of([one.samples for one in checked], sources, whole)
     fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:
         raise ConfigurationError(
-            f"{path}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
+            f"{sources[0]}: the model does not describe this axis: the fit ends at an impossible rig ({error})"
         ) from None
-    held_back = simulate_held_back(parts.held_back, parts.begin, config, plant, found_biases(fit))
-    advice = advise(fit, config, plant)
-    return Identification(recording, checked, rig, config, parts, fit, plant, held_back, combinations(fit), advice)
+    held_back = [simulate_held_back(part, config, plant, found_biases(fit)) for part in parts.held_back]
+    advice, repeats = advise(fit, config, plant), repeats_of(fit, parts.recording)
+    found = combinations(fit)
+    return Identification(recordings, checked, rig, config, parts, fit, plant, held_back, found, advice, repeats)
+
+
+def _matching(paths: Sequence[Path], patterns: Sequence[str]) -> set[int]:
+    """Numbers of the paths whose name, or which as a whole, match one of the patterns."""
+    found: set[int] = set()
+    for pattern in patterns:
+        own = {k for k, path in enumerate(paths) if fnmatch(path.name, pattern) or fnmatch(str(path), pattern)}
+        if not own:
+            raise ConfigurationError(f"--hold-back {pattern}: matches none of the recordings, such as {paths[0].name}")
+        found |= own
+    if len(found) == len(paths):
+        raise ConfigurationError("--hold-back: matches every recording; nothing is left for the fit")
+    return found
+
+
+def _on_one_grid(recordings: Sequence[Recording], config: TaskConfig) -> list[Checked]:
+    """The checked recordings with one sample time: the control period, or that of the logs where one lacks it."""
+    checked = [check_recording(recording, config, None) for recording in recordings]
+    if len({one.samples.period for one in checked}) > 1:
+        checked = [
+            one
+            if one.severe or one.samples.period != config.control_period
+            else check_recording(recording, config, True)
+            for recording, one in zip(recordings, checked, strict=True)
+        ]
+    periods = {one.samples.period: recording.source for recording, one in zip(recordings, checked, strict=True)}
+    if len(periods) > 1 and not any(one.severe for one in checked):
+        (first, one), (second, other) = list(periods.items())[:2]
+        raise ConfigurationError(
+            f"{other}: has one sample every {1e3 * second:.4g} ms, {one} every {1e3 * first:.4g} ms; "
+            "recordings that are identified together need the same sample time"
+        )
+    return checked
 
 
 def as_json(found: Identification, command: str) -> dict[str, Any]:
@@ -184,108 +243,49 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
     return {
         "command": command,
         "hydro_env": __version__,
-        "recording": found.recording.source,
+        "recordings": [recording.source for recording in found.recordings],
         "rig": found.rig.source,
         "describes": found.describes,
         "verdict": found.verdict(),
-        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, found.held_back.share, strict=True)},
-        "held_back_from_s": found.parts.begin,
+        "share_of_variance": {n: plain(s) for n, s in zip(SENSORS, share_of_all(found.held_back), strict=True)},
+        "held_back": {"why": found.parts.reason, "parts": [_part_as_json(found, part) for part in found.held_back]},
+        "repeatability": {
+            one.name: [
+                {
+                    "recording": found.recordings[number].source,
+                    "value": plain(value),
+                    "low": plain(low),
+                    "high": plain(high),
+                    "determined": bool(known),
+                }
+                for number, value, low, high, known in zip(
+                    one.recordings, one.values, one.low, one.high, one.determined, strict=True
+                )
+            ]
+            for one in found.repeats
+        },
+        "repeats_inside_their_intervals": plain(share_inside(found.repeats)),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
         "widening": fit.widening,
         "unknowns": unknowns,
         "singular_values": [{"value": one.singular_value, "parts": dict(one.parts)} for one in found.combinations],
-        "findings": [finding.line() for finding in [*found.checked.findings, *found.parts.findings]],
+        "findings": [finding.line() for finding in found.findings],
         "notes": found.noted,
     }
 
 
-# Motions that would determine the undetermined unknowns ------------------------------------------------------------
-#
-# Each candidate is a voltage over some seconds from rest, in open loop, simulated on the identified rig. The
-# derivatives of its readings give the information about every unknown, together with the recording.
-
-
-class _Travel(NamedTuple):
-    """Limits of the axis."""
-
-    reach: float  # m, from end to end
-    out: float  # m/s at full opening
-    back: float  # m/s
-    hold: float  # command that holds the middle position
-
-
-def _commands(time: Array, can: _Travel) -> dict[str, Array]:
-    """Commands (T,) of each candidate by name; each returns to its start."""
-
-    def moves(share: float, travel: float, rest: float) -> Array:
-        """Out and back at a share of the speed, with a rest at either end."""
-        slowest = min(can.out, can.back)
-        duration = travel * can.reach / (share * slowest)
-        phase = np.mod(time, 2.0 * (duration + rest))
-        out, back = phase < duration, (phase >= duration + rest) & (phase < 2.0 * duration + rest)
-        return np.asarray(can.hold + share * slowest * (out / can.out - back / can.back))
-
-    sweep = np.sin(2.0 * math.pi * (0.5 * time + 0.5 * (15.0 - 0.5) / time[-1] * time**2))
+def _part_as_json(found: Identification, part: HeldBack) -> dict[str, Any]:
+    """Errors of a held-back part, SI."""
+    values = dict(zip([f"{name}_rms" for name in SENSORS], part.error.tolist(), strict=True))
+    values |= {"speed_rms": part.speed_error}
+    values |= dict(zip(("speed_out", "speed_in"), part.speed_ratios, strict=True))
     return {
-        "standing still": np.full_like(time, can.hold),
-        "slow moves with reversals (5 % of full speed)": moves(0.05, 0.02, 0.0),
-        "moves at half speed with rests of 0.5 s": moves(0.5, 0.2, 0.5),
-        "fast moves with reversals (80 % of full speed)": moves(0.8, 0.2, 0.0),
-        "full stroke out and back": moves(0.4, 0.7, 0.3),
-        "a sine from 0.5 to 15 Hz at 20 % of full command": can.hold + 0.2 * sweep,
-    }
-
-
-def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Advice | None]:
-    """For each undetermined unknown, the most informative motion of the identified plant; ``None`` if none helps."""
-    wanted = [name for name, known in zip(fit.names, fit.determined, strict=True) if not known]
-    if not wanted:
-        return {}
-    try:
-        low, high = reachable_range(plant)
-        middle = 0.5 * (low + high)
-        state, voltage = equilibrium(plant, middle)
-        speeds = speed_limits(plant, plant.load.external_force + plant.load.spring_stiffness * middle)
-    except HydroError:
-        return dict.fromkeys(wanted)
-    can = _Travel(high - low, speeds.extending, speeds.retracting, voltage / 10.0)
-    if not min(can.reach, can.out, can.back) > 0.0:
-        return dict.fromkeys(wanted)
-    time = config.control_period * np.arange(round(DURATION / config.control_period), dtype=np.float64)
-    commands = _commands(time, can)
-    information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
-    # The recording is weighted by its widened intervals.
-    present = fit.information / fit.widening**2 + np.eye(len(fit.names))
-    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + information / fit.widening**2)))
-    advice: dict[str, Advice | None] = {}
-    for name in wanted:
-        place = fit.names.index(name)
-        best = int(after[:, place].argmin())
-        left = float(after[best, place])
-        helps = left < LEAST_GAIN * fit.remaining[place]
-        advice[name] = Advice(list(commands)[best], left, left <= DETERMINED) if helps else None
-    return advice
-
-
-def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Array:
-    """Information of each candidate about the unknowns, (motions, p, p), with an unknown start."""
-    starts = starts_of(config)
-    priors = fit.priors | priors_of(config, starts)
-    model = Model(config, priors, commands)
-    values = [*fit.values, *(state[name.removeprefix("start.")] for name in starts)]
-    scaled = model.scaled(np.tile(values, (len(commands), 1)))
-    shared = np.arange(len(fit.names))
-    precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
-    precision[:, shared[:, None], shared] += fit.information / fit.widening**2
-    linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
-    measured = linear.readings * model.noise[:, None]
-    for row, channel in enumerate(SENSORS):  # absent sensors give no information
-        if f"{channel}_bias" not in fit.names and config.sensors.enabled:
-            measured[:, row] = np.nan
-    signals = np.concatenate([measured, commands[:, None]], axis=1)
-    known = np.isfinite(usable_readings(signals, config, model))
-    jacobian = np.where(known[:, None], linear.jacobian, 0.0).reshape(len(commands), len(priors), -1)
-    ones = np.ones((len(commands), jacobian.shape[2]))
-    prior = without(prior_belief(model, model.count).precision, shared)
-    return equations_of(0.0 * ones, jacobian, ones, scaled, prior, shared).information
+        "recording": found.recordings[part.recording].source,
+        "from_s": part.begin,
+        "to_s": part.begin + float(part.time[-1]),
+        "share_of_variance": {
+            name: share if math.isfinite(share) else None
+            for name, share in zip(SENSORS, part.share.tolist(), strict=True)
+        },
+    } | {name: value if math.isfinite(value) else None for name, value in values.items()}

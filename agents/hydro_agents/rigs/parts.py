@@ -1,63 +1,131 @@
-"""The parts of a recording: windows for the fit, and the held-back part, which tests it."""
+"""The parts of one or more recordings: windows for the fit, and the parts that are held back, which test it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.estimation.estimate import estimate
-from hydro_agents.estimation.model import Model, noise_of
-from hydro_agents.estimation.unknowns import priors_of, starts_of
 from hydro_agents.recordings.columns import COMMAND
 from hydro_agents.recordings.findings import Finding
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_env import ConfigurationError, PlantParameters, TaskConfig
-from hydro_env.plant.parameters import to_vector
+from hydro_env import ConfigurationError
 from hydro_env.task.sensors import SENSORS
 
 Floats = NDArray[np.float64]
 
 WINDOW, FEWEST_WINDOWS = 2.0, 5  # s
-"""Length of a window, and number of windows; a recording that is too short for five windows has shorter ones."""
+"""Length of a window, and number of windows; recordings that are too short for five windows have shorter ones."""
 
 SHORTEST_WINDOW = 0.4  # s; shorter windows give too little information, because their start is unknown
-FITTED_SHARE = 0.7  # share of the recording, from its start, for the fit
+HELD_BACK_SHARE = 0.3  # of a single recording
+MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
 MOST_WINDOWS = 12
 """More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
-LONGEST_HELD_BACK = 10.0  # s
+FEWEST_OF_EACH = 2  # windows of each recording, if there are many: one out and one back
+
+LONGEST_HELD_BACK = 10.0  # s, of one recording
+LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
+
+SAME_AMPLITUDE = 1.1  # largest ratio of the largest commands of recordings with the same amplitude
 
 FULL_COMMAND = 0.99  # of the largest command
 
 MOST_SATURATED = 0.9
 """Largest share of the time at full command; a recording with more gives no information about the valve."""
 
-START_FROM = 0.2  # s; the initial state comes from this first part; afterwards the simulation uses only the commands
-LEAST_MOTION = 20.0
-"""Smallest standard deviation of a channel, as a multiple of its noise, for a meaningful share of variance."""
-
 POSITION = SENSORS.index("position")
 
 
+class Stretch(NamedTuple):
+    """A part of a recording that the fit does not use."""
+
+    recording: int  # its number, from 0
+    begin: float  # s
+    signals: Floats  # (5, T), in the order of SIGNALS
+
+
 class Parts(NamedTuple):
-    """A recording cut in parts."""
+    """Recordings cut in parts."""
 
     fitted: Windows  # for the fit
-    begin: float  # s, of the held-back part
-    held_back: Floats  # (5, T), in the order of SIGNALS
-    findings: list[Finding]  # changes to the samples
+    recording: NDArray[np.int64]  # (B,), the number of the recording of each of these windows
+    held_back: list[Stretch]
+    reason: str  # how the held-back parts were chosen
+    findings: list[list[Finding]]  # changes to the samples, by recording
 
 
-def parts_of(samples: Sampled, source: str) -> Parts:
-    """Choose the parts of a recording.
+def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Collection[int] = ()) -> Parts:
+    """Choose the parts of recordings with one sample time.
+
+    Held back are, in this order: the recordings that the caller names; of recordings with three or more amplitudes of
+    the command, those with the middle one; of repeated recordings, the last with the same sensors; otherwise a stretch
+    of each recording, the last one that holds its share of the travel.
+
+    Args:
+        recordings: their samples.
+        sources: their names, for messages.
+        whole: numbers of the recordings that are held back.
 
     Raises:
-        ConfigurationError: the position is missing, the command is saturated, or too few samples are without a gap.
+        ConfigurationError: a position is missing, a command is saturated, or too few samples are without a gap.
     """
+    for samples, source in zip(recordings, sources, strict=True):
+        _refuse_useless(samples, source)
+    period, together = recordings[0].period, sources[0] if len(sources) == 1 else f"{len(sources)} recordings"
+    durations = [len(samples.time) * period for samples in recordings]
+    length = round(min(WINDOW, sum(durations) / FEWEST_WINDOWS, *durations) / period)
+    if length * period < SHORTEST_WINDOW:
+        needed = FEWEST_WINDOWS * SHORTEST_WINDOW if len(sources) == 1 else SHORTEST_WINDOW
+        place, least = (
+            (together, durations[0]) if len(sources) == 1 else (sources[int(np.argmin(durations))], min(durations))
+        )
+        raise ConfigurationError(f"{place}: holds {least:.3g} s of samples; at least {needed:g} s are needed")
+    filled = [bridged(samples) for samples in recordings]
+    commanded = [_commanded(cut(samples, length)) for samples, _ in filled]
+    cuts = [_with_position(windows) for windows in commanded]
+    count = sum(map(len, cuts))
+    if count < FEWEST_WINDOWS - 1:
+        raise ConfigurationError(
+            f"{together}: only {count} windows of {length * period:g} s have all commands and a position; "
+            f"at least {FEWEST_WINDOWS - 1} are needed"
+        )
+    apart, reason = _apart(cuts, whole)
+    if apart:
+        for number in apart:
+            if not len(cuts[number]):
+                raise ConfigurationError(
+                    f"{sources[number]}: has no window with all commands and a position to hold back"
+                )
+        stretches = [_as_stretch(number, commanded[number], LONGEST_WHOLE) for number in sorted(apart)]
+        used = {number: cuts[number] for number in range(len(cuts)) if number not in apart}
+    else:
+        reason = "the last part of each recording with its share of the motion"
+        used, stretches = {}, []
+        for number, windows in enumerate(cuts):
+            chosen = _with_motion(windows)
+            used[number] = windows.part(~chosen)
+            if chosen.any():
+                stretches.append(_as_stretch(number, windows.part(chosen), LONGEST_HELD_BACK))
+    used = {number: windows for number, windows in used.items() if len(windows)}
+    if not used:
+        raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
+    most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
+    fitted = {number: _liveliest(windows, most) for number, windows in used.items()}
+    return Parts(
+        Windows(*(np.concatenate([getattr(w, name) for w in fitted.values()]) for name in ("signals", "begin", "end"))),
+        np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
+        stretches,
+        reason,
+        [findings for _, findings in filled],
+    )
+
+
+def _refuse_useless(samples: Sampled, source: str) -> None:
     if not np.isfinite(samples.signals[POSITION]).any():
         raise ConfigurationError(f"{source}: position was not recorded; without it nothing can be identified")
     full = float(np.mean(np.abs(samples.signals[COMMAND]) >= FULL_COMMAND))
@@ -66,95 +134,85 @@ def parts_of(samples: Sampled, source: str) -> Parts:
             f"{source}: command is at its limit for {100 * full:.0f} % of the recording; the valve was saturated, "
             "which hides its flow, edges and dynamics: record the axis while it follows a reference"
         )
-    duration = len(samples.time) * samples.period
-    length = round(min(WINDOW, duration / FEWEST_WINDOWS) / samples.period)
-    if length * samples.period < SHORTEST_WINDOW:
-        needed = FEWEST_WINDOWS * SHORTEST_WINDOW
-        raise ConfigurationError(f"{source}: holds {duration:.3g} s of samples; at least {needed:g} s are needed")
-    samples, findings = bridged(samples)
-    windows = cut(samples, length)
-    usable = windows.commanded & (np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
-    windows = windows.part(usable)
-    count = len(windows)
-    if count < FEWEST_WINDOWS - 1:
-        raise ConfigurationError(
-            f"{source}: only {count} windows of {length * samples.period:g} s have all commands and a position; "
-            f"at least {FEWEST_WINDOWS - 1} are needed"
-        )
-    fitted = min(round(FITTED_SHARE * count), count - 1)
-    begin, held_back = _held_back(windows.part(np.arange(count) >= fitted))
-    return Parts(_liveliest(windows.part(np.arange(count) < fitted)), begin, held_back, findings)
+
+
+def _commanded(windows: Windows) -> Windows:
+    return windows.part(windows.commanded)
+
+
+def _with_position(windows: Windows) -> Windows:
+    """The windows in which most readings of the position are known: not those at rest at the end of its range."""
+    return windows.part(np.isfinite(windows.signals[:, POSITION]).mean(axis=1) > 0.5)
+
+
+def _apart(cuts: Sequence[Windows], whole: Collection[int]) -> tuple[set[int], str]:
+    """Numbers of the recordings that are held back as a whole, and why; none if parts of each are held back."""
+    if whole:
+        return set(whole), "as asked for"
+    known = [number for number, windows in enumerate(cuts) if len(windows)]
+    if len(known) < 2:
+        return set(), ""
+    largest = {number: float(np.nanmax(np.abs(cuts[number].signals[:, COMMAND]))) for number in known}
+    ordered = sorted(known, key=lambda number: largest[number])
+    amplitudes = [[ordered[0]]]
+    for number in ordered[1:]:
+        if largest[number] > SAME_AMPLITUDE * largest[amplitudes[-1][0]]:
+            amplitudes.append([])
+        amplitudes[-1].append(number)
+    if len(amplitudes) > 2:
+        return set(amplitudes[len(amplitudes) // 2]), "another amplitude of the command than those of the fit"
+    repeats: dict[bytes, list[int]] = {}
+    for number in known:
+        sensors = np.isfinite(cuts[number].signals).any(axis=(0, 2)).tobytes()
+        repeats.setdefault(sensors, []).append(number)
+    apart = {numbers[-1] for numbers in repeats.values() if len(numbers) > 1}
+    return apart, "other recordings than those of the fit"
 
 
 def _travel(windows: Windows) -> Floats:
-    """Range of the position in each window, m."""
+    """Range of the position in each window, m; 0 without two readings."""
     position = windows.signals[:, POSITION]
-    travel: Floats = np.nanmax(position, axis=1) - np.nanmin(position, axis=1)
+    low, high = np.where(np.isfinite(position), position, np.inf), np.where(np.isfinite(position), position, -np.inf)
+    travel: Floats = np.maximum(high.max(axis=1) - low.min(axis=1), 0.0)
     return travel
 
 
-def _liveliest(windows: Windows) -> Windows:
-    """At most MOST_WINDOWS windows: from each section of the recording, the one with the longest travel."""
-    if len(windows) <= MOST_WINDOWS:
+def _liveliest(windows: Windows, most: int) -> Windows:
+    """At most ``most`` windows: from each section of a recording, the one with the longest travel."""
+    if len(windows) <= most:
         return windows
-    sections, travel = np.array_split(np.arange(len(windows)), MOST_WINDOWS), _travel(windows)
+    sections, travel = np.array_split(np.arange(len(windows)), most), _travel(windows)
     return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
 
 
-def _held_back(windows: Windows) -> tuple[float, Floats]:
-    """The longest stretch of windows without a gap between them, at most LONGEST_HELD_BACK; its start in s."""
+def _with_motion(windows: Windows) -> NDArray[np.bool_]:
+    """The windows (B,) of a recording to hold back: the last stretch of them with its share of the travel or more.
+
+    It has HELD_BACK_SHARE of the windows, and at most MOST_TRAVEL of the travel. Without such a stretch it is the last.
+    """
+    count = len(windows)
+    chosen = np.zeros(count, dtype=np.bool_)
+    if count < 2:
+        return chosen
     span = float(windows.end[0] - windows.begin[0])
-    most = max(round(LONGEST_HELD_BACK / span), 1)
+    size = min(max(count - round((1.0 - HELD_BACK_SHARE) * count), 1), max(round(LONGEST_HELD_BACK / span), 1))
+    travel = _travel(windows)
+    for begin in range(count - size, -1, -1):
+        stretch = slice(begin, begin + size)
+        if windows.end[begin + size - 1] - windows.begin[begin] > (size + 0.1) * span:
+            continue  # a gap
+        if size / count * travel.sum() <= travel[stretch].sum() <= MOST_TRAVEL * travel.sum():
+            chosen[stretch] = True
+            return chosen
+    chosen[count - size :] = True
+    return chosen
+
+
+def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
+    """The longest stretch of windows without a gap between them, at most ``longest`` s."""
+    span = float(windows.end[0] - windows.begin[0])
+    most = max(round(longest / span), 1)
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
     stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
-    return float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1)
-
-
-class HeldBack(NamedTuple):
-    """The held-back part, measured and simulated."""
-
-    begin: float  # s
-    time: Floats  # (T,), s, from its begin
-    measured: Floats  # (channels, T), SI
-    simulated: Floats  # (channels, T), SI, biases included
-    share: Floats  # (channels,), share of variance explained; NaN for an absent channel, or one without motion
-
-
-def simulate_held_back(
-    signals: Floats, begin: float, config: TaskConfig, plant: PlantParameters, biases: Sequence[float]
-) -> HeldBack:
-    """Simulate a plant on the held-back part; only the initial state comes from its readings, in the first 0.2 s.
-
-    Args:
-        signals: (5, T), SI, in the order of SIGNALS.
-        begin: of the part in the recording, s.
-        config: the task.
-        plant: the identified plant.
-        biases: of each channel, SI.
-    """
-    bias = np.asarray(biases)[:, None]
-    measured = signals[: len(SENSORS)]
-    unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
-    physical = to_vector(plant)[None]
-    count = max(round(START_FROM / config.control_period), 10)
-    names = starts_of(config)
-    found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical)
-    model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical)
-    read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
-    simulated = read[0] * model.noise[:, None] + bias
-    time = config.control_period * np.arange(signals.shape[1], dtype=np.float64)
-    motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
-    share = np.array([_share(*pair) for pair in zip(measured, simulated, strict=True)])
-    share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    return HeldBack(begin, time, measured, simulated, share)
-
-
-def _share(measured: Floats, simulated: Floats) -> float:
-    """Share of the variance that the simulation explains: 1 − mean square error over variance; −∞ after a failure."""
-    known = np.isfinite(measured)
-    if not known.any():
-        return float("nan")
-    error = measured[known] - simulated[known]
-    share = 1.0 - float(np.mean(error**2)) / max(float(measured[known].var()), 1e-300)
-    return share if np.isfinite(share) else float("-inf")
+    return Stretch(recording, float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1))
