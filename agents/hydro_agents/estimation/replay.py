@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
 from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
-from hydro_env.plant.equations import coefficients, derivatives
+from hydro_env.plant.equations import Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
@@ -33,6 +33,10 @@ _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
 
+_TANK, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
+    Coefficients._fields.index(name) for name in ("tank_pressure", "supply_dynamics", "line_stiffness")
+)
+
 Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
 
 _write_reading = tuple_writer(Reading)
@@ -50,6 +54,17 @@ class Commands(NamedTuple):
 
     command: Array  # (B, T), −1 to 1; column k acts until one latency after sample k
     durations: Array  # (B, T − 1), s, from each sample to the next
+    boundary: Array | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
+
+    def beginning(self, samples: int) -> Commands:
+        """The first samples."""
+        boundary = None if self.boundary is None else self.boundary[:, :, :samples]
+        return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
+
+    def part(self, window: NDArray[np.int64]) -> Commands:
+        """Some of the windows."""
+        boundary = None if self.boundary is None else self.boundary[window]
+        return Commands(self.command[window], self.durations[window], boundary)
 
 
 def time_constant(config: TaskConfig) -> float:
@@ -87,8 +102,11 @@ def replay(
     readings = np.full((rows, len(SENSORS), samples), np.nan)
     state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
+    boundary = commands.boundary
     arguments: tuple[Any, ...] = (
-        *commands,
+        commands.command,
+        commands.durations,
+        np.full((len(commands.command), 2, samples), np.nan) if boundary is None else boundary,
         window,
         physical,
         latency,
@@ -115,6 +133,7 @@ def _build(sources: int) -> Any:
     def run(
         command: Array,
         durations: Array,
+        boundary: Array,
         window: Any,
         physical: Array,
         latency: Array,
@@ -137,8 +156,11 @@ def _build(sources: int) -> Any:
             p = read_physical(physical[first + row])
             c = coefficients(p)
             write_coefficients(coefficient[row], c)
-            own = states[row]
-            volts = FULL_VOLTAGE * command[window[first + row], 0]
+            own, source = states[row], window[first + row]
+            volts = FULL_VOLTAGE * command[source, 0]
+            if not math.isnan(boundary[source, 0, 0]):  # then the supply has no dynamics of its own
+                own[_SUPPLY_PRESSURE] = boundary[source, 0, 0]
+                coefficient[row, _SUPPLY_DYNAMICS] = coefficient[row, _LINE_STIFFNESS] = 0.0
             if math.isnan(own[_CURRENT]):
                 own[_CURRENT] = c.drive_rate * volts / c.coil_rate
             if math.isnan(own[_GAS_VOLUME]):
@@ -162,6 +184,12 @@ def _build(sources: int) -> Any:
                 duration = durations[source, sample - 1]
                 interval[row, 0] = min(latency[first + row], duration)
                 interval[row, 1] = duration - interval[row, 0]
+                for side in range(2):
+                    mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
+                    if not math.isnan(mean) and side == 0:
+                        states[row, _SUPPLY_PRESSURE] = mean
+                    elif not math.isnan(mean):
+                        coefficient[row, _TANK] = mean
                 if math.isnan(states[row, 0]):  # it has failed
                     interval[row, :] = 0.0
                 voltage[row, 0] = FULL_VOLTAGE * command[source, sample - 1]
