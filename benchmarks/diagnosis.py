@@ -1,6 +1,6 @@
 """What `hydro diagnose` answers on recordings of simulated axes: verdicts, size errors, intervals.
 
-Run: python benchmarks/diagnosis.py [--only faults sensors handling] [--share 1.0]
+Run: python benchmarks/diagnosis.py [--only faults sensors handling errors] [--share 1.0]
 
 Each recording lasts 4 s (two windows), has a test seed of its own, and takes the whole way: file, checks, both
 detectors, verdict. The shipped PID moves the axis; plant and family of references are drawn from the default task.
@@ -9,6 +9,7 @@ detectors, verdict. The shipped PID moves the axis; plant and family of referenc
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 import time
 from collections import Counter
@@ -18,20 +19,32 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.operations import MOTIONS
+from hydro_agents.estimation.model import noise_of
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.simulated import record_axis
-from hydro_agents.rigs.diagnose import Diagnosis, Kind, diagnose
+from hydro_agents.rigs.diagnose import Diagnosis, diagnose
+from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.seeds import DIAGNOSIS
 from hydro_env import TaskConfig
+from hydro_env.task.configuration import task_config
+from hydro_env.task.sensors import SENSORS
 
 TASK = TaskConfig(episode_duration=4.0)
+WRONG_RIG = TASK.model_copy(update={"plant": TASK.plant.replace(cylinder={"rod_diameter": 0.024})})
+QUIET = {name: {"noise": 0.5 * getattr(TASK.sensors, name).noise} for name in SENSORS}
 LUGRE = TASK.model_copy(update={"plant": TASK.plant.replace(friction={"model": "lugre"})})
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
+
+
+def as_recorded(table: pd.DataFrame) -> pd.DataFrame:
+    """The file as it was written."""
+    return table
 
 
 class Axis(NamedTuple):
@@ -42,12 +55,64 @@ class Axis(NamedTuple):
     leak: float = 0.01  # l/min at 100 bar
     faults: Mapping[str, float] = {}
     task: TaskConfig = TASK
-    change: Change = lambda table: table  # what is done to the file
+    change: Change = as_recorded  # what is done to the file
 
 
 def without(*signals: str) -> Change:
     """Columns that are missing."""
     return lambda table: table[[name for name in table if name.split()[0] not in signals]]
+
+
+def with_noise(factor: float, memory: float = 0.0) -> Change:
+    """Readings with ``factor`` times the noise of the data sheet; with a ``memory`` in rows, it is coloured."""
+    keep = math.exp(-1.0 / memory) if memory else 0.0
+
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        noisy, random = table.copy(), np.random.default_rng(1)
+        for column, noise in noises(table):
+            white = random.standard_normal(len(table))
+            noisy[column] += (
+                math.sqrt(factor**2 - 1.0) * noise * lfilter([math.sqrt(1.0 - keep**2)], [1.0, -keep], white)
+            )
+        return noisy
+
+    return change
+
+
+def with_spikes(table: pd.DataFrame) -> pd.DataFrame:
+    """Two readings of a hundred are wrong by about 20 times the noise."""
+    spiky, random = table.copy(), np.random.default_rng(2)
+    for column, noise in noises(table):
+        struck = random.random(len(table)) < 0.02
+        spiky[column] += struck * 20.0 * noise * random.standard_normal(len(table))
+    return spiky
+
+
+def with_rows_lost(share: float) -> Change:
+    """Rows are missing at random places."""
+    return lambda table: table[np.random.default_rng(3).random(len(table)) >= share]
+
+
+def drifting(table: pd.DataFrame) -> pd.DataFrame:
+    """The sensor of pressure a drifts by 5 bar during the recording."""
+    return table.assign(**{"pressure_a [bar]": table["pressure_a [bar]"] + np.linspace(0.0, 5.0, len(table))})
+
+
+def command_moved(rows: int) -> Change:
+    """The command is logged some rows later, or earlier, than assumed."""
+    return lambda table: table.assign(**{"command [V]": table["command [V]"].shift(rows)}).iloc[
+        abs(rows) : len(table) - abs(rows)
+    ]
+
+
+def noises(table: pd.DataFrame) -> list[tuple[str, float]]:
+    """Columns of the sensors and their noise in the column's unit."""
+    units = {"position [mm]": 1e3, "pressure_a [bar]": 1e-5, "pressure_b [bar]": 1e-5, "spool_position [%]": 100.0}
+    return [
+        (column, units[column] * float(noise))
+        for column, noise in zip(units, noise_of(TASK), strict=True)
+        if column in table
+    ]
 
 
 def exchanged(table: pd.DataFrame) -> pd.DataFrame:
@@ -91,6 +156,25 @@ TABLES: dict[str, tuple[Axis, ...]] = {
         ),
         Axis("pressures exchanged, 0.5 l/min", 8, 0.5, change=exchanged),
         Axis("every second row (10 ms), 0.5 l/min", 8, 0.5, change=lambda table: table.iloc[::2]),
+    ),
+    "errors": tuple(
+        Axis(f"{name}, {leak:g} l/min", 8, leak, task=task, change=change)
+        for name, task, change in (
+            ("noise × 0.5", task_config(TASK, sensors=QUIET), as_recorded),
+            ("noise × 1.3", TASK, with_noise(1.3)),
+            ("noise × 3", TASK, with_noise(3.0)),
+            ("coloured noise × 2", TASK, with_noise(2.0, memory=5.0)),
+            ("2 % spikes", TASK, with_spikes),
+            ("5 % of rows lost", TASK, with_rows_lost(0.05)),
+            ("pressure sensor a drifts by 5 bar", TASK, drifting),
+            ("latency 2 ms", task_config(TASK, command_latency=2e-3), as_recorded),
+            ("transducers of 3 ms", task_config(TASK, sensors={"pressure_rise_time": 3e-3}), as_recorded),
+            ("command a row late", TASK, command_moved(1)),
+            ("command a row early", TASK, command_moved(-1)),
+            ("LuGre friction", LUGRE, as_recorded),
+            ("rod of 24 mm, file says 28", WRONG_RIG, as_recorded),
+        )
+        for leak in (0.01, 0.3)
     ),
 }
 

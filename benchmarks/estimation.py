@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import measured_run
 from hydro_agents.detection.operations import ACTING, MOTIONS
-from hydro_agents.estimation.estimate import Estimate, estimate
+from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.following import estimate_run
+from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.unknowns import LEAKAGE, default_unknowns
 from hydro_agents.running.cases import Cases
 from hydro_agents.running.seeds import EVALUATION, THRESHOLDS

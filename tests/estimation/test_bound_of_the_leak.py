@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydro_agents.estimation.estimate import EstimationSettings, estimate, usable_readings
+from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.information import (
     EVERYTHING,
     LEAK_ALONE,
@@ -19,6 +19,7 @@ from hydro_agents.estimation.information import (
     unknown_sets,
 )
 from hydro_agents.estimation.known_windows import MOTIONS, SMALLEST_STEP, known_windows, leak_cases
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import BIASES, LEAKAGE, STARTS, Prior, default_unknowns, priors_of
 from hydro_agents.evaluation.leak_bound import sensor_choices
 from hydro_agents.learning.opponents import shipped

@@ -3,7 +3,8 @@
 import numpy as np
 
 from hydro_agents.detection.detector import measured_run
-from hydro_agents.estimation.estimate import EstimationSettings, estimate
+from hydro_agents.estimation.estimate import estimate
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import LEAKAGE
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.cases import Cases

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from hydro_agents.estimation.estimate import EstimationSettings, estimate
+from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.following import Follower, estimate_run
 from hydro_agents.estimation.known_windows import at_rest, known_windows, leak_cases
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.replay import Commands, replay
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import LEAKAGE, NAMES, Prior, default_unknowns, prior_of, priors_of
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.running.seeds import VALIDATION_SEEDS

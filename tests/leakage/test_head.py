@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from refusal import undigested
 from untrained import untrained_head
 
 from hydro_agents.controllers import PID, PIDGains
@@ -106,7 +107,7 @@ def test_round_trip(head, tmp_path):
         head.estimate(np.zeros((3, 3)))
     with pytest.raises(ConfigurationError, match=r"T\) with T of at least 80"):
         head.estimate(history[:, :79])
-    stored = json.loads((tmp_path / "head.json").read_text())
+    stored = undigested(tmp_path / "head.json")
     (tmp_path / "head.json").write_text(json.dumps(stored | {"signals": ["flow"]}))
     with pytest.raises(ConfigurationError, match="other signals or features than"):
         LeakageHead.load(tmp_path / "head")
@@ -133,7 +134,7 @@ def test_round_trip(head, tmp_path):
 def test_impossible_settings_of_a_file_are_refused_with_one_line(head, tmp_path, field, value, message):
     head.save(tmp_path / "head")
     file = tmp_path / "head.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {field: value}))
+    file.write_text(json.dumps(undigested(file) | {field: value}))
     with pytest.raises(ConfigurationError, match=message) as caught:
         LeakageHead.load(tmp_path / "head")
     assert len(str(caught.value).splitlines()) == 1

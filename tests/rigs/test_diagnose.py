@@ -62,7 +62,7 @@ def test_faults_are_told_from_leaks(tmp_path, faults, leakage, words):
 
 
 def test_a_rig_that_the_model_does_not_describe_ends_in_cannot_tell(tmp_path):
-    recorded_file(tmp_path / "a.csv", {"plant": {"friction": {"model": "lugre"}}}, leakage=1.0, duration=2.0)
+    recorded_file(tmp_path / "a.csv", {"plant": {"cylinder": {"rod_diameter": 0.024}}}, leakage=1.0, duration=2.0)
     assert verdict_on(tmp_path, tmp_path / "a.csv").startswith("cannot tell: the model does not describe this rig")
 
 

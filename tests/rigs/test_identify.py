@@ -152,6 +152,20 @@ def test_recordings_with_their_own_sensors_share_the_unknowns(folder, tmp_path):
     assert "Repeatability" in page
 
 
+def test_lost_rows_are_bridged(folder, tmp_path):
+    table = pd.read_csv(folder / "a.csv", comment="#")
+    kept = np.random.default_rng(5).random(len(table)) > 0.05
+    table[kept].to_csv(tmp_path / "a.csv", index=False)
+    out, answer = identified(folder, "lost", tmp_path / "a.csv")
+    assert answer.returncode == 0, answer.stderr
+    result = json.loads((out / "identification.json").read_text(encoding="utf-8"))
+    assert any("filled in" in line for line in result["findings"])
+    for path, value in truth(folder).items():
+        one = result["unknowns"][path]
+        assert one["determined"], path
+        assert abs(value - one["value"]) < one["high"] - one["low"], path
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -1,6 +1,7 @@
 """Fit of several windows, parts of a recording, ranges of the rig that was found: known answers."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import yaml
 
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
-from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
+from hydro_agents.rigs import fit as rigs_fit
+from hydro_agents.rigs.fit import Fit, Joint, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_agents.rigs.held_back import HeldBack, _share, errors_in_words
 from hydro_agents.rigs.parts import COMMAND, POSITION, parts_of
@@ -237,6 +239,23 @@ def test_two_unknowns_that_compensate_each_other_are_named_as_one_combination():
     assert pressure.singular_value == pytest.approx(2.0)
     assert dict(pressure.parts) == pytest.approx({"supply.pressure": 1.0})
     assert most.singular_value == pytest.approx(math.sqrt(200.0))
+
+
+def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(monkeypatch):
+    """The first common fit leaves out one window; the second would leave out another: its result is of all it had."""
+    misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
+
+    def fitted(model, readings, first, progress):
+        nothing = np.zeros((len(readings), 1))
+        return Joint(nothing, np.zeros(1, np.int64), nothing[..., None], nothing, np.array(misfits[len(readings)]))
+
+    monkeypatch.setattr(rigs_fit, "Model", lambda config, priors, commands: None)
+    monkeypatch.setattr(rigs_fit, "usable_readings", lambda signals, config, model: signals)
+    monkeypatch.setattr(rigs_fit, "_first_values", lambda *_: None)
+    monkeypatch.setattr(rigs_fit, "fit_together", fitted)
+    alone = SimpleNamespace(misfit=np.ones(4))
+    *_, misfit = rigs_fit._common_fit(np.zeros((4, 5, 10)), CONFIG, {}, alone, lambda *_: None)
+    assert misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
 def test_without_ranges_leak_biases_and_start_alone_are_unknown():

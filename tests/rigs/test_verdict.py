@@ -5,7 +5,7 @@ import pytest
 
 from hydro_agents.detection.detector import NO_COMMANDS, Cause, Reading
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
-from hydro_agents.rigs.diagnose import Kind, Limits, combined, judge
+from hydro_agents.rigs.verdict import Kind, Limits, combined, judge
 from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 

@@ -212,6 +212,12 @@ class Reading(NamedTuple):
         """Windows for which the detector gives an answer, (N,)."""
         return np.asarray(np.isfinite(self.score) & (self.cause < Cause.UNKNOWN))
 
+    def followed_by(self, other: Reading) -> Reading:
+        """The windows of this reading and then those of another one."""
+        both: Any = zip(self, other, strict=True)
+        parts: Any = [one + more if isinstance(one, tuple) else np.concatenate([one, more]) for one, more in both]
+        return Reading(*parts)
+
     def among(self, chosen: NDArray[np.int64], count: int, why: str) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
         result = Reading.of(np.full(count, np.nan), why=(why,) * count)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
-from hydro_agents.estimation.estimate import Estimate, estimate
+from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.following import Follower
+from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -111,9 +112,18 @@ class EstimatorDetector:
             task: rig, ranges and sensors.
             progress: called with the number of finished fits, at most two per window with commands.
         """
+        return self.read_and_fit(windows, task, progress)[0]
+
+    def read_and_fit(
+        self, windows: Windows, task: TaskConfig, progress: Progress | None = None
+    ) -> tuple[Reading, Estimate | None]:
+        """Read windows, and return the estimates with wear as well, one for each window with commands.
+
+        The estimate is ``None`` if there is no such window. Arguments as those of :meth:`read`.
+        """
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
-            return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows))
+            return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
         signals, expected = windows.signals[chosen], task_config(task, **self.changes)
         worn = self._fit(signals, expected, True, progress)
         excess = _excess(worn, task)
@@ -126,7 +136,8 @@ class EstimatorDetector:
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
-        return self._reading(worn, excess, value, deviation, still, task).among(chosen, len(windows), NO_COMMANDS)
+        reading = self._reading(worn, excess, value, deviation, still, task)
+        return reading.among(chosen, len(windows), NO_COMMANDS), worn
 
     def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
         """Windows (N,) that stand still and thus cannot show whether the valve is worn."""

@@ -8,16 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import (
-    Estimate,
-    EstimationSettings,
-    checked_signals,
-    join,
-    search,
-    usable_readings,
-)
+from hydro_agents.estimation.estimate import checked_signals, usable_readings
 from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import LONG_STEP, Model
+from hydro_agents.estimation.result import Estimate, join
+from hydro_agents.estimation.search import EstimationSettings, search
 from hydro_agents.estimation.solver import Belief, prior_belief
 from hydro_agents.estimation.unknowns import STARTS, Prior, priors_of
 from hydro_env import ConfigurationError, TaskConfig

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.replay import Commands, replay
+from hydro_agents.estimation.replay import RISE, Commands, replay, time_constant
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -16,6 +16,7 @@ from hydro_agents.estimation.unknowns import (
     GAINS,
     LATENCY,
     LEAKAGE,
+    RISE_TIME,
     STARTS,
     Prior,
 )
@@ -38,6 +39,7 @@ lowest point, for example at rest; long ones would reach across it.
 FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
 
+MOST_LATE = 3.0  # largest latency, and largest lead, of an unknown latency, control periods
 LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
@@ -130,6 +132,7 @@ class Model:
         resting[_UNFOLLOWED] = np.nan
         self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
 
+        self._priors = tuple(priors.values())
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
@@ -138,6 +141,19 @@ class Model:
         self.simulated = np.array([place for place in range(len(self.names)) if place not in self._added], np.int64)
         self._first_steps = np.array(
             [FIRST_START_STEP if self.names[place] in STARTS else FIRST_STEP for place in self.simulated]
+        )
+
+    def with_more(self, priors: Mapping[str, Prior], window: Indices) -> Model:
+        """The same model of some of the windows, with more unknowns behind its own."""
+        return Model(
+            self.config,
+            dict(zip(self.names, self._priors, strict=True)) | dict(priors),
+            self.commands.command[window],
+            self.commands.durations[window],
+            self._physical[window],
+            self._start[window],
+            self.threads,
+            None if self.commands.boundary is None else self.commands.boundary[window],
         )
 
     def values(self, scaled: Array) -> Array:
@@ -169,6 +185,7 @@ class Model:
         """
         physical, start = self._physical[window], self._start[window]
         latency = np.full(len(window), self.config.command_latency)
+        lag = np.full(len(window), time_constant(self.config))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
             if name == LEAKAGE:
@@ -177,7 +194,10 @@ class Model:
             elif name == EXTERNAL_LEAKAGE:
                 physical[:, _EXTERNAL] = ROD_SEAL.value(value)
             elif name == LATENCY:
-                latency = np.maximum(value, 0.0)
+                reach = MOST_LATE * self.config.control_period
+                latency = np.clip(value, -reach, reach)
+            elif name == RISE_TIME:
+                lag = np.maximum(value, 0.0) / RISE
             elif name in BIASES:
                 bias[:, BIASES.index(name)] = value
             elif name in GAINS:
@@ -189,7 +209,7 @@ class Model:
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
         commands = self.commands.beginning(samples or self.samples)
-        read, last = replay(self.config, commands, window, physical, start, latency, self.threads)
+        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag)
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]
         return read, last

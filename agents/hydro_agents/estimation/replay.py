@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 
 ROWS_PER_THREAD = 64  # smallest number of rows per thread; with fewer, starting the thread takes longer than its work
 
+RISE = math.log(9.0)  # 10–90 % rise time of a first-order lag over its time constant
+
 MOST_STEPS = 500.0
 """Largest number of inner steps between two samples; a plant that needs more could not have moved as recorded."""
 
@@ -61,11 +63,6 @@ class Commands(NamedTuple):
         boundary = None if self.boundary is None else self.boundary[:, :, :samples]
         return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
 
-    def part(self, window: NDArray[np.int64]) -> Commands:
-        """Some of the windows."""
-        boundary = None if self.boundary is None else self.boundary[window]
-        return Commands(self.command[window], self.durations[window], boundary)
-
 
 def time_constant(config: TaskConfig) -> float:
     """Time constant in s of the pressure transducers; 0 for exact sensors."""
@@ -81,6 +78,7 @@ def replay(
     start: Array,
     latency: Array,
     threads: int | None = None,
+    lag: Array | None = None,
 ) -> tuple[Array, Array]:
     """Readings of R plants, without noise and bias, and their states at the last sample.
 
@@ -91,8 +89,10 @@ def replay(
         physical: parameters of each plant, (R, parameters), in the order of ``PARAMETER_PATHS``.
         start: state at the first sample, (R, N_STATES). NaN as coil current means the current of the first command, NaN
             as gas volume the volume at the supply pressure.
-        latency: from a sample until its command acts, (R,), s.
+        latency: from a sample until its command acts, (R,), s; a negative one, or one beyond the interval to the next
+            sample, moves the commands by whole samples.
         threads: worker threads; ``None`` takes one per core.
+        lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
 
     Returns:
         Readings (R, sensors, T) in the order of ``SENSORS``, and states (R, N_STATES). They are NaN after a failure
@@ -106,11 +106,11 @@ def replay(
     arguments: tuple[Any, ...] = (
         commands.command,
         commands.durations,
-        np.full((len(commands.command), 2, samples), np.nan) if boundary is None else boundary,
+        np.full((len(commands.command), 2, samples), np.nan) if boundary is None else np.ascontiguousarray(boundary),
         window,
         physical,
         latency,
-        time_constant(config),
+        np.full(rows, time_constant(config)) if lag is None else np.asarray(lag, dtype=np.float64),
         accuracy,
         state,
         readings,
@@ -137,7 +137,7 @@ def _build(sources: int) -> Any:
         window: Any,
         physical: Array,
         latency: Array,
-        time_constant: float,
+        time_constants: Array,
         accuracy: Any,
         state: Array,
         readings: Array,
@@ -152,7 +152,9 @@ def _build(sources: int) -> Any:
         interval = np.empty((rows, 2))
         peaks = np.empty((rows, N_PEAKS))
         true, sensed = np.empty((rows, 2)), np.empty((rows, 2))  # pressures, and the transducers' signals
+        samples = readings.shape[2]
         for row in range(rows):
+            time_constant = time_constants[first + row]
             p = read_physical(physical[first + row])
             c = coefficients(p)
             write_coefficients(coefficient[row], c)
@@ -178,11 +180,12 @@ def _build(sources: int) -> Any:
                 spool_position=s.spool_position,
             )
             _write_reading(readings[first + row, :, 0], reading)
-        for sample in range(1, readings.shape[2]):
+        for sample in range(1, samples):
             for row in range(rows):
                 source = window[first + row]
                 duration = durations[source, sample - 1]
-                interval[row, 0] = min(latency[first + row], duration)
+                late = math.floor(latency[first + row] / duration)  # whole samples
+                interval[row, 0] = latency[first + row] - late * duration
                 interval[row, 1] = duration - interval[row, 0]
                 for side in range(2):
                     mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
@@ -192,13 +195,14 @@ def _build(sources: int) -> Any:
                         coefficient[row, _TANK] = mean
                 if math.isnan(states[row, 0]):  # it has failed
                     interval[row, :] = 0.0
-                voltage[row, 0] = FULL_VOLTAGE * command[source, sample - 1]
-                voltage[row, 1] = FULL_VOLTAGE * command[source, sample]
+                before, after = min(max(sample - 1 - late, 0), samples - 1), min(max(sample - late, 0), samples - 1)
+                voltage[row, 0] = FULL_VOLTAGE * command[source, before]
+                voltage[row, 1] = FULL_VOLTAGE * command[source, after]
             integrate_part(Plants(states, coefficient, voltage, interval, peaks), accuracy, 0, rows)
             for row in range(rows):
                 if peaks[row, STEPS] > accuracy.most_steps:
                     states[row, :] = np.nan
-                duration = durations[window[first + row], sample - 1]
+                duration, time_constant = durations[window[first + row], sample - 1], time_constants[first + row]
                 lag = Lag(time_constant / duration, math.exp(-duration / time_constant) if time_constant > 0.0 else 0.0)
                 s = read_state(states[row])
                 sensed[row, 0] = lagged(sensed[row, 0], true[row, 0], s.pressure_a, lag)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.estimation.errors import Errors, whitened
 from hydro_agents.estimation.model import LONG_STEP, Linearised, Model
 
 Array = NDArray[np.float64]
@@ -91,6 +92,7 @@ def fit(
     give_up: float = 1e4,
     shared: Indices = NONE_SHARED,
     progress: Callable[[int, int], None] | None = None,
+    errors: Errors | None = None,
 ) -> Fit:
     """Improve the unknowns of some windows until convergence.
 
@@ -112,6 +114,7 @@ def fit(
         give_up: largest damping; a window that no step with more improves is finished.
         shared: indices of the unknowns that all windows have in common.
         progress: called with the number of iterations and its limit.
+        errors: of the readings of each window, (B, channels); ``None``: white noise as in the data sheet.
     """
     scaled = first.copy()
     used = measured[window, :, :samples]
@@ -126,7 +129,8 @@ def fit(
             progress(iteration, iterations)
         here, data, mask = scaled[active], used[active], known[active]
         linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples)
-        residual, jacobian = masked(linear, data, mask)
+        own = None if errors is None else errors.part(active)
+        residual, jacobian = masked(linear, data, mask, own)
         weight = channel_weights(residual, mask)
         mean, precision = belief.mean[active], prior[active]
         equations = equations_of(residual, jacobian, weight, here - mean, precision, shared)
@@ -137,6 +141,7 @@ def fit(
         row, tried = np.arange(len(active)), len(DAMPINGS)
         read, _ = model.readings(trials.reshape(-1, trials.shape[2]), np.repeat(window[active], tried), samples)
         missed = np.where(mask[:, None], data[:, None] - read.reshape(len(active), tried, *data.shape[1:]), 0.0)
+        missed = missed if own is None else whitened(missed, mask, own)
         square = missed.reshape(len(active), tried, -1) ** 2
         costs = _cost(weight[:, None], square, trials, mean[:, None], precision, shared)
         costs = np.where(np.isfinite(costs), costs, np.inf)
@@ -218,11 +223,18 @@ def channel_weights(residual: Array, known: NDArray[np.bool_]) -> Array:
     return np.repeat(np.nan_to_num(weight)[:, :, None], shape[2], axis=2).reshape(len(residual), -1)
 
 
-def masked(linear: Linearised, data: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Residuals (B, readings) and their derivatives (B, P, readings); 0 where a reading is missing."""
-    residual = np.where(known, data - linear.readings, 0.0).reshape(len(data), -1)
+def masked(
+    linear: Linearised, data: Array, known: NDArray[np.bool_], errors: Errors | None = None
+) -> tuple[Array, Array]:
+    """Residuals (B, readings) and their derivatives (B, P, readings); 0 where a reading is missing.
+
+    With ``errors`` of the readings, both are whitened.
+    """
+    residual = np.where(known, data - linear.readings, 0.0)
     jacobian = np.where(known[:, None], linear.jacobian, 0.0)
-    return residual, jacobian.reshape(len(data), jacobian.shape[1], -1)
+    if errors is not None:
+        residual, jacobian = whitened(residual, known, errors), whitened(jacobian, known, errors)
+    return residual.reshape(len(data), -1), jacobian.reshape(len(data), jacobian.shape[1], -1)
 
 
 def misfit_of(residual: Any, jacobian: Any, covariance: Any, known: NDArray[np.bool_]) -> Array:

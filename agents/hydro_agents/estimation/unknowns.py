@@ -1,8 +1,8 @@
 """The unknowns of an estimate: their names, those that are estimated by default, and their priors.
 
 Names: ``leakage_flow_lpm`` and ``external_leakage_flow_lpm`` (l/min at 100 bar), the path of any number of the plant
-(``valve.rated_flow``), ``command_latency`` (s), ``start.`` and a state (``start.velocity``), a sensor and ``_bias``
-(its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
+(``valve.rated_flow``), ``command_latency`` (s), ``pressure_rise_time`` (of the transducers, s), ``start.`` and a
+state (``start.velocity``), a sensor and ``_bias`` (its unit) or ``_gain`` (relative, 1: none). SI units otherwise.
 
 Priors: the ranges of the task become normal distributions with the same mean and variance; that of a positive quantity
 is log-normal.
@@ -27,7 +27,8 @@ from hydro_env.task.randomisation import LEAKAGE_OF_THE_TASK, own_value
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import flow_from_resistance
 
-LEAKAGE, EXTERNAL_LEAKAGE, LATENCY = "leakage_flow_lpm", "external_leakage_flow_lpm", "command_latency"
+LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
+LATENCY, RISE_TIME = "command_latency", "pressure_rise_time"
 BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
 GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
 STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
@@ -36,13 +37,14 @@ EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 PATHS = tuple(path for path in PARAMETER_PATHS if path not in (*MODEL_CODES, *LEAKAGE_OF_THE_TASK, EXTERNAL_RESISTANCE))
 """Parameters of the plant; the leaks have their own names."""
 
-NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, *BIASES, *GAINS, *STARTS, *PATHS)
+NAMES = (LEAKAGE, EXTERNAL_LEAKAGE, LATENCY, RISE_TIME, *BIASES, *GAINS, *STARTS, *PATHS)
 
 
 START = tuple(
     f"start.{name}" for name in ("position", "velocity", "pressure_a", "pressure_b", "spool_position", "spool_velocity")
 )
 
+RISE_TIME_UNKNOWN = 2e-3  # s, standard deviation of the transducers' rise time where the data sheet does not hold
 _SHARE_UNKNOWN = 0.1  # relative standard deviation of a parameter that the task does not draw
 
 _NOT_DRAWN = {
@@ -150,6 +152,8 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
     if name == LATENCY:
         latency = _range(*(config.command_latency_range or (config.command_latency,) * 2))
         return Prior(latency.mean, max(math.sqrt(latency.variance), 0.05e-3))
+    if name == RISE_TIME:
+        return Prior(config.sensors.pressure_rise_time, RISE_TIME_UNKNOWN)
     if name in STARTS:
         return _start(config, name.removeprefix("start."))
     if name in BIASES:

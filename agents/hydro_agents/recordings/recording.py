@@ -15,6 +15,7 @@ from hydro_agents.recordings.findings import NOT_RECORDED, Finding, severe_if
 from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_env import ConfigurationError
 
+LARGEST_NUMBER = 1e25  # in any unit; a cell beyond it is no measurement
 FEWEST_ROWS = 3
 
 Floats = NDArray[np.float64]
@@ -113,6 +114,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:
     """Values of a column; text becomes NaN and a finding."""
     values: Floats = pd.to_numeric(cells, errors="coerce").to_numpy(dtype=np.float64, na_value=np.nan).copy()
+    values[np.abs(values) > LARGEST_NUMBER] = np.nan
     text = np.flatnonzero(np.isnan(values) & cells.notna().to_numpy())
     if len(text):
         example, share = str(cells.iloc[text[0]])[:20], len(text) / len(values)

@@ -29,6 +29,8 @@ ambiguous."""
 
 ROWS_TOGETHER = 20
 
+SHORTEST_DISTANCE = 1e-7  # s between two rows; no rig logs faster, so the unit of the stamps is wrong
+
 MOST_MISSING = 0.2  # largest share of rows that may be missing or duplicate
 
 FOLLOWING = 0.1
@@ -97,6 +99,9 @@ def _sampled(recording: Recording, config: TaskConfig, own_grid: bool | None) ->
 
     distance = _row_distance(time, period)
     rows_per_period = _whole_fraction(distance, period)
+    if distance < SHORTEST_DISTANCE:
+        findings.append(_other_sampling(distance, period, recording.units.get("time", "s")))
+        return nothing
     if own_grid or (own_grid is None and not rows_per_period and distance < period):
         place, jitter_findings = _places(time, distance)
         findings += jitter_findings
@@ -256,7 +261,7 @@ def _row_distance(time: Floats, period: float) -> float:
 
 def _whole_fraction(distance: float, period: float) -> int:
     """Rows per control period; 0 if the row distance is not a whole fraction of it."""
-    rows = round(period / distance)
+    rows = round(period / max(distance, SHORTEST_DISTANCE))
     return rows if rows >= 1 and abs(distance * rows / period - 1.0) <= LARGEST_DEVIATION else 0
 
 

@@ -21,7 +21,8 @@ from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, looks_of
 from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
-from hydro_agents.rigs.diagnose import Diagnosis, Kind, combined, findings_table, leak_table, named_fault
+from hydro_agents.rigs.diagnose import Diagnosis, findings_table, leak_table
+from hydro_agents.rigs.verdict import Kind, combined, named_fault
 from hydro_agents.running.folders import output_folder
 from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import Table, capitalised, number, setting
@@ -58,6 +59,8 @@ JUDGING = (
     "bore of 40 mm.",
 )
 
+MEND = "These lines in the file of the task (--task) make its data sheet agree with the recording:"
+
 STYLES = {Kind.HEALTHY: "good", Kind.LEAK: "worse", Kind.OTHER: "doubtful", Kind.UNKNOWN: ""}
 """Class of the verdict in the style of the pages."""
 
@@ -77,6 +80,7 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
     lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
+    lines += [f"{MEND}\n{diagnosis.mend.rstrip()}"] if diagnosis.mend else []
     return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
 
 

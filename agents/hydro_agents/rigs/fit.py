@@ -13,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import Estimate, EstimationSettings, estimate, usable_readings
+from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.result import Estimate
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, misfit_of, prior_belief, without
 from hydro_agents.estimation.unknowns import (
     BIASES,
@@ -199,12 +201,12 @@ def _common_fit(
 ) -> tuple[Model, Joint, Array]:
     """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
-    for _ in range(2):  # the second time without the outliers of the first
+    for again in (False, True):  # the second time without the outliers of the first
         model = Model(config, priors, signals[kept, -1])
         readings = usable_readings(signals[kept], config, model)
         joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
         still = _without_outliers(joint.misfit)
-        if len(still) == len(kept):
+        if again or len(still) == len(kept):
             break
         kept = kept[still]
     misfit = np.full(len(signals), np.inf)

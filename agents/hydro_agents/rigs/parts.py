@@ -26,7 +26,7 @@ MOST_TRAVEL = 0.5  # largest share of the travel in the part that is held back
 MOST_WINDOWS = 12
 """More windows would take longer and add little: of a longer recording, each twelfth gives the one with most motion."""
 
-FEWEST_OF_EACH = 2  # windows of each recording, if there are many: one out and one back
+FEWEST_OF_EACH = 3  # windows of each recording, if there are many: one out, one back, and one that ends at rest
 
 LONGEST_HELD_BACK = 10.0  # s, of one recording
 LONGEST_WHOLE = 60.0  # s, of a recording that is held back as a whole
@@ -115,7 +115,8 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     if not used:
         raise ConfigurationError(f"{together}: nothing is left for the fit; hold back fewer recordings")
     most = max(MOST_WINDOWS // len(used), FEWEST_OF_EACH)
-    fitted = {number: _liveliest(windows, most) for number, windows in used.items()}
+    choose = _liveliest if len(used) == 1 else _most_varied
+    fitted = {number: choose(windows, most) for number, windows in used.items()}
     return Parts(
         Windows(*(np.concatenate([getattr(w, name) for w in fitted.values()]) for name in ("signals", "begin", "end"))),
         np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
@@ -183,6 +184,16 @@ def _liveliest(windows: Windows, most: int) -> Windows:
         return windows
     sections, travel = np.array_split(np.arange(len(windows)), most), _travel(windows)
     return windows.part(np.array([section[travel[section].argmax()] for section in sections]))
+
+
+def _most_varied(windows: Windows, most: int) -> Windows:
+    """At most ``most`` windows: those in which the signals vary most, relative to their largest range in one."""
+    signals = windows.signals[:, : len(SENSORS)]
+    known = np.isfinite(signals)
+    low, high = (np.where(known, signals, end) for end in (np.inf, -np.inf))
+    ranges = np.maximum(high.max(axis=2) - low.min(axis=2), 0.0)
+    activity = (ranges / np.maximum(ranges.max(axis=0), 1e-300)).sum(axis=1)
+    return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
 
 
 def _with_motion(windows: Windows) -> NDArray[np.bool_]:
