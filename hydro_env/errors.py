@@ -21,6 +21,6 @@ class InvalidStateError(HydroError, ArithmeticError):
     """A simulated state left the range in which the model is valid."""
 
 
-def reason(error: Exception) -> str:
+def reason(error: BaseException) -> str:
     """Kind and message of an error that foreign code has raised, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())

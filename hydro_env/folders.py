@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from hydro_env.errors import ConfigurationError
@@ -31,8 +32,9 @@ def config_file(kind: str, given: str | Path, folder: Path | None = None) -> Pat
     if Path(given).suffix or len(Path(given).parts) != 1:
         return path
     named = config_folder() / kind / f"{given}.yaml"
-    if named.is_file() or path.is_file():
-        return named if named.is_file() else path
+    with suppress(OSError):  # the name may be longer than a file's
+        if named.is_file() or path.is_file():
+            return named if named.is_file() else path
     known = sorted(file.stem for file in (config_folder() / kind).glob("*.yaml"))
     what = {"studies": "study"}.get(kind, kind.removesuffix("s"))
     raise ConfigurationError(f"{what} '{str(given)[:60]}': {unknown(given, known)}; or give the path of a YAML file")

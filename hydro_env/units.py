@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from hydro_env.errors import ConfigurationError
 from hydro_env.mistakes import one_of
 
 LITRE_PER_MINUTE = 1e-3 / 60
@@ -84,23 +85,43 @@ def in_si(value: Any, unit: str) -> Any:
 def resistance_from_flow(flow_lpm: float) -> float:
     """Leakage resistance R_i in Pa s/m³ of a leak quoted in l/min at 100 bar; 0 gives infinity (10).
 
+    Raises:
+        ConfigurationError: the leak is negative or no number.
+
     Example:
         >>> from hydro_env import resistance_from_flow
         >>> f"{resistance_from_flow(1.0):.3g} Pa s/m³"
         '6e+11 Pa s/m³'
     """
-    return LEAKAGE_TEST_PRESSURE / (flow_lpm * LITRE_PER_MINUTE) if flow_lpm > 0 else math.inf
+    flow = _not_negative(flow_lpm, "leakage", "l/min") * LITRE_PER_MINUTE
+    return LEAKAGE_TEST_PRESSURE / flow if flow > 0.0 else math.inf  # the smallest numbers become 0 in m³/s
 
 
 def flow_from_resistance(resistance: float) -> float:
     """Leakage in l/min at 100 bar of a resistance in Pa s/m³; the inverse of :func:`resistance_from_flow`.
+
+    Raises:
+        ConfigurationError: the resistance is not above 0, or no number.
 
     Example:
         >>> from hydro_env import flow_from_resistance, resistance_from_flow
         >>> round(flow_from_resistance(resistance_from_flow(2.0)), 6)
         2.0
     """
+    if _not_negative(resistance, "leakage resistance", "Pa s/m³") == 0.0:
+        raise ConfigurationError("leakage resistance = 0 Pa s/m³: must be above 0")
     return LEAKAGE_TEST_PRESSURE / resistance / LITRE_PER_MINUTE
+
+
+def _not_negative(value: object, what: str, unit: str) -> float:
+    """A number of at least 0; an array, a text or NaN is a mistake."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if isinstance(value, str | bytes) or not number >= 0.0:
+        raise ConfigurationError(f"{what} = {str(value)[:40]}: must be a number in {unit}, at least 0")
+    return number
 
 
 def _no_truth_value(value: object) -> object:

@@ -1,5 +1,7 @@
 """Configuration files and JSON: what is read, and the one line that answers every attack."""
 
+import os
+
 import pytest
 
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
@@ -26,6 +28,7 @@ YAML = {
     "repeated key": ("load: {mass: 1}\nload: {mass: 2}", "line 2: the key 'load' stands here twice"),
     "repeated inner key": ("load:\n  mass: 1\n  mass: 2", "line 3: the key 'mass' stands here twice"),
     "many digits": ("a: " + "9" * 5000, "line 1: a value that YAML cannot read"),
+    "many hexadecimal digits": ("a: 0x" + "f" * 5000, "line 1: a value that YAML cannot read"),
     "tag that does not fit": ("a: 1\nb: !!float abc", "line 2: a value that YAML cannot read"),
     "time that is none": ("a: !!timestamp abc", "line 1: a value that YAML cannot read"),
     "python object": ("a: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
@@ -88,6 +91,19 @@ def test_large_files_and_files_that_are_no_text(tmp_path):
     assert len(read_text(tmp_path / "largest")) == LARGEST_FILE
     (tmp_path / "marked.yaml").write_bytes(b"\xef\xbb\xbfa: 1")  # as Windows writes it
     assert read_yaml(tmp_path / "marked.yaml") == {"a": 1}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
+@pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
+def test_files_have_the_rights_that_the_user_gives_new_files(tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        write_text(tmp_path / "a.yaml", "a: 1")
+        write_text(tmp_path / "a.yaml", "a: 2")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.yaml").stat().st_mode & 0o777 == 0o666 & ~mask
+    assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
 
 
 def test_text_that_is_not_utf_8_is_written_escaped(tmp_path):

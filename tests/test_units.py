@@ -8,7 +8,7 @@ from hydro_agents.recordings.columns import factor
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_UNITS, PlantParameters
 from hydro_env.task.configuration import task_config
-from hydro_env.units import UNITS, in_si
+from hydro_env.units import UNITS, flow_from_resistance, in_si, resistance_from_flow
 
 KNOWN = {
     ("63 mm", "m"): 0.063,
@@ -39,6 +39,18 @@ def test_what_is_no_quantity_stays_as_it_is():
     for value in (63, 0.063, "63", "1e5", "1,5 mm", "pipe", "mm", None, True, {"a": 1}, "-.inf"):
         assert in_si(value, "m") is value
     assert in_si(["1 mm", 2.0, "3"], "m") == [0.001, 2.0, "3"]
+
+
+def test_leaks_that_are_no_flow_are_refused():
+    assert resistance_from_flow(1e-320) == resistance_from_flow(0) == math.inf
+    assert flow_from_resistance(math.inf) == 0.0
+    for wrong in (-1.0, math.nan, "1", None, [1.0, 2.0], 10**400, "9" * 10_000):
+        with pytest.raises(ConfigurationError, match="must be a number in l/min, at least 0"):
+            resistance_from_flow(wrong)
+        with pytest.raises(ConfigurationError, match="must be a number in Pa s/m³, at least 0"):
+            flow_from_resistance(wrong)
+    with pytest.raises(ConfigurationError, match="must be above 0"):
+        flow_from_resistance(0.0)
 
 
 def test_the_unit_of_another_quantity_is_refused():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from refusal import undigested
 
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.learning.policy import PolicyController
@@ -86,6 +87,7 @@ def test_damaged_weights_are_refused(missing, tmp_path):
 
     file = train(tmp_path, total_steps=96).save(tmp_path / "policy")
     tensors = load_file(file)
+    undigested(file.with_suffix(".json"))
     save_file({name: value for name, value in tensors.items() if name != missing}, file)
     with pytest.raises(ConfigurationError, match=missing):
         PolicyController.load(file)

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pandas as pd
 import pytest
+from refusal import undigested
 
 from hydro_agents.controllers import PID, ObservationLayout, PIDGains
 from hydro_agents.controllers.flow_linearising import pace
@@ -227,7 +228,7 @@ def test_foreign_and_damaged_weights_are_refused(saved):
 
     with pytest.raises(ConfigurationError, match="holds 'hydro_env policy': must be 'hydro_env leakage head'"):
         LeakageHead.load(saved)
-    description = json.loads(saved.with_suffix(".json").read_text())
+    description = undigested(saved.with_suffix(".json"))
     good = saved.with_suffix(".safetensors").read_bytes()
     for content, message in ((b"not weights", "damaged"), (good[: len(good) // 2], "damaged")):
         saved.with_suffix(".safetensors").write_bytes(content)

@@ -47,6 +47,7 @@ def test_its_task_needs_no_file(dataset):
     ("options", "message"),
     [
         (("--minari", "no version"), "must be NAME-v0"),
+        (("--minari", "x"), "must be NAME-v0"),
         (("--minari", "a-v0", "--episodes", 0), "--episodes = 0: must be within 1 to"),
         (("--minari", "a-v0", "--output", "a.csv"), "either --output FILE or --minari NAME"),
         ((), "either --output FILE or --minari NAME"),

@@ -227,3 +227,11 @@ def test_an_axis_that_oscillates_or_saturates_is_named(recording, frequency, vol
     for finding, said in zip(found, words, strict=True):
         assert said in finding.line()
         assert finding.weight is NOTE
+
+
+def test_stamps_too_close_for_any_rig_are_a_finding(recording):
+    for factor in (1e-300, 1e-310, 1e-9):
+        for own_grid in (False, None, True):
+            samples = sampled(changed(recording, time=factor * recording.time), CONFIG, own_grid)
+            assert not len(samples.time)
+            assert [finding.weight for finding in samples.findings] == [SEVERE]

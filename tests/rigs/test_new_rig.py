@@ -215,6 +215,15 @@ def test_wrong_figures_get_one_line_and_leave_no_file(changes, message, tmp_path
         new_rig(answers_from(texts), texts, "rig.yaml")
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a POSIX shell closes the input")
+def test_without_standard_input_the_missing_figures_are_named(tmp_path):
+    line = [*COMMAND, "new-rig", "--output", str(tmp_path / "rig.yaml")]
+    ended = subprocess.run(
+        ["sh", "-c", 'exec "$@" <&-', "sh", *line], capture_output=True, text=True, env=environment()
+    )
+    assert_one_clear_line(ended, "--bore, --rod", "must be given; on a terminal the command asks")
+
+
 NEEDS_A_TERMINAL = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal, which Windows has not")
 
 

@@ -235,6 +235,15 @@ def test_an_answer_that_is_no_command_is_named_with_its_case(answer, message):
     assert "\n" not in str(raised.value)
 
 
+def test_a_controller_that_ends_the_program_is_an_error():
+    class Quits(Proportional):
+        def predict(self, *arguments, **options):
+            raise SystemExit(0)
+
+    with pytest.raises(ControllerError, match="predict raised SystemExit: 0"):
+        run_cases(CONFIG, Quits(), Cases([1]))
+
+
 def test_numbers_of_any_kind_are_commands():
     for command in (np.zeros((5, 1), dtype=np.int64), [[0]] * 5, np.zeros((5, 1), dtype=np.float16)):
         run = run_cases(CONFIG, Answers((command, None)), CASES)

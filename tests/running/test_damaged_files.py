@@ -3,15 +3,17 @@
 import copy
 import json
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import undigested
 from safetensors.numpy import load_file, save_file
 
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.learning.policy import PolicyController
-from hydro_agents.learning.progress import STEPS, read_progress
+from hydro_agents.learning.progress import STEPS, ProgressFile, read_progress
 from hydro_agents.running.folders import pretrained_folder
 from hydro_agents.running.weights import load_checkpoint, load_weights, require, save_checkpoint, save_weights
 from hydro_env import ConfigurationError
@@ -54,8 +56,10 @@ def tried(load, path):
 
 
 def copied(name, folder):
+    """Shipped weights in a folder, without their digest."""
     for suffix in (".json", ".safetensors"):
         (folder / f"{name}{suffix}").write_bytes((pretrained_folder() / f"{name}{suffix}").read_bytes())
+    undigested(folder / f"{name}.json")
     return folder / name
 
 
@@ -220,17 +224,39 @@ def test_logs_that_were_changed(tmp_path):
         for _ in range(generator.integers(1, 4)):
             damaged[generator.integers(len(content))] = generator.integers(256)
         file.write_bytes(bytes(damaged))
-        rows, line = refusal(read_progress, file)
-        assert line is None or "\n" not in line
-        assert all(isinstance(value, float) for row in rows or () for value in row.values())
+        with warnings.catch_warnings(record=True):
+            rows = read_progress(file)  # no result depends on the log: what is damaged is left out
+        assert all(isinstance(value, float) for row in rows for value in row.values())
+    file.write_text(good.replace("300,", "3?0,"))
+    with pytest.warns(UserWarning, match=r"progress.csv: line 4 does not hold 3 numbers: left out"):
+        assert [row[STEPS] for row in read_progress(file, 500)] == [100.0, 200.0, 400.0, 500.0]
+    file.write_bytes(b"\xff" * 9)
+    with pytest.warns(UserWarning, match="not a text file"):
+        assert not ProgressFile(file, 500)._rows
+    assert file.read_bytes() == b""  # the resumed training begins a new log
 
 
 def test_weights_of_a_future_format_are_refused(tmp_path):
     path = copied("policy", tmp_path)
     file = path.with_name("policy.json")
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 2}))
-    with pytest.raises(ConfigurationError, match="of format 1"):
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": 3}))
+    with pytest.raises(ConfigurationError, match="of format 1 or 2"):
         load_weights(path, "policy")
+
+
+@pytest.mark.parametrize("suffix", ["safetensors", "json"])
+def test_weights_with_a_flipped_bit_are_refused(suffix, tmp_path):
+    save_weights(tmp_path / "w", "kind", TENSORS, {"gain": 0.125, "names": ["a", "b"]})
+    file, generator = tmp_path / f"w.{suffix}", np.random.default_rng(5)
+    content, (tensors, settings) = file.read_bytes(), load_weights(tmp_path / "w", "kind")
+    assert settings["gain"] == 0.125
+    assert all(np.array_equal(tensors[name], array) for name, array in TENSORS.items())
+    for _ in range(200):
+        damaged = bytearray(content)
+        damaged[generator.integers(len(content))] ^= 1 << int(generator.integers(8))
+        file.write_bytes(damaged)
+        with pytest.raises(ConfigurationError):
+            load_weights(tmp_path / "w", "kind")
 
 
 def test_names_with_dots_are_different_weights(tmp_path):

@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 import textwrap
+import warnings
 from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
@@ -20,6 +21,7 @@ from hydro_env import HydroError, __version__
 
 # Some versions of typer use click, others their own copy of it; this line works with both.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
+_formatwarning: Any = warnings.formatwarning
 
 
 class _Commands(TyperGroup):
@@ -114,6 +116,7 @@ class _Stopped(KeyboardInterrupt):
 def main() -> None:
     """Entry point: one line and exit code 2 for an error that the user can correct; 128 + number after a signal."""
     _prepare_streams()
+    warnings.formatwarning = _warning
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # nohup stays nohup
@@ -123,6 +126,11 @@ def main() -> None:
         app = application(next((word for word in sys.argv[1:2] if word in names), ""))
         code = app(standalone_mode=False, prog_name="hydro")
         sys.exit(code if isinstance(code, int) else 0)
+    except SystemExit as stop:
+        if isinstance(stop.__context__, BrokenPipeError):  # typer's answer to `hydro --help | head -1`
+            discard_output()
+            sys.exit(141)
+        raise
     except _UsageError as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # the user typed `hydro` alone
             error.show()
@@ -145,13 +153,20 @@ def main() -> None:
 
 
 def _prepare_streams() -> None:
-    """Escape characters that the terminal cannot show; replace a closed stream by one that discards all output."""
+    """Escape characters that the terminal cannot show; replace a closed stream by an empty one."""
+    if sys.stdin is None:
+        sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         elif hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
+
+
+def _warning(message: object, category: type[Warning], *place: Any, **line: Any) -> str:
+    """A warning of this project as one line, without the place in its code."""
+    return f"hydro: {message}\n" if category is UserWarning else _formatwarning(message, category, *place, **line)
 
 
 def _stop(number: int, frame: object) -> None:

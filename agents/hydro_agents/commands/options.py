@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -182,13 +183,16 @@ def named_agents(texts: Sequence[str] | None) -> dict[str, str]:
     """The values of ``--agent NAME=WHAT``, by name.
 
     Raises:
-        ConfigurationError: a value has another form, or a name is given twice.
+        ConfigurationError: a value has another form, or a name is impossible or given twice.
     """
+    from hydro_agents.running.text import check_name
+
     agents: dict[str, str] = {}
     for text in texts or ():
         name, _, what = text.partition("=")
         if not name or not what:
             raise ConfigurationError(f"--agent {text}: must be NAME=module:attribute or NAME=PATH of weights")
+        check_name(re.split("[#@]", name)[0], "--agent")
         if name in agents:
             raise ConfigurationError(f"--agent {text}: the name '{name}' is given twice")
         agents[name] = what

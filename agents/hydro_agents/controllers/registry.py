@@ -74,7 +74,7 @@ def imported(name: str) -> Any:
         sys.path.append(os.getcwd())
     try:
         value: Any = importlib.import_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         moved = f"; since version 0.3 it is hydro_{module}" if module.startswith("agents.") else ""
         raise ConfigurationError(f"'{name}': module '{module}' cannot be imported: {reason(error)}{moved}") from error
     for part in attribute.split("."):
@@ -121,7 +121,7 @@ def make_controller(kind: str, config: TaskConfig, settings: Mapping[str, Any] |
         return make(*task, **(settings or {}))  # type: ignore[no-any-return]
     except ConfigurationError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigurationError(f"'{kind}': cannot be made from task and settings: {reason(error)}") from error
 
 

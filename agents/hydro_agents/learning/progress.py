@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,6 @@ from typing import Any
 
 from stable_baselines3.common.logger import KVWriter, Logger, TensorBoardOutputFormat, filter_excluded_keys
 
-from hydro_env import ConfigurationError
 from hydro_env.files import write_whole
 
 PROGRESS_FILE = "progress.csv"
@@ -38,7 +38,7 @@ class ProgressFile(KVWriter):
             killed before its next checkpoint.
 
     Raises:
-        ConfigurationError: the file is damaged or cannot be written.
+        ConfigurationError: the file cannot be written.
     """
 
     def __init__(self, path: Path, steps: int = 0) -> None:
@@ -78,19 +78,19 @@ def _text(value: float) -> str:
 def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
     """The rows of ``progress.csv`` up to a number of steps; an empty field is NaN, an incomplete last line is skipped.
 
-    Raises:
-        ConfigurationError: the file cannot be read, or a row is damaged.
+    A damaged line is left out with a warning: no result depends on the log.
     """
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not a text file"
-        raise ConfigurationError(f"{path}: cannot be read: {reason}") from None
+        warnings.warn(f"{path}: {getattr(error, 'strerror', None) or 'not a text file'}: left out", stacklevel=2)
+        return []
     rows: list[Row] = []
     whole = [line for line in lines if line.endswith("\n")]
     columns = next(csv.reader(whole[:1]), [])
     if columns and (STEPS not in columns or len(set(columns)) < len(columns)):
-        raise ConfigurationError(f"{path}: line 1: must name the columns of a training, {STEPS} among them")
+        warnings.warn(f"{path}: line 1 does not name the columns of a training: left out", stacklevel=2)
+        return []
     for number, line in enumerate(whole[1:], start=2):
         if rows and rows[-1][STEPS] >= steps:
             break
@@ -98,9 +98,8 @@ def read_progress(path: str | Path, steps: float = math.inf) -> list[Row]:
             fields = next(csv.reader([line]))
             row = {name: float(field or "nan") for name, field in zip(columns, fields, strict=True)}
         except (ValueError, StopIteration, csv.Error):
-            raise ConfigurationError(
-                f"{path}: line {number}: must hold {len(columns)} numbers: {line.strip()[:40]!r}"
-            ) from None
+            warnings.warn(f"{path}: line {number} does not hold {len(columns)} numbers: left out", stacklevel=2)
+            continue
         if not row[STEPS] <= steps:
             break
         rows.append(row)
@@ -111,7 +110,7 @@ def training_logger(folder: Path | None, steps: int = 0) -> Logger:
     """A logger for ``model.set_logger`` that writes to a folder, or nowhere; ``steps`` of a resumed training are done.
 
     Raises:
-        ConfigurationError: ``progress.csv`` is damaged or cannot be written.
+        ConfigurationError: ``progress.csv`` cannot be written.
     """
     writers: list[KVWriter] = []
     if folder is not None:

@@ -151,7 +151,7 @@ def check_dataset(name: str) -> None:
         raise ConfigurationError('--minari needs Minari: pip install "hydro_env[minari]"') from None
     try:
         parse_dataset_id(name)
-    except ValueError:
+    except (TypeError, ValueError):  # TypeError: a name without a version
         raise ConfigurationError(f"--minari {name}: must be NAME-v0 or FOLDER/NAME-v0") from None
     if name in minari.list_local_datasets():
         raise ConfigurationError(f"--minari {name}: exists; choose another name, or run: minari delete {name}")

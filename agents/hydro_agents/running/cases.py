@@ -244,7 +244,7 @@ def _act(
     answer: Any
     try:
         answer = controller.predict(observation, memory, started, True)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # sys.exit() in a controller must not end the command as if all were well
         raise ControllerError(f"{when}: predict raised {reason(error)}") from error
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ControllerError(f"{when}: predict returned {type(answer).__name__}, not a pair (commands, state)")

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from hydro_env.errors import ConfigurationError
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -132,3 +134,19 @@ def frame_markdown(table: pd.DataFrame, decimals: int = 4) -> str:
         for label, row in table.iterrows()
     ]
     return markdown([str(table.index.name or ""), *map(str, table.columns)], rows)
+
+
+NAME_RULE = r"^\w[\w .+-]{0,39}$"
+"""Names of controllers: they stand in tables, pages, file names and on the terminal."""
+
+NAME_WORDS = "must be a name of at most 40 letters, digits, spaces and _ . + -, beginning with a letter or digit"
+
+
+def check_name(name: str, place: str) -> None:
+    """Check the name of a controller, without the mark of a seed or condition; ``place`` is for the message.
+
+    Raises:
+        ConfigurationError: it is empty, too long, or holds other characters.
+    """
+    if not re.fullmatch(NAME_RULE.rstrip("$"), name):
+        raise ConfigurationError(f"{place} '{name[:60]}': {NAME_WORDS}")

@@ -20,7 +20,8 @@ from hydro_env import ConfigurationError
 from hydro_env.files import Group, write_whole
 
 Tensors = Mapping[str, NDArray[Any]]
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # of checkpoints, and of weights without a digest, which older versions wrote
+DIGEST_VERSION = 2  # of weights whose JSON holds a digest of tensors and settings
 LARGEST_FILE = 2**31  # largest size of a file of weights or a checkpoint in bytes; a larger one must be a mistake
 _DESCRIPTION, _DIGEST = "description", "digest"
 _OPTIMISER = "optimiser."
@@ -54,7 +55,7 @@ class StoredLayout(Group):
 
 
 def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mapping[str, Any]) -> Path:
-    """Write ``path``.safetensors and ``path``.json, each atomically.
+    """Write ``path``.safetensors and ``path``.json, each atomically; the JSON holds a digest of both.
 
     Args:
         path: without suffix (a suffix ``.safetensors`` or ``.json`` is removed; any other dot belongs to the name).
@@ -66,8 +67,10 @@ def save_weights(path: str | Path, kind: str, tensors: Tensors, settings: Mappin
         ConfigurationError: the folder cannot be written.
     """
     weights, description = weight_files(path)
-    stored = {"format": f"hydro_env {kind}", "format_version": FORMAT_VERSION, **settings}
-    write_whole(weights, _packed(tensors))
+    content = _packed(tensors)
+    stored = {"format": f"hydro_env {kind}", "format_version": DIGEST_VERSION, **settings}
+    stored[_DIGEST] = _digest_of_weights(content, stored)
+    write_whole(weights, content)
     write_whole(description, (json.dumps(stored, indent=2) + "\n").encode())
     return weights
 
@@ -76,11 +79,16 @@ def load_weights(path: str | Path, kind: str) -> tuple[dict[str, NDArray[Any]], 
     """Read weights and settings.
 
     Raises:
-        ConfigurationError: a file is missing, unreadable, damaged, or of another kind.
+        ConfigurationError: a file is missing, unreadable, damaged, changed since it was written, or of another kind.
     """
     weights, description = weight_files(path)
-    settings = _described(_content(description), kind, description)
-    return _unpacked(weights), settings
+    settings = _described(_content(description), kind, description, (FORMAT_VERSION, DIGEST_VERSION))
+    content = _content(weights)
+    if settings["format_version"] == DIGEST_VERSION:
+        digest = settings.pop(_DIGEST, None)
+        if digest != _digest_of_weights(content, settings):
+            raise ConfigurationError(f"{weights}: damaged: it and {description.name} differ from their digest")
+    return _unpacked(content, weights), settings
 
 
 def weight_files(path: str | Path) -> tuple[Path, Path]:
@@ -113,7 +121,7 @@ def load_checkpoint(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], dic
     Raises:
         ConfigurationError: the file is missing, unreadable, damaged, or of another kind.
     """
-    tensors = _unpacked(path)
+    tensors = _unpacked(_content(path), path)
     digest = tensors.pop(_DIGEST, None)
     if digest is None or _DESCRIPTION not in tensors or not np.array_equal(digest, _digest(tensors)):
         raise ConfigurationError(f"{path}: damaged, or not a checkpoint of this version")
@@ -149,6 +157,12 @@ def _digest(tensors: Tensors) -> NDArray[np.uint8]:
     return np.frombuffer(hashlib.sha256(_packed(tensors)).digest(), dtype=np.uint8)
 
 
+def _digest_of_weights(content: bytes, settings: Mapping[str, Any]) -> str:
+    """Digest of the file of tensors and of the settings, whatever the layout of their JSON."""
+    text = json.dumps(json.loads(json.dumps(settings)), sort_keys=True)
+    return hashlib.sha256(hashlib.sha256(content).digest() + text.encode()).hexdigest()
+
+
 def _content(path: Path) -> bytes:
     try:
         size = path.stat().st_size
@@ -159,8 +173,7 @@ def _content(path: Path) -> bytes:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _unpacked(path: Path) -> dict[str, NDArray[Any]]:
-    content = _content(path)
+def _unpacked(content: bytes, path: Path) -> dict[str, NDArray[Any]]:
     try:
         tensors: dict[str, NDArray[Any]] = unpack(content)
     except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:  # KeyError: BF16 and the like
@@ -169,15 +182,16 @@ def _unpacked(path: Path) -> dict[str, NDArray[Any]]:
     return tensors
 
 
-def _described(text: bytes, kind: str, path: Path) -> dict[str, Any]:
+def _described(text: bytes, kind: str, path: Path, versions: tuple[int, ...] = (FORMAT_VERSION,)) -> dict[str, Any]:
     try:
         settings: Any = json.loads(text.decode())
     except (ValueError, RecursionError):  # ValueError: also for bytes that are not text, and integers of 5000 digits
         raise ConfigurationError(f"{path}: not a JSON file") from None
     found = settings.get("format") if isinstance(settings, dict) else None
-    if found != f"hydro_env {kind}" or settings.get("format_version") != FORMAT_VERSION:
+    if found != f"hydro_env {kind}" or settings.get("format_version") not in versions:
         shown = str(found)[:60]
-        raise ConfigurationError(f"{path}: holds {shown!r}: must be 'hydro_env {kind}' of format 1")
+        known = " or ".join(map(str, versions))
+        raise ConfigurationError(f"{path}: holds {shown!r}: must be 'hydro_env {kind}' of format {known}")
     return dict(settings)
 
 

@@ -21,7 +21,7 @@ from hydro_agents.evaluation.participants import split_name
 from hydro_agents.learning.opponents import ANY_RIG, SHIPPED_WEIGHTS, gains_file, opponent, shipped, usual_gains
 from hydro_agents.learning.trainers import TRAINERS, Trainer, trainer
 from hydro_agents.running.tasks import read_settings, read_task
-from hydro_agents.running.text import correction_name
+from hydro_agents.running.text import NAME_RULE, correction_name
 from hydro_env import ConfigurationError, TaskConfig
 from hydro_env.files import Group, read_yaml, validate
 from hydro_env.folders import config_file
@@ -29,7 +29,7 @@ from hydro_env.mistakes import did_you_mean, kept, refuse, unknown
 from hydro_env.task.configuration import task_config
 from hydro_env.task.sensors import SENSORS
 
-Name = Annotated[str, StringConstraints(pattern=r"^\w[\w .+-]{0,39}$")]
+Name = Annotated[str, StringConstraints(pattern=NAME_RULE)]
 
 
 class TuningSettings(Group):

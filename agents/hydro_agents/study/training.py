@@ -171,11 +171,7 @@ def tune_gains(
 
 
 def read_curve(folder: Path) -> pd.DataFrame:
-    """The log of a training; empty if there is none. Columns: see :mod:`hydro_agents.learning.progress`.
-
-    Raises:
-        ConfigurationError: the file is damaged.
-    """
+    """The log of a training; empty if there is none. Columns: see :mod:`hydro_agents.learning.progress`."""
     file = folder / PROGRESS_FILE
     return pd.DataFrame(read_progress(file) if file.exists() else [])
 
