@@ -143,6 +143,7 @@ def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dic
 def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
     """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
     least, most = sorted(given.bounds(1.0))
+    low, high = max(low, 0.0), max(high, 0.0)
     resistances = (max(resistance_from_flow(high), least), min(resistance_from_flow(low), most))
     if not resistances[0] <= resistances[1]:  # beyond the old range
         resistances = (resistance_from_flow(high), resistance_from_flow(low))
