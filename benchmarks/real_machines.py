@@ -1,15 +1,16 @@
 """What `hydro identify` and `hydro diagnose` say about public recordings of real machines (docs/real_machines.md).
 
-Run: python benchmarks/real_machines.py FOLDER [--only festo refusals] [--samples 1 2 3 4 5]
+Run: python benchmarks/real_machines.py FOLDER [--only festo speeds refusals] [--samples 2 4] [--fit 1 2]
 
-FOLDER holds the folders that the page names; what is absent is left out. The Festo axis is identified from steps of 1
-and 2 V and predicted at 3, 4 and 5 V.
+FOLDER holds the folders that the page names; what is absent is left out. The Festo axis is identified from steps of
+some voltages and predicted at the others.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,12 +18,16 @@ import numpy as np
 
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.recordings.columns import ColumnMap
+from hydro_agents.recordings.recording import read_recording
+from hydro_agents.recordings.sampling import Sampled, sampled
 from hydro_agents.rigs.diagnose import diagnose
 from hydro_agents.rigs.found_rig import shown
 from hydro_agents.rigs.held_back import HeldBack
 from hydro_agents.rigs.identify import identify
 from hydro_agents.rigs.repeatability import share_inside
+from hydro_agents.running.console import ProgressDisplay
 from hydro_env import HydroError
+from hydro_env.files import read_yaml, write_yaml
 from hydro_env.folders import config_file
 from hydro_env.task.configuration import task_config
 from hydro_env.task.rig import read_rig
@@ -63,8 +68,8 @@ def festo_map(chamber: str) -> ColumnMap:
     )
 
 
-def festo(folder: Path, samples: list[int]) -> None:
-    """Identify the axis from 1 and 2 V and predict 3 to 5 V."""
+def festo(folder: Path, samples: list[int], fitted: list[int], source: Path) -> None:
+    """Identify the axis from steps of some voltages and predict the others; ``source`` is the rig file."""
     names = {
         folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat": (volts, chamber)
         for sample in samples
@@ -73,9 +78,11 @@ def festo(folder: Path, samples: list[int]) -> None:
     }
     maps = [festo_map(chamber.lower()) for _, chamber in names.values()]
     began, cost = time.monotonic(), time.process_time()
-    found = identify(
-        list(names), task_config(None, rig=RIG), read_rig(RIG), maps, hold_back=["*_3V_*", "*_4V_*", "*_5V_*"]
-    )
+    others = [volts for volts in range(1, 6) if volts not in fitted]
+    apart = [f"*_{volts}V_*" for volts in others]
+    task, rig = task_config(None, rig=source), read_rig(source)
+    with ProgressDisplay() as display:
+        found = identify(list(names), task, rig, maps, display.update, apart)
     recorded = sum(float(recording.time[-1]) for recording in found.recordings)
     print(f"\n{found.verdict()}")
     print(
@@ -97,7 +104,7 @@ def festo(folder: Path, samples: list[int]) -> None:
     print("|---|---|---:|---:|---:|---:|---:|")
     path_of = list(names)
     worst = 0.0
-    for volts in (3, 4, 5):
+    for volts in others:
         for place, chamber in enumerate("AB", 1):
             parts = [part for part in found.held_back if names[path_of[part.recording]] == (volts, chamber)]
             ratios = 100.0 * np.median([part.speed_ratios for part in parts], axis=0)
@@ -109,6 +116,35 @@ def festo(folder: Path, samples: list[int]) -> None:
                 f"| {pressures[0]:+.2f} | {pressures[1]:+.2f} |"
             )
     print(f"\nlargest error of a speed: {worst:.1f} %")
+
+
+def speeds(folder: Path, samples: list[int]) -> None:
+    """Print the measured speeds, and how far a straight line through those of 1 and 2 V misses the others."""
+    config = task_config(None, rig=RIG)
+    print("\n| step | chamber | speed out, mm/s | speed in, mm/s | line through 1 and 2 V: out | in |")
+    print("|---|---|---|---|---:|---:|")
+    for chamber in "AB":
+        middle = {}
+        for volts in range(1, 6):
+            paths = [folder / f"m_find_b_p{chamber}_{volts}V_sample_{sample}.mat" for sample in samples]
+            recordings = [read_recording(path, festo_map(chamber.lower())) for path in paths]
+            found = np.array([steady_speeds(sampled(one, config, None)) for one in recordings])
+            middle[volts] = np.median(found, axis=0)
+            line = middle[1] + (volts - 1) * (middle[min(volts, 2)] - middle[1])
+            missed = [f"{100 * ratio:+.1f} %" if volts > 2 else "–" for ratio in line / middle[volts] - 1.0]
+            ranges = [f"{low:.1f} to {high:.1f}" for low, high in 1e3 * np.array([found.min(0), found.max(0)]).T]
+            print(f"| {volts} V | {chamber.lower()} | {ranges[0]} | {ranges[1]} | {missed[0]} | {missed[1]} |")
+
+
+def steady_speeds(samples: Sampled) -> tuple[float, float]:
+    """Speed out and in, m/s, in the middle of the stroke."""
+    position, command = samples.signals[0], samples.signals[4]
+    inside = np.abs(position) < 0.055
+    out, back = (
+        abs(float(np.polyfit(samples.time[chosen], position[chosen], 1)[0]))
+        for chosen in (inside & (command > 0.0), inside & (command < 0.0))
+    )
+    return out, back
 
 
 def moving_errors(part: HeldBack, channel: int) -> tuple[float, float]:
@@ -145,13 +181,26 @@ def main() -> None:
     """Print the tables of the recordings that the folder holds."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="+", choices=["festo", "refusals"], default=["festo", "refusals"])
-    parser.add_argument("--samples", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument(
+        "--only", nargs="+", choices=["festo", "speeds", "refusals"], default=["festo", "speeds", "refusals"]
+    )
+    parser.add_argument("--fit", type=int, nargs="+", default=[1, 2], help="voltages of the steps that are fitted")
+    parser.add_argument("--samples", type=int, nargs="+", default=[2, 4])
     arguments = parser.parse_args()
     if "refusals" in arguments.only:
         refusals(arguments.folder)
+    if "speeds" in arguments.only and (arguments.folder / FESTO).is_dir():
+        speeds(arguments.folder / FESTO, arguments.samples)
     if "festo" in arguments.only and (arguments.folder / FESTO).is_dir():
-        festo(arguments.folder / FESTO, arguments.samples)
+        with tempfile.TemporaryDirectory() as folder:
+            source = RIG
+            if max(arguments.fit) > 2:  # only such steps show the shape of the flow curve
+                rig = read_yaml(RIG)
+                rig["valve"] |= {"knee_position": 0.25, "knee_opening": 0.25}
+                rig["randomisation"]["valve.knee_opening"] = {"uniform": [0.2, 0.35]}
+                source = Path(folder) / "rig.yaml"
+                write_yaml(source, rig)
+            festo(arguments.folder / FESTO, arguments.samples, arguments.fit, source)
 
 
 if __name__ == "__main__":

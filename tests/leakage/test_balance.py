@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hydro_agents.controllers import PID, PIDGains
-from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, fit_balance
+from hydro_agents.detection.balance import COUNT, INTERNAL, PARTS, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, hold, substitute
 from hydro_agents.detection.damaged_signals import repaired, stuck_sensors
 from hydro_agents.detection.detector import measured_run
@@ -59,16 +59,16 @@ def test_a_worn_valve_is_read_as_such_and_not_as_a_leak(signals, fault, size, un
 def test_no_leak_is_negative_and_each_part_of_the_window_reads_the_same_constant_leak(signals):
     balance = fit_balance(signals, SHEET)
     assert (balance.estimate[:, INTERNAL] >= 0.0).all()
-    assert balance.part_leak.shape == (len(FLOW), PARTS)
-    off = np.abs(balance.part_leak - balance.estimate[:, INTERNAL, None])
-    assert np.median(off / balance.part_deviation) < 2.0
+    assert balance.part.shape == (len(FLOW), TRACED, PARTS)
+    off = np.abs(balance.part[:, 0] - balance.estimate[:, INTERNAL, None])
+    assert np.median(off / balance.part_deviation[:, 0]) < 2.0
     assert np.median(off[FLOW == 1.0]) < 0.05
 
 
 def test_the_parts_of_the_window_tell_that_a_leak_begins(signals):
     config = task_config(CONFIG, leakage={"schedule": "onset", "start_range": (0.5, 0.5)})
     begun = simulated(config)[FLOW == 1.0]
-    parts = fit_balance(begun, SHEET).part_leak
+    parts = fit_balance(begun, SHEET).part[:, 0]
     half = PARTS // 2
     assert np.mean(parts[:, half:].mean(axis=1) > parts[:, :half].mean(axis=1)) > 0.8
     change, constant = (features_of(each, SHEET)[:, CHANGE] for each in (begun, signals[FLOW == 1.0]))

@@ -57,9 +57,11 @@ def test_every_label_but_the_leak_follows_from_a_fault():
 
 
 def test_the_runs_are_shared_out_over_operations_and_leaks():
-    chunks = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1).plan(CONFIG, [CONTROLLER]).chunks(10_000)
+    settings = HeadTrainingSettings(changing_share=0.4, orifice_share=0.1, disturbed_share=0.2)
+    chunks = settings.plan(CONFIG, [CONTROLLER]).chunks(10_000)
     axes = {leak: sum(chunk.axes for chunk in chunks if chunk.leak == leak) for leak in LEAKS}
     assert axes == {"constant": 5000, "onset": 2000, "growth": 2000, "orifice": 1000}
+    assert sum(chunk.axes for chunk in chunks if chunk.disturbed) == 2000
     assert {chunk.row for chunk in chunks} == set(range(len(OPERATIONS)))
     assert max(chunk.axes for chunk in chunks) <= 256
 

@@ -13,7 +13,7 @@ from untrained import untrained_head
 from hydro_agents.controllers import PID, PIDGains
 from hydro_agents.detection.dataset import LEAKS, Windows
 from hydro_agents.detection.features import FEATURES, LABELS, SIGNALS, SPREAD, STILL
-from hydro_agents.detection.head import LeakageEstimate, LeakageHead, standardised
+from hydro_agents.detection.head import OUTPUTS, OUTSIDE, LeakageEstimate, LeakageHead, standardised
 from hydro_agents.detection.head_training import (
     CHECKPOINT_FILE,
     KIND,
@@ -253,7 +253,10 @@ def test_leaks_to_train_on_must_suit_the_task():
         ({"lowest_healthy_flow": 5.0}, r"lowest_healthy_flow = 5: must be below the task's leakage.class_bounds\[0\]"),
         ({"lowest_healthy_flow": 0.03}, "lowest_healthy_flow = 0.03"),
         ({"highest_flow": 0.1}, "highest_flow = 0.1: must be above"),
-        ({"changing_share": 0.7, "orifice_share": 0.6}, "= 0.7 and orifice_share = 0.6: must be at most"),
+        (
+            {"changing_share": 0.7, "orifice_share": 0.6},
+            "= 0.7, orifice_share = 0.6 and disturbed_share = 0.15: must be at most",
+        ),
     ):
         with pytest.raises(ConfigurationError, match=message):
             trained(settings=SETTINGS.model_copy(update=change))
@@ -272,7 +275,7 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
     nobody = np.full(count, -1)
     features[:, SPREAD] -= 3.5  # half of them stand still
     nothing = np.zeros(count, dtype=np.int64)
-    windows = Windows(features, labels, flow, nothing, nobody, nothing, np.ones(count))
+    windows = Windows(features, labels, flow, nothing, nobody, nothing, np.ones(count), np.zeros(count))
     found = calibrated(dict(head.tensors), CONFIG, 4 * CONFIG.steps, windows, {})
     estimate = LeakageEstimate(*found.judge(features).T)
     still = features[:, SPREAD] < STILL
@@ -280,7 +283,7 @@ def test_thresholds_and_intervals_hold_what_they_say_on_validation_windows(head)
         assert np.mean(estimate.probability[here & (flow <= 0.03)] >= found.settings.threshold) <= 0.015
     held = (estimate.low_lpm <= flow) & (flow <= estimate.high_lpm)
     assert 0.8 < held.mean() < 0.97  # of a network that answers at random; test_intervals.py asks for 0.87 to 0.94
-    assert estimate.outside.mean() == pytest.approx(0.01, abs=0.002)
+    assert 0.01 <= estimate.outside.mean() <= 0.02  # two limits of 1 % each
 
 
 def test_the_network_of_inference_is_that_of_training():
@@ -305,13 +308,13 @@ def test_sizes_below_the_smallest_are_not_asked_for():
 
 
 def test_loss_by_hand():
-    output = torch.zeros(1, len(LABELS) + 3)
+    output = torch.zeros(1, OUTPUTS)
     output[0, -3:] = torch.tensor([0.0, 2.0, 2.0])
-    labels, size = torch.zeros(1, len(LABELS)), torch.tensor([1.0])
+    labels, size = torch.zeros(1, OUTSIDE + 1), torch.tensor([1.0])
     below, middle, above = quantiles(output.numpy())[0]
     assert (middle - below, above - middle) == pytest.approx((np.log(2.0), np.log(2.0)))
     pinball = 0.05 * (1.0 - below) + 0.5 * 1.0 + 0.95 * (1.0 - above)
-    wanted = len(LABELS) * np.log(2.0) + 3.0 * pinball
+    wanted = (OUTSIDE + 1) * np.log(2.0) + 3.0 * pinball
     assert float(loss_of(output, labels, size, 3.0)) == pytest.approx(wanted, rel=1e-6)
 
 

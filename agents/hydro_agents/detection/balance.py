@@ -27,7 +27,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.balance_parts import best_valve, factor, hold, spool_between, substitute, whiten
+from hydro_agents.detection.balance_parts import (
+    best_valve,
+    factor,
+    hold,
+    spool_between,
+    substitute,
+    tell,
+    trace,
+    whiten,
+)
 from hydro_agents.detection.sheet import POINTS, Sheet, Unknowns
 from hydro_env.compiling import SOURCES, compiled, inline, tuple_reader, tuple_replacer
 from hydro_env.plant.equations import Coefficients
@@ -46,7 +55,9 @@ LARGEST_MOVE = 1.5  # largest change of an unknown in one iteration, in standard
 SMALLEST_GAIN, SMALLEST_UNDERLAP, SMALLEST_COMPRESSIBILITY = 0.2, 1e-3, 0.3
 
 CAVITATING = 1e-3  # m per period; error of the travel while a pressure may be at the end of its sensor's range
-PARTS = 8  # number of equal parts of a window; the leak is also estimated for each part alone
+PARTS, TRACED = 8, 4
+"""Number of equal parts of a window, and of the unknowns that are also estimated for each part alone: the leak, the
+supply pressure, and the biases of the pressure transducers."""
 
 COUNT = len(Unknowns._fields)
 GAIN, SUPPLY, EXCESS, UNDERLAP, NULL, INTERNAL, EXTERNAL, OIL, AIR, DEAD, BIAS_A, BIAS_B, TANK = range(COUNT)
@@ -149,7 +160,7 @@ def _add_compression(travel, slope, chamber, sign, first, last, length, area, u,
 
 
 def _build(sources: int) -> Any:
-    def fit(signals, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation):
+    def fit(signals, sheet, estimate, deviation, misfit, correlation, spool_error, part, part_deviation):
         assert sources >= 0  # keys numba's cache
         c = _read_coefficients(sheet.coefficients)
         samples = signals.shape[2]
@@ -160,8 +171,8 @@ def _build(sources: int) -> Any:
         normals, rights = np.empty((2, COUNT, COUNT)), np.empty((2, COUNT))  # of each residual
         travel, slope = np.empty(2), np.empty((2, COUNT))  # since the window began
         filtered, whitened = np.empty((2, COUNT + 1)), np.empty(COUNT + 1)
-        variance = np.empty(2)
-        pull, known_leak = np.empty((2, PARTS)), np.empty((2, PARTS))  # of each residual on the leak in each part
+        variance, before, product = np.empty(2), np.empty(2), np.empty(2)
+        pull, weight = np.empty((2, TRACED, PARTS)), np.empty((2, TRACED, PARTS))  # of each residual in each part
         spread = sheet.spread
         for window in range(signals.shape[0]):
             x, sensed_a, sensed_b, reading, command = signals[window]
@@ -177,7 +188,9 @@ def _build(sources: int) -> Any:
                 normals[:] = 0.0
                 rights[:] = 0.0
                 pull[:] = 0.0
-                known_leak[:] = 0.0
+                weight[:] = 0.0
+                before[:] = 0.0
+                product[:] = 0.0
                 travel[:] = 0.0
                 slope[:] = 0.0
                 filtered[:] = 0.0
@@ -224,6 +237,8 @@ def _build(sources: int) -> Any:
                         variance[residual] *= 1.0 - blend
                         square = whiten(value, slope, other, filtered[residual], whitened, spread, blend, unit)
                         mean_square[residual] += square / (samples - 1)
+                        product[residual] += before[residual] * whitened[COUNT] / (samples - 1)
+                        before[residual] = whitened[COUNT]
                         if other:  # subtract the noise of the pressures; less in the matrix, which must stay definite
                             known = (unit * sensed) ** 2
                             mean_square[1] += known * (sheet.mean[OIL] ** 2 - u.compressibility**2) / (samples - 1)
@@ -233,9 +248,11 @@ def _build(sources: int) -> Any:
                             for j in range(i + 1):
                                 normals[residual, i, j] += whitened[i] * whitened[j]
                             rights[residual, i] -= whitened[i] * whitened[COUNT]
-                        part = PARTS * k // (samples - 1)
-                        pull[residual, part] -= whitened[INTERNAL] * whitened[COUNT]
-                        known_leak[residual, part] += whitened[INTERNAL] ** 2
+                        now = PARTS * k // (samples - 1)
+                        trace(pull, weight, residual, 0, now, whitened[INTERNAL], whitened[COUNT])
+                        trace(pull, weight, residual, 1, now, whitened[SUPPLY], whitened[COUNT])
+                        trace(pull, weight, residual, 2, now, whitened[BIAS_A], whitened[COUNT])
+                        trace(pull, weight, residual, 3, now, whitened[BIAS_B], whitened[COUNT])
 
                 # Misfit of the model counts as noise: a residual above 1 contributes its logarithm.
                 cost = 0.0
@@ -246,9 +263,10 @@ def _build(sources: int) -> Any:
                     cost += off * off
                 for residual in range(2):
                     above = max(mean_square[residual], 1.0)
-                    for part in range(PARTS):
-                        pull[residual, part] /= above
-                        known_leak[residual, part] /= above
+                    for one in range(TRACED):
+                        for now in range(PARTS):
+                            pull[residual, one, now] /= above
+                            weight[residual, one, now] /= above
                     cost += (samples - 1) * (min(mean_square[residual], 1.0) + math.log(above))
                     for i in range(COUNT):
                         right[i] += rights[residual, i] / above
@@ -261,11 +279,13 @@ def _build(sources: int) -> Any:
                     best_right[:] = right
                     estimate[window] = theta
                     misfit[window] = mean_square
-                    for part in range(PARTS):
-                        known = 1.0 + known_leak[0, part] + known_leak[1, part]
-                        off = (pull[0, part] + pull[1, part]) / known
-                        part_leak[window, part] = u.internal_leak + off * spread[INTERNAL]
-                        part_deviation[window, part] = spread[INTERNAL] / math.sqrt(known)
+                    for residual in range(2):
+                        correlation[window, residual] = product[residual] / (mean_square[residual] + 1e-9)
+                    for now in range(PARTS):
+                        tell(pull, weight, 0, now, u.internal_leak, spread[INTERNAL], window, part, part_deviation)
+                        tell(pull, weight, 1, now, u.supply_pressure, spread[SUPPLY], window, part, part_deviation)
+                        tell(pull, weight, 2, now, u.bias_a, spread[BIAS_A], window, part, part_deviation)
+                        tell(pull, weight, 3, now, u.bias_b, spread[BIAS_B], window, part, part_deviation)
                     if gained < ENOUGH:
                         break
                 else:
@@ -306,9 +326,10 @@ class Balance(NamedTuple):
     estimate: NDArray[np.float64]  # (N, COUNT), of the unknowns
     deviation: NDArray[np.float64]  # (N, COUNT), their standard deviations
     misfit: NDArray[np.float64]  # (N, 2), mean squares of the whitened residuals; about 1 where the model holds
+    correlation: NDArray[np.float64]  # (N, 2), of successive whitened residuals; about 0 where the model holds
     spool_error: NDArray[np.float64]  # (N, T), spool reading minus the response of the best-fitting candidate valve
-    part_leak: NDArray[np.float64]  # (N, PARTS), l/min at 100 bar, of each part alone, other estimates unchanged
-    part_deviation: NDArray[np.float64]  # (N, PARTS)
+    part: NDArray[np.float64]  # (N, TRACED, PARTS), unknowns of each part alone, the other estimates unchanged
+    part_deviation: NDArray[np.float64]  # (N, TRACED, PARTS)
 
 
 def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
@@ -319,7 +340,7 @@ def fit_balance(signals: NDArray[np.float64], sheet: Sheet) -> Balance:
         sheet: data sheet of the axis.
     """
     count, _, samples = signals.shape
-    widths = (COUNT, COUNT, 2, samples, PARTS, PARTS)
-    balance = Balance(*(np.empty((count, width)) for width in widths))
+    shapes = ((COUNT,), (COUNT,), (2,), (2,), (samples,), (TRACED, PARTS), (TRACED, PARTS))
+    balance = Balance(*(np.empty((count, *shape)) for shape in shapes))
     fit(np.ascontiguousarray(signals), sheet, *balance)
     return balance

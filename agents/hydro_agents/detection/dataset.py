@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from hydro_agents.controllers.base import Controller
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, MeasuredColumns
+from hydro_agents.detection.disturbances import KINDS as DISTURBANCES
+from hydro_agents.detection.disturbances import Disturbed, drawn
 from hydro_agents.detection.features import FEATURES, LABELS, features_of
 from hydro_agents.detection.operations import OPERATIONS, Operation
 from hydro_agents.detection.sheet import Sheet, sheet_of
@@ -58,6 +61,11 @@ class Windows(NamedTuple):
     fault: NDArray[np.int64]  # (N,), index into FAULTS of the first fault, −1 for none
     leak: NDArray[np.int64]  # (N,), index into LEAKS
     noise: NDArray[np.float64]  # (N,), of the sensors, as a factor on the task's
+    disturbance: NDArray[np.float64]  # (N,), its range in the window over the noticeable one; 0: none
+
+    def part(self, chosen: NDArray[Any]) -> Windows:
+        """Some of the windows."""
+        return Windows(*(values[chosen] for values in self))
 
     @classmethod
     def joined(cls, parts: Sequence[Windows]) -> Windows:
@@ -72,6 +80,7 @@ class Chunk(NamedTuple):
     controller: int  # index of the controller, −1: none
     leak: str  # one of LEAKS
     axes: int
+    disturbed: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,16 +95,18 @@ class Plan:
         """Groups of runs that are simulated together."""
         parts = []
         total = sum(row.share for row in OPERATIONS)
-        changing, orifice = 0.5 * self.settings.changing_share, self.settings.orifice_share
-        shares = dict(zip(LEAKS, (1.0 - 2.0 * changing - orifice, changing, changing, orifice), strict=True))
+        settings = self.settings
+        changing, orifice, disturbed = 0.5 * settings.changing_share, settings.orifice_share, settings.disturbed_share
+        constant = 1.0 - 2.0 * changing - orifice - disturbed
+        shares = [*zip(LEAKS, (constant, changing, changing, orifice), repeat(False)), ("constant", disturbed, True)]
         for number, row in enumerate(OPERATIONS):
             acting = range(len(self.controllers)) if row.manner is None else [-1]
             for controller in acting:
-                for leak, share in shares.items():
+                for leak, share, moves in shares:
                     count = round(episodes * share * row.share / total / len(acting))
                     pieces = -(-count // (CHUNK // 4 if leak in CHANGING else CHUNK))  # more lengths of windows
                     sizes = [count * (p + 1) // pieces - count * p // pieces for p in range(pieces)]
-                    parts += [Chunk(number, controller, leak, size) for size in sizes]
+                    parts += [Chunk(number, controller, leak, size, moves) for size in sizes]
         return parts
 
     def windows(self, episodes: int, first_seed: int, skip: int = 0) -> Iterator[Windows]:
@@ -137,7 +148,7 @@ class Plan:
             sensors[name]["noise"] *= noise
         task = row.task(task_config(config, episode_duration=duration, leakage=leakage, sensors=sensors))
         flow = self._leaks(generator, count)
-        faults, fault, labels = draw_faults(config, generator, count, settings.fault_share)
+        faults, fault, labels = draw_faults(config, generator, count, 0.0 if chunk.disturbed else settings.fault_share)
         labels[:, 0] = flow > config.leakage.class_bounds[0]
         measured = MeasuredColumns.of(task)
         acting: Any = (
@@ -145,9 +156,16 @@ class Plan:
             if row.manner is not None
             else self.controllers[chunk.controller]
         )
+        moves = None
+        if chunk.disturbed:
+            kinds = generator.choice(list(DISTURBANCES), count)
+            moves = drawn(generator, kinds, steps, config.control_period)
+            acting = Disturbed(acting, moves)
         run = run_cases(task, acting, Cases(seeds, flow, faults=faults), measured.columns, states=False, chunk=count)
         assert run.signals is not None
         signals = run.signals * measured.scale.astype(np.float32)[:, None]
+        if moves is not None:
+            moves.read(signals)
         lengths = np.where(run.failed_at < 0, steps, run.failed_at + 1)
         parts = []
         for size in sizes:
@@ -159,7 +177,8 @@ class Plan:
             cut = [signals[axis, :, b : b + size] for axis, b in zip(kept, begins, strict=True)]
             values = features_of(np.stack(cut), sheet) if cut else np.empty((0, len(FEATURES)), dtype=np.float32)
             told = np.full(len(kept), chunk.row), fault[kept], np.full(len(kept), LEAKS.index(chunk.leak))
-            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise)))
+            felt = moves.part(kept).felt(begins, size) if moves is not None else np.zeros(len(kept))
+            parts.append(Windows(values, labels[kept], flow[kept], *told, np.full(len(kept), noise), felt))
         return Windows.joined(parts)
 
     def _leaks(self, generator: np.random.Generator, count: int) -> NDArray[np.float64]:

@@ -85,6 +85,10 @@ class Windows:
     begin: Floats  # (N,), s; NaN: unknown
     end: Floats  # (N,), s
 
+    beside: Floats | None = None
+    """(N, 4, T) in SI units and °C, in the order of :data:`~hydro_agents.recordings.columns.BESIDE`: supply and tank
+    pressure, flow into chamber a, temperature of the oil. NaN: not recorded; ``None``: none of them."""
+
     @classmethod
     def of(cls, signals: NDArray[Any]) -> Windows:
         """Windows (N, 5, T) whose times do not matter."""
@@ -108,9 +112,29 @@ class Windows:
         """Windows whose commands are all known, (N,): a simulation needs every command."""
         return np.asarray(np.isfinite(self.signal("previous_command")).all(axis=1))
 
+    @property
+    def boundary(self) -> Floats | None:
+        """Recorded supply and tank pressure, (N, 2, T), Pa, smoothed and without gaps; NaN: not recorded."""
+        if self.beside is None:
+            return None
+        return _smooth(self.beside[:, :2])
+
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
-        return Windows(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
+        parts = {field.name: getattr(self, field.name) for field in fields(self)}
+        chosen_parts: dict[str, Any] = {n: None if values is None else values[chosen] for n, values in parts.items()}
+        return Windows(**chosen_parts)
+
+
+def _smooth(values: Floats) -> Floats:
+    """Means of three neighbours, after linear interpolation over missing ones; NaN: all are missing; (N, C, T)."""
+    places, result = np.arange(values.shape[2]), np.full_like(values, np.nan)
+    for row, series in zip(result.reshape(-1, len(places)), values.reshape(-1, len(places)), strict=True):
+        known = np.isfinite(series)
+        if known.any():
+            whole = np.pad(np.interp(places, places[known], series[known]), 1, mode="edge")
+            row[:] = (whole[:-2] + whole[1:-1] + whole[2:]) / 3.0
+    return result
 
 
 class MeasuredColumns(NamedTuple):

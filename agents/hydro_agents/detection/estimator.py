@@ -19,6 +19,7 @@ from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floa
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.following import Follower
 from hydro_agents.estimation.result import Estimate
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -90,14 +91,20 @@ class EstimatorDetector:
         changes: of the task that gives unknowns and priors.
         unknowns: additional names (:mod:`hydro_agents.estimation.unknowns`).
         threads: worker threads; ``None`` takes one per core.
+        restarts: further searches for windows that the model does not explain.
     """
 
     threshold: float | None = None
 
     def __init__(
-        self, changes: Mapping[str, Any] | None = None, unknowns: tuple[str, ...] = (), threads: int | None = 1
+        self,
+        changes: Mapping[str, Any] | None = None,
+        unknowns: tuple[str, ...] = (),
+        threads: int | None = 1,
+        restarts: int = EstimationSettings().restarts,
     ) -> None:
         self.changes, self.unknowns, self.threads = dict(changes or {}), unknowns, threads
+        self.settings = EstimationSettings(restarts=restarts)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
@@ -132,7 +139,7 @@ class EstimatorDetector:
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(signals, simple, expected, again)
+            plain, rows = self._fit_again(signals, simple, expected, worn, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
@@ -152,13 +159,27 @@ class EstimatorDetector:
 
     def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
         priors = wear_priors(task) if worn else None
-        return estimate(signals, task, self.names(task, worn), priors=priors, threads=self.threads, progress=progress)
+        return estimate(
+            signals,
+            task,
+            self.names(task, worn),
+            priors=priors,
+            settings=self.settings,
+            threads=self.threads,
+            progress=progress,
+        )
 
     def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, worn: Estimate, progress: Progress | None
     ) -> tuple[Estimate, NDArray[np.int64]]:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        return self._fit(signals[simple], task, False, progress), np.arange(len(simple))
+        names = self.names(task, False)
+        first = {name: worn.value(name)[simple] for name in names if name in worn.names}
+        nearby = self.settings.model_copy(update={"horizons": ()})
+        plain = estimate(
+            signals[simple], task, names, first=first, settings=nearby, threads=self.threads, progress=progress
+        )
+        return plain, np.arange(len(simple))
 
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
         """The score and its standard deviation, (N,) each."""
@@ -223,7 +244,7 @@ class FollowingDetector(EstimatorDetector):
         return self._followers[key].window_of(signals)
 
     def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, worn: Estimate, progress: Progress | None
     ) -> tuple[Estimate, NDArray[np.int64]]:
         return self._fit(signals, task, False), simple  # a follower needs all axes
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, fit_balance
+from hydro_agents.detection.balance import COUNT, EXTERNAL, INTERNAL, PARTS, SUPPLY, TRACED, fit_balance
 from hydro_agents.detection.balance_parts import factor, substitute
 from hydro_agents.detection.damaged_signals import repaired
 from hydro_agents.detection.sheet import Sheet, Unknowns
@@ -67,11 +67,17 @@ FEATURES = (
     "misfit of flows",
     *(name.replace("_", " ") for name in Motion._fields),
     *(f"lost samples of {name}" for name in SENSORS),
-    *(f"change of leak in part {part + 1}" for part in range(PARTS)),
-    *(f"leak in part {part + 1}" for part in range(PARTS - LAST_PARTS, PARTS)),
+    *(
+        text
+        for name in ("leak", "supply", "bias a", "bias b")
+        for text in (*(f"change of {name} in part {number + 1}" for number in range(PARTS)), f"change of {name}")
+    ),
+    *(f"leak in part {number + 1}" for number in range(PARTS - LAST_PARTS, PARTS)),
     "deviation of leak in last part",
-    "change of leak",
+    "correlation of travel",
+    "correlation of flows",
     "duration",
+    "invalid features",
 )
 """Names of the features."""
 
@@ -176,19 +182,19 @@ def spool_errors(spool, error, command):
 
 
 @inline
-def leak_changes(leak, deviation, change):
-    """Write the distance of each part's leak from their mean to ``change``; returns the mean square.
+def changes(value, deviation, change):
+    """Write the distance of each part's value from their mean to ``change``; returns the mean square.
 
     The unit is the part's own standard deviation.
     """
-    parts = leak.shape[0]
+    parts = value.shape[0]
     total, weights, squares = 0.0, 0.0, 0.0
     for part in range(parts):
         weight = 1.0 / (deviation[part] * deviation[part])
-        total += weight * leak[part]
+        total += weight * value[part]
         weights += weight
     for part in range(parts):
-        change[part] = (leak[part] - total / weights) / deviation[part]
+        change[part] = (value[part] - total / weights) / deviation[part]
         squares += change[part] * change[part]
     return squares / parts
 
@@ -237,7 +243,9 @@ _read_coefficients = tuple_reader(Coefficients)
 
 
 def _build_describe(sources: int) -> Any:
-    def describe(signals, lost, sheet, estimate, deviation, misfit, spool_error, part_leak, part_deviation, features):
+    def describe(
+        signals, lost, sheet, estimate, deviation, misfit, correlation, spool_error, part, part_deviation, features
+    ):
         assert sources >= 0
         c = _read_coefficients(sheet.coefficients)
         stroke, supply, samples = 2.0 * c.end_stop_position, sheet.mean[SUPPLY], signals.shape[2]
@@ -296,18 +304,25 @@ def _build_describe(sources: int) -> Any:
             _write_motion(values, motion)
             for sensor in range(lost.shape[1]):
                 values[AFTER_MOTION + sensor] = math.log10(lost[window, sensor] + 1e-3)
-            mean_square = leak_changes(part_leak[window], part_deviation[window], change)
             first = AFTER_MOTION + lost.shape[1]
-            for part in range(PARTS):
-                values[first + part] = math.asinh(change[part])
-            for part in range(LAST_PARTS):
-                values[first + PARTS + part] = math.asinh(part_leak[window, PARTS - LAST_PARTS + part] / 0.1)
-            first += PARTS + LAST_PARTS
-            values[first] = logarithm(part_deviation[window, PARTS - 1], 1e-4)
-            values[first + 1] = logarithm(mean_square, 1e-2)
-            values[first + 2] = math.log10(samples * sheet.period)
-            for i in range(values.shape[0]):
+            for one in range(TRACED):
+                mean_square = changes(part[window, one], part_deviation[window, one], change)
+                for now in range(PARTS):
+                    values[first + now] = math.asinh(change[now])
+                values[first + PARTS] = logarithm(mean_square, 1e-2)
+                first += PARTS + 1
+            for now in range(LAST_PARTS):
+                values[first + now] = math.asinh(part[window, 0, PARTS - LAST_PARTS + now] / 0.1)
+            first += LAST_PARTS
+            values[first] = logarithm(part_deviation[window, 0, PARTS - 1], 1e-4)
+            values[first + 1] = math.asinh(3.0 * correlation[window, 0])
+            values[first + 2] = math.asinh(3.0 * correlation[window, 1])
+            values[first + 3] = math.log10(samples * sheet.period)
+            invalid = 0.0
+            for i in range(values.shape[0] - 1):
+                invalid += 0.0 if math.isfinite(values[i]) else 1.0
                 values[i] = values[i] if math.isfinite(values[i]) else 0.0
+            values[values.shape[0] - 1] = invalid
 
     return compiled(describe)
 

@@ -32,6 +32,9 @@ SHORTEST_WINDOW, LONGEST_WINDOW = 50, 1_000_000
 
 LARGEST_WIDTH, LAYERS = 1024, 3
 
+OUTSIDE, OUTPUTS = len(LABELS), len(LABELS) + 4
+"""Outputs of the network: the logits of the labels, that of a disturbance, and three numbers for the quantiles."""
+
 UPDATES_PER_WINDOW = 16
 """Number of new estimates of ``predict`` per window; between two estimates it repeats the last one."""
 
@@ -117,12 +120,12 @@ class _StoredHead(Group):
 
 def tensors_like(width: int) -> dict[str, NDArray[np.float32]]:
     """Zeros of the names, shapes and types of a head's tensors."""
-    sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
+    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
     shapes: dict[str, tuple[int, ...]] = {
         "mean": (len(FEATURES),),
         "scale": (len(FEATURES),),
         "whitener": (len(FEATURES), len(FEATURES)),
-        "limit": (1,),
+        "limit": (2,),  # of the distance from the training, and of the logit of a disturbance
         "widths": (WIDTHS - 1,),
         "changing": (1,),
         "widening": (GROUPS, len(SIZES), 2),
@@ -292,11 +295,11 @@ class LeakageHead:
         distance = (group[:, None] == np.arange(GROUPS)).astype(np.float32) @ t["widening"].reshape(GROUPS, -1)
         sizes = 10.0 ** np.clip(intervals(found, distance.reshape(-1, len(SIZES), 2)), *ends)
         sizes[:, 1] = np.where(sizes[:, 1] <= 1.05 * SMALLEST_FLOW, 0.0, sizes[:, 1])
-        outside = strangeness > t["limit"][0]
+        outside = np.maximum(strangeness - t["limit"][0], output[:, OUTSIDE] - t["limit"][1]) > 0.0
         return np.column_stack([probability[:, 0], sizes, probability[:, 1:], outside]).astype(np.float64)
 
     def outputs(self, inputs: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Outputs of the network, (N, labels + 3), from standardised features."""
+        """Outputs of the network, (N, OUTPUTS), from standardised features."""
         values = inputs
         for layer in range(LAYERS):
             values = values @ self.tensors[f"weight_{layer}"].T + self.tensors[f"bias_{layer}"]

@@ -19,6 +19,8 @@ from hydro_agents.detection.detector import threshold_at_false_alarm_rate
 from hydro_agents.detection.features import CHANGE, FEATURES, LABELS, SPREAD, STILL
 from hydro_agents.detection.head import (
     LAYERS,
+    OUTPUTS,
+    OUTSIDE,
     SMALLEST_FLOW,
     HeadSettings,
     LeakageHead,
@@ -41,14 +43,14 @@ FALSE_ALARM_RATE = 0.01
 
 CHANGING_SHARE = 0.15  # share of the windows that are treated as windows with a changing leak
 LARGEST_SHIFT = 2.0  # largest size of the shift of a leak's logit at standstill
-OUTSIDE_RATE = 0.01  # share of validation windows that are marked as unlike the training
+OUTSIDE_RATE = 0.01  # share of undisturbed validation windows that each of the two limits of "outside" marks
 
 Progress = Callable[[str, int, int, float], None]
 
 
 def make_network(width: int) -> nn.Sequential:
-    """The network: from features to the logits of the labels and to three numbers for the quantiles of the size."""
-    sizes = (len(FEATURES), width, width // 2, len(LABELS) + 3)
+    """The network: from features to the outputs of a head."""
+    sizes = (len(FEATURES), width, width // 2, OUTPUTS)
     layers: list[nn.Module] = []
     for layer in range(LAYERS):
         layers += [nn.Linear(sizes[layer], sizes[layer + 1]), nn.ReLU()]
@@ -113,9 +115,12 @@ def train_head(
 
 
 def loss_of(output: Tensor, labels: Tensor, size: Tensor, size_weight: float) -> Tensor:
-    """Cross-entropy of the labels, and the pinball losses of the 5, 50 and 95 % quantiles of the size; means over N."""
+    """Cross-entropy of the labels, and the pinball losses of the 5, 50 and 95 % quantiles of the size; means over N.
+
+    The last label is that of a disturbed window.
+    """
     functional = nn.functional
-    wrong_label = functional.binary_cross_entropy_with_logits(output[:, : len(LABELS)], labels, reduction="none")
+    wrong_label = functional.binary_cross_entropy_with_logits(output[:, : OUTSIDE + 1], labels, reduction="none")
     middle, below, above = output[:, -3:].unbind(1)
     found = torch.stack([middle - functional.softplus(below - 2.0), middle, middle + functional.softplus(above - 2.0)])
     shares = torch.tensor([[0.5 * (1.0 - COVERAGE)], [0.5], [0.5 * (1.0 + COVERAGE)]])
@@ -222,7 +227,9 @@ class _Job:
     def fit(self) -> None:
         data, settings, start = Windows.joined(self.parts["data"]), self.settings, self.tensors()
         inputs = torch.from_numpy(standardised(data.features, start["mean"], start["scale"]))
-        labels, size = torch.from_numpy(data.labels), torch.from_numpy(size_target(data.flow_lpm))
+        disturbed = (data.disturbance >= 1.0).astype(np.float32)
+        labels = torch.from_numpy(np.column_stack([data.labels, disturbed]))
+        size = torch.from_numpy(size_target(data.flow_lpm))
         total = len(inputs)
         per_epoch = math.ceil(total / settings.batch)
         while self.epoch < settings.epochs:
@@ -257,12 +264,14 @@ def calibrated(
     leak gives 1 % false alarms among healthy axes without other faults, both at standstill and in motion; the threshold
     of any other label gives 1 % among axes without it. Intervals: :mod:`hydro_agents.detection.intervals`.
     """
+    windows = windows.part(windows.disturbance == 0.0)
     inputs = standardised(windows.features, tensors["mean"], tensors["scale"])
-    tensors["limit"][0] = np.quantile(np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), 1.0 - OUTSIDE_RATE)
-    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
-    windows, inputs = Windows(*(values[usual] for values in windows)), inputs[usual]
     plain = HeadSettings(config, config.steps, longest, 0.5, record)
     output = LeakageHead(tensors, plain).outputs(inputs)
+    strange = np.column_stack([np.sqrt(np.sum((inputs @ tensors["whitener"]) ** 2, axis=1)), output[:, OUTSIDE]])
+    tensors["limit"] = np.quantile(strange, 1.0 - OUTSIDE_RATE, axis=0).astype(np.float32)
+    usual = (windows.noise == 1.0) & (windows.leak != LEAKS.index("orifice"))
+    windows, output = windows.part(usual), output[usual]
     clean = (windows.fault < 0) & (windows.leak == LEAKS.index("constant")) & (windows.labels[:, 0] == 0.0)
     still = windows.features[:, SPREAD] < STILL
     if min((clean & still).sum(), (clean & ~still).sum()) >= FEWEST:

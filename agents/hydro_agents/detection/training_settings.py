@@ -35,6 +35,7 @@ class HeadTrainingSettings(Group):
     fault_share: float = Field(0.45, ge=0.0, le=1.0, description="share of runs with a fault other than a leak")
     changing_share: float = Field(0.3, ge=0.0, le=1.0, description="runs whose leak begins or grows within the window")
     orifice_share: float = Field(0.06, ge=0.0, le=1.0, description="share of runs with a turbulent leak (orifice)")
+    disturbed_share: float = Field(0.15, ge=0.0, le=1.0, description="share of runs with a disturbance")
     lowest_healthy_flow: float = Field(0.003, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     highest_flow: float = Field(5.0, gt=0.0, le=LEAKAGE_LIMIT, description="l/min at 100 bar")
     epochs: int = Field(20, ge=1, le=100_000)
@@ -69,10 +70,10 @@ class HeadTrainingSettings(Group):
                 f"leakage_head: lowest_healthy_flow = {self.lowest_healthy_flow:g}: must be below the task's "
                 f"leakage.class_bounds[0] = {healthy:g} l/min"
             )
-        if self.changing_share + self.orifice_share > 1.0:
+        if self.changing_share + self.orifice_share + self.disturbed_share > 1.0:
             raise ConfigurationError(
-                f"leakage_head: changing_share = {self.changing_share:g} and orifice_share = {self.orifice_share:g}: "
-                "must be at most 1 together"
+                f"leakage_head: changing_share = {self.changing_share:g}, orifice_share = {self.orifice_share:g} and "
+                f"disturbed_share = {self.disturbed_share:g}: must be at most 1 together"
             )
         if self.highest_flow <= faulty:
             raise ConfigurationError(

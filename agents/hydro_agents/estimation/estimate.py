@@ -34,6 +34,7 @@ def estimate(
     settings: EstimationSettings | None = None,
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
+    boundary: Array | None = None,
 ) -> Estimate:
     """Estimate the unknowns of measured windows: maximum a posteriori, with the simulator as model.
 
@@ -49,6 +50,7 @@ def estimate(
         settings: of the search.
         threads: worker threads; ``None`` takes one per core.
         progress: called with the number of finished windows.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
     Raises:
         ConfigurationError: a shape, a command, a duration or a name is wrong.
@@ -76,8 +78,11 @@ def estimate(
     together = max(SAMPLES_PER_BATCH // windows.shape[2], 1)
     for low in range(0, len(windows), together):
         part = slice(low, low + together)
+        edge = None if boundary is None else boundary[part]
         time = durations[part] if durations is not None and np.ndim(durations) == 2 else durations
-        model = Model(config, known, windows[part, -1], time, own[part] if own is not None else None, threads=threads)
+        model = Model(
+            config, known, windows[part, -1], time, own[part] if own is not None else None, None, threads, edge
+        )
         guess = first_values(windows[part], model.commands.durations, config, known)
         for name, value in begin.items():
             if name not in known:

@@ -83,6 +83,7 @@ class Model:
             volume the volume at the supply pressure. ``None``: supply pressure at its setting, NaN for these two, and 0
             for all others.
         threads: worker threads; ``None`` takes one per core.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
 
     Raises:
         ConfigurationError: the shapes of the arrays contradict each other.
@@ -97,6 +98,7 @@ class Model:
         physical: Array | None = None,
         start: Array | None = None,
         threads: int | None = None,
+        boundary: Array | None = None,
     ) -> None:
         self.config, self.names, self.threads = config, tuple(priors), threads
         self.noise = noise_of(config)
@@ -117,7 +119,11 @@ class Model:
         if not ((steps > 0.0) & (steps <= LONGEST_INTERVAL)).all():
             wrong = steps[~((steps > 0.0) & (steps <= LONGEST_INTERVAL))][0]
             raise ConfigurationError(f"durations: {wrong:g} s: must be above 0 and at most {LONGEST_INTERVAL:g} s")
-        self.commands = Commands(command, np.array(np.broadcast_to(steps, (self.count, self.samples - 1))))
+        if boundary is not None and np.shape(boundary) != (self.count, 2, self.samples):
+            raise ConfigurationError(
+                f"boundary: shape {np.shape(boundary)}: must be ({self.count}, 2, {self.samples}), supply and tank"
+            )
+        self.commands = Commands(command, np.array(np.broadcast_to(steps, (self.count, self.samples - 1))), boundary)
 
         own = to_vector(config.plant) if physical is None else np.asarray(physical, dtype=np.float64)
         self._physical = np.array(np.broadcast_to(own, (self.count, len(PARAMETER_PATHS))))
@@ -147,6 +153,7 @@ class Model:
             self._physical[window],
             self._start[window],
             self.threads,
+            None if self.commands.boundary is None else self.commands.boundary[window],
         )
 
     def values(self, scaled: Array) -> Array:
@@ -201,8 +208,7 @@ class Model:
                 physical[:, PARAMETER_PATHS.index(name)] = value
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        used = samples or self.samples
-        commands = Commands(self.commands.command[:, :used], self.commands.durations[:, : used - 1])
+        commands = self.commands.beginning(samples or self.samples)
         read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag)
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hydro_env import TaskConfig
 from hydro_env.compiling import SOURCES, compiled, named_tuple, tuple_writer
 from hydro_env.plant.arrays import N_COEFFICIENTS, read_physical, read_state, write_coefficients
-from hydro_env.plant.equations import coefficients, derivatives
+from hydro_env.plant.equations import Coefficients, coefficients, derivatives
 from hydro_env.plant.kernel import N_PEAKS, STEPS, Accuracy, Plants, integrate_part
 from hydro_env.plant.parts.supply import gas_volume_at
 from hydro_env.plant.states import State
@@ -35,6 +35,10 @@ _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
 
+_TANK, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
+    Coefficients._fields.index(name) for name in ("tank_pressure", "supply_dynamics", "line_stiffness")
+)
+
 Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
 
 _write_reading = tuple_writer(Reading)
@@ -52,6 +56,12 @@ class Commands(NamedTuple):
 
     command: Array  # (B, T), −1 to 1; column k acts until one latency after sample k
     durations: Array  # (B, T − 1), s, from each sample to the next
+    boundary: Array | None = None  # (B, 2, T), recorded supply and tank pressure, Pa; NaN, None: those of the plant
+
+    def beginning(self, samples: int) -> Commands:
+        """The first samples."""
+        boundary = None if self.boundary is None else self.boundary[:, :, :samples]
+        return Commands(self.command[:, :samples], self.durations[:, : samples - 1], boundary)
 
 
 def time_constant(config: TaskConfig) -> float:
@@ -92,8 +102,11 @@ def replay(
     readings = np.full((rows, len(SENSORS), samples), np.nan)
     state = np.array(start, dtype=np.float64)
     accuracy = Accuracy(config.maximum_step, config.tolerance, MOST_STEPS)
+    boundary = commands.boundary
     arguments: tuple[Any, ...] = (
-        *commands,
+        commands.command,
+        commands.durations,
+        np.full((len(commands.command), 2, samples), np.nan) if boundary is None else np.ascontiguousarray(boundary),
         window,
         physical,
         latency,
@@ -120,6 +133,7 @@ def _build(sources: int) -> Any:
     def run(
         command: Array,
         durations: Array,
+        boundary: Array,
         window: Any,
         physical: Array,
         latency: Array,
@@ -144,8 +158,11 @@ def _build(sources: int) -> Any:
             p = read_physical(physical[first + row])
             c = coefficients(p)
             write_coefficients(coefficient[row], c)
-            own = states[row]
-            volts = FULL_VOLTAGE * command[window[first + row], 0]
+            own, source = states[row], window[first + row]
+            volts = FULL_VOLTAGE * command[source, 0]
+            if not math.isnan(boundary[source, 0, 0]):  # then the supply has no dynamics of its own
+                own[_SUPPLY_PRESSURE] = boundary[source, 0, 0]
+                coefficient[row, _SUPPLY_DYNAMICS] = coefficient[row, _LINE_STIFFNESS] = 0.0
             if math.isnan(own[_CURRENT]):
                 own[_CURRENT] = c.drive_rate * volts / c.coil_rate
             if math.isnan(own[_GAS_VOLUME]):
@@ -170,6 +187,12 @@ def _build(sources: int) -> Any:
                 late = math.floor(latency[first + row] / duration)  # whole samples
                 interval[row, 0] = latency[first + row] - late * duration
                 interval[row, 1] = duration - interval[row, 0]
+                for side in range(2):
+                    mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
+                    if not math.isnan(mean) and side == 0:
+                        states[row, _SUPPLY_PRESSURE] = mean
+                    elif not math.isnan(mean):
+                        coefficient[row, _TANK] = mean
                 if math.isnan(states[row, 0]):  # it has failed
                     interval[row, :] = 0.0
                 before, after = min(max(sample - 1 - late, 0), samples - 1), min(max(sample - late, 0), samples - 1)

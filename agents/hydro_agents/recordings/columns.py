@@ -21,6 +21,12 @@ MEASURED = (*SENSORS, "command")
 
 COMMAND = MEASURED.index("command")
 
+BESIDE = ("supply_pressure", "tank_pressure", "flow", "oil_temperature")
+"""Further signals that a file may hold: they drive the model, or a balance of volumes, and are not part of a window.
+
+The flow is that into chamber a, for example of a flow meter, or the speed of a pump times its displacement.
+"""
+
 ALIASES = {"voltage": "command", "previous_command": "command", "spool": "spool_position"}
 """Other accepted headings; ``hydro simulate`` writes ``voltage``."""
 
@@ -35,8 +41,14 @@ UNITS: dict[str, dict[str, float]] = {
     "pressure_b": QUANTITIES["Pa"],
     "spool_position": _PARTS,
     "command": _PARTS,
+    "supply_pressure": QUANTITIES["Pa"],
+    "tank_pressure": QUANTITIES["Pa"],
+    "flow": QUANTITIES["m³/s"],
+    "oil_temperature": {"°C": 1.0, "C": 1.0},
 }
 """SI units per unit, by signal; command and spool are fractions of full scale. Pressures are gauge pressures.
+
+The temperature of the oil stays in °C.
 
 The usual units come first.
 """
@@ -90,10 +102,14 @@ class ColumnMap(Group):
     pressure_a: Column | None = None
     pressure_b: Column | None = None
     spool_position: Column | None = None
+    supply_pressure: Column | None = Field(None, description="at the valve")
+    tank_pressure: Column | None = Field(None, description="at the valve")
+    flow: Column | None = Field(None, description="into chamber a; with a pump: displacement as gain of its speed")
+    oil_temperature: Column | None = None
 
     def columns(self) -> dict[str, Column]:
         """The given columns by signal."""
-        return {name: getattr(self, name) for name in ("time", *MEASURED) if getattr(self, name) is not None}
+        return {name: getattr(self, name) for name in ("time", *MEASURED, *BESIDE) if getattr(self, name) is not None}
 
 
 def split_heading(heading: str) -> tuple[str, str | None]:
@@ -143,7 +159,8 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
     for place, heading in enumerate(headings, 1):
         name = split_heading(heading)[0].lower()
         name = ALIASES.get(name, name)
-        if name not in ("time", *MEASURED):
+        beside = name in BESIDE and split_heading(heading)[1] is not None
+        if name not in ("time", *MEASURED) and not beside:
             continue
         if name in found:
             raise ConfigurationError(f"{source}: two columns have the heading '{name}'; --map FILE selects one")

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hydro_agents.recordings.columns import COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
+from hydro_agents.recordings.columns import BESIDE, COMMAND, MEASURED, ColumnMap, own_map, place_of, unit_of
 from hydro_agents.recordings.files import read_columns, together
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, severe_if
 from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
@@ -29,6 +29,7 @@ class Recording(NamedTuple):
     signals: Floats  # (5, n), SI, in the order of MEASURED; the command acts at the time of the row
     units: dict[str, str]  # by signal, from the file or the map
     findings: list[Finding]
+    beside: Floats | None = None  # (4, n), SI, in the order of BESIDE; NaN: not recorded; None: none of them
 
 
 def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
@@ -76,7 +77,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
                 f"the command has {rows}, and one of them has no time of its own"
             )
     units: dict[str, str] = {}
-    time, signals = np.zeros(0), np.full((len(MEASURED), rows), np.nan)
+    time, signals = np.zeros(0), np.full((len(MEASURED) + len(BESIDE), rows), np.nan)
     for signal, column in columns.columns().items():
         values = _time_stamps(cells[signal]) if signal == "time" else None
         if values is None:
@@ -87,7 +88,7 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
         if signal == "time":
             time = values
         else:
-            signals[MEASURED.index(signal)] = values
+            signals[(*MEASURED, *BESIDE).index(signal)] = values
     if columns.command.rows_early:
         signals[COMMAND] = _shifted(signals[COMMAND], columns.command.rows_early)
     for signal in MEASURED:
@@ -106,7 +107,8 @@ def read_recording(path: Path, columns: ColumnMap | None = None) -> Recording:
             Finding("time", "is missing in some rows, which are left out", severe_if(share > 0.2), share=share)
         )
     time = time[known]
-    return Recording(source, time - time[0], signals[:, known], units, findings)
+    beside = signals[len(MEASURED) :, known] if any(getattr(columns, name) for name in BESIDE) else None
+    return Recording(source, time - time[0], signals[: len(MEASURED), known], units, findings, beside)
 
 
 def _numbers(cells: pd.Series, signal: str, first_line: int, findings: list[Finding]) -> Floats:

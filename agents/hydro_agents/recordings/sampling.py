@@ -52,6 +52,7 @@ class Sampled(NamedTuple):
     period: float  # s
     units: dict[str, str]  # by signal, as in the file
     findings: list[Finding]
+    beside: Floats | None = None  # (4, T), SI, in the order of BESIDE; None: none of them was recorded
 
 
 def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = False) -> Sampled:
@@ -66,6 +67,15 @@ def sampled(recording: Recording, config: TaskConfig, own_grid: bool | None = Fa
         own_grid: whether to take the log's own grid (:func:`on_grid`): always, never, or (``None``) where the log is
             faster than the control period and its commands keep no fixed place in it.
     """
+    if recording.beside is None:
+        return _sampled(recording, config, own_grid)
+    both = np.concatenate([recording.signals, recording.beside])
+    found = _sampled(recording._replace(signals=both), config, own_grid)
+    rows = len(recording.signals)
+    return found._replace(signals=found.signals[:rows], beside=found.signals[rows:])
+
+
+def _sampled(recording: Recording, config: TaskConfig, own_grid: bool | None) -> Sampled:
     findings: list[Finding] = []
     period = config.control_period
     time, signals = recording.time, recording.signals
@@ -132,7 +142,7 @@ def _on_own_grid(
     """
     rows = max(round(OWN_PERIOD / distance), 1)
     period = float(f"{rows * distance:.6g}")
-    changed = place[1:][np.diff(signals[COMMAND]) != 0.0]
+    changed = place[1:][np.abs(np.diff(signals[COMMAND])) > 0.0]
     first = int(np.bincount(changed % rows, minlength=rows).argmax())
     around = (place - first + rows // 2) // rows
     number = np.unique(around)
@@ -194,7 +204,17 @@ def bridged(samples: Sampled) -> tuple[Sampled, list[Finding]]:
     time = np.interp(place, samples.place, samples.time)
     what = f"lacks samples; up to {LONGEST_FILL} in a row are filled in from those around them"
     finding = finding_of(filled, time, "command", what, Weight.NOTE)
+    samples = samples._replace(beside=_placed(samples.beside, np.searchsorted(place, samples.place), len(place)))
     return samples._replace(place=place, time=time, signals=signals), [finding]
+
+
+def _placed(values: Floats | None, places: NDArray[np.int64], count: int) -> Floats | None:
+    """Values (channels, n) at their places among ``count`` samples; NaN elsewhere."""
+    if values is None:
+        return None
+    whole = np.full((len(values), count), np.nan)
+    whole[:, places] = values
+    return whole
 
 
 def _likely(signals: Floats, filled: NDArray[np.bool_]) -> Floats:
@@ -218,12 +238,17 @@ def cut(samples: Sampled, length: int) -> Windows:
     chosen = np.unique(window)
     if len(samples.place):
         chosen = chosen[(chosen + 1) * length <= samples.place[-1] + 1]
-    signals = np.full((len(chosen), len(samples.signals), length), np.nan)
     number = np.searchsorted(chosen, window)
     inside = np.isin(window, chosen)
-    signals[number[inside], :, place[inside]] = samples.signals[:, inside].T
+
+    def cut_out(values: Floats) -> Floats:
+        parts = np.full((len(chosen), len(values), length), np.nan)
+        parts[number[inside], :, place[inside]] = values[:, inside].T
+        return parts
+
     begin = np.asarray(chosen * length * samples.period, dtype=np.float64)
-    return Windows(signals, begin, begin + length * samples.period)
+    beside = None if samples.beside is None else cut_out(samples.beside)
+    return Windows(cut_out(samples.signals), begin, begin + length * samples.period, beside)
 
 
 def _row_distance(time: Floats, period: float) -> float:

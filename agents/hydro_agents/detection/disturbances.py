@@ -1,0 +1,132 @@
+"""Disturbances that the flow balance takes for constant: of the supply, the return line and the pressure transducers.
+
+The leakage head learns from them to mark such a window as "outside" (outlier exposure: Hendrycks, Mazeika & Dietterich
+2019, *Deep Anomaly Detection with Outlier Exposure*).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_agents.controllers.base import Controller
+from hydro_agents.detection.features import SIGNALS
+from hydro_agents.running.cases import TrueStateController
+from hydro_env.axes import Axes
+from hydro_env.plant.equations import Coefficients
+from hydro_env.plant.states import State
+
+Array = NDArray[np.float64]
+Span = tuple[float, float]
+
+SUPPLY, TANK, PRESSURE_A, PRESSURE_B = range(4)
+"""Rows of a course: factor on the supply pressure less 1, and additions to the tank pressure and to both readings."""
+
+NOTICEABLE = np.array([0.01, 0.5e5, 1e5, 1e5])
+"""Range of each row within a window from which the window counts as disturbed; pressures in Pa."""
+
+PRESSURES = [SIGNALS.index("pressure_a"), SIGNALS.index("pressure_b")]
+_RELIEF, _TANK = (Coefficients._fields.index(name) for name in ("relief_pressure", "tank_pressure"))
+_SUPPLY = State._fields.index("supply_pressure")
+
+
+class Kind(NamedTuple):
+    """A kind of disturbance: its shape over time, with a size and a time that are log-uniform."""
+
+    row: int
+    shape: Callable[[Array, float, float], Array]  # from time (T,), s; start, s; time of the kind, s
+    size: Span
+    time: Span  # s: period, duration, or time constant
+    signed: bool = False
+
+
+def swing(time: Array, start: float, period: float) -> Array:
+    """A sine; ``start`` is its phase."""
+    return np.sin(2.0 * np.pi * (time - start) / period)
+
+
+def ramp(time: Array, start: float, duration: float) -> Array:
+    """0, then a linear rise to 1 within ``duration``."""
+    return np.clip((time - start) / duration, 0.0, 1.0)
+
+
+def step(time: Array, start: float, constant: float) -> Array:
+    """0, then an exponential approach to 1."""
+    return np.where(time < start, 0.0, 1.0 - np.exp(-np.maximum(time - start, 0.0) / constant))
+
+
+KINDS = {
+    "supply swings": Kind(SUPPLY, swing, (0.007, 0.1), (0.3, 8.0)),
+    "supply sags": Kind(SUPPLY, ramp, (-0.3, -0.03), (1.0, 8.0)),
+    "supply steps": Kind(SUPPLY, step, (0.02, 0.2), (0.01, 0.3), True),
+    "pump ripple": Kind(SUPPLY, swing, (0.007, 0.05), (0.004, 0.1)),
+    "tank swings": Kind(TANK, swing, (0.4e5, 2e5), (0.3, 8.0)),
+    "pressure a drifts": Kind(PRESSURE_A, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
+    "pressure b drifts": Kind(PRESSURE_B, ramp, (1.5e5, 10e5), (1.0, 8.0), True),
+}
+"""Kinds of disturbance by name."""
+
+
+class Disturbances(NamedTuple):
+    """One disturbance of each of N axes over T control periods."""
+
+    course: Array  # (N, 4, T)
+    direct: NDArray[np.bool_]  # (N,), the pressure at the valve follows at once; else the setting of the relief valve
+
+    def felt(self, begins: NDArray[Any], samples: int) -> Array:
+        """Ranges of the courses in one window of each axis, over :data:`NOTICEABLE`, the largest; (N,)."""
+        parts = [course[:, first : first + samples] for course, first in zip(self.course, begins, strict=True)]
+        ranges = np.array([np.ptp(part, axis=1) for part in parts]).reshape(-1, len(NOTICEABLE))
+        return np.asarray((ranges / NOTICEABLE).max(axis=1))
+
+    def read(self, signals: NDArray[Any]) -> None:
+        """Add the drift of the transducers to readings, (N, signals, T) in Pa, in place."""
+        signals[:, PRESSURES] += self.course[:, (PRESSURE_A, PRESSURE_B)]
+
+    def part(self, chosen: NDArray[Any]) -> Disturbances:
+        """Those of some axes."""
+        return Disturbances(self.course[chosen], self.direct[chosen])
+
+
+def drawn(generator: np.random.Generator, kinds: NDArray[np.str_], steps: int, period: float) -> Disturbances:
+    """Disturbances of axes, one kind each; ``steps`` control periods of ``period`` s."""
+    time = period * np.arange(steps, dtype=np.float64)
+    course = np.zeros((len(kinds), len(NOTICEABLE), steps))
+    for axis, name in enumerate(kinds):
+        kind = KINDS[name]
+        low, high = sorted(np.abs(kind.size))
+        size = np.sign(kind.size[0]) * np.exp(generator.uniform(np.log(low), np.log(high)))
+        size *= generator.choice((-1.0, 1.0)) if kind.signed else 1.0
+        start = generator.uniform(-0.5, 0.9) * time[-1]
+        course[axis, kind.row] = size * kind.shape(time, start, float(np.exp(generator.uniform(*np.log(kind.time)))))
+    ripple = kinds == "pump ripple"  # an accumulator on the way to the valve would damp it
+    return Disturbances(course, ripple | (generator.random(len(kinds)) < 0.5))
+
+
+class Disturbed:
+    """A controller, on axes whose supply and return line move."""
+
+    def __init__(self, controller: Controller, disturbances: Disturbances) -> None:
+        self.controller, self.disturbances, self._step = controller, disturbances, 0
+
+    def begin(self, axes: Axes) -> None:
+        """Note the undisturbed pressures of the axes whose episodes begin."""
+        self._axes, self._step = axes, 0
+        self._start = axes.coefficient[:, [_RELIEF, _TANK]].copy(), axes.state[:, _SUPPLY].copy()
+        if isinstance(self.controller, TrueStateController):
+            self.controller.begin(axes)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Commands of the controller; the pressures of this control period are set before it."""
+        course, direct = self.disturbances.course[:, :, self._step], self.disturbances.direct
+        (relief, tank), supply = self._start[0].T, self._start[1]
+        self._axes.coefficient[:, _RELIEF] = relief * (1.0 + course[:, SUPPLY])
+        self._axes.coefficient[:, _TANK] = tank + course[:, TANK]
+        self._axes.state[direct, _SUPPLY] = (supply * (1.0 + course[:, SUPPLY]))[direct]
+        self._step += 1
+        return self.controller.predict(observation, state, episode_start, deterministic)
