@@ -53,6 +53,8 @@ LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
 """Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
 offset of a sensor relative to its data sheet."""
 
+RECORDED = ("supply.pressure", "supply.tank_pressure")  # unknowns that recorded pressures replace
+
 MISFIT = "the model does not explain the readings"
 UNDETERMINED = "the window does not determine the leak; more motion is needed"
 AT_REST = "at rest a worn valve and a leak look alike; move the axis"
@@ -125,14 +127,15 @@ class EstimatorDetector:
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
         signals, expected = windows.signals[chosen], task_config(task, **self.changes)
-        worn = self._fit(signals, expected, True, progress)
+        boundary = None if windows.boundary is None else windows.boundary[chosen]
+        worn = self._fit(signals, boundary, expected, True, progress)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
         still = self._at_rest(signals, task)
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(signals, simple, expected, again)
+            plain, rows = self._fit_again(signals, boundary, simple, expected, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
@@ -150,15 +153,28 @@ class EstimatorDetector:
         own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
         return tuple(dict.fromkeys(own))
 
-    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
-        priors = wear_priors(task) if worn else None
-        return estimate(signals, task, self.names(task, worn), priors=priors, threads=self.threads, progress=progress)
+    def _fit(
+        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
+    ) -> Estimate:
+        names, priors = self.names(task, worn), wear_priors(task) if worn else None
+        if boundary is not None:  # a recorded pressure is no unknown
+            recorded = np.asarray(np.isfinite(boundary).all(axis=(0, 2)))
+            known = {name for name, whole in zip(RECORDED, recorded, strict=True) if whole}
+            names = tuple(name for name in names if name not in known)
+            priors = priors and {name: prior for name, prior in priors.items() if name not in known}
+        return estimate(signals, task, names, priors=priors, threads=self.threads, progress=progress, boundary=boundary)
 
     def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+        self,
+        signals: Floats,
+        boundary: Floats | None,
+        simple: NDArray[np.int64],
+        task: TaskConfig,
+        progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        return self._fit(signals[simple], task, False, progress), np.arange(len(simple))
+        edge = None if boundary is None else boundary[simple]
+        return self._fit(signals[simple], edge, task, False, progress), np.arange(len(simple))
 
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
         """The score and its standard deviation, (N,) each."""
@@ -209,8 +225,10 @@ class FollowingDetector(EstimatorDetector):
         super().__init__(changes, unknowns, threads)
         self._followers: dict[tuple[bool, str, int], Follower] = {}
 
-    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
-        del progress
+    def _fit(
+        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
+    ) -> Estimate:
+        del progress, boundary
         key = worn, task.model_dump_json(), signals.shape[2]
         if key not in self._followers:
             self._followers[key] = Follower(
@@ -223,9 +241,14 @@ class FollowingDetector(EstimatorDetector):
         return self._followers[key].window_of(signals)
 
     def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, progress: Progress | None
+        self,
+        signals: Floats,
+        boundary: Floats | None,
+        simple: NDArray[np.int64],
+        task: TaskConfig,
+        progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
-        return self._fit(signals, task, False), simple  # a follower needs all axes
+        return self._fit(signals, boundary, task, False), simple  # a follower needs all axes
 
     def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
         del task  # the alarm compares the readings of an axis at rest with one another
