@@ -34,6 +34,8 @@ Floats = NDArray[np.float64]
 
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
 
+SMOOTHED = 7  # readings of a recorded supply or tank pressure that are averaged: their noise adds up in the travel
+
 NO_COMMANDS = "commands are missing in the window"
 
 
@@ -127,13 +129,13 @@ class Windows:
 
 
 def _smooth(values: Floats) -> Floats:
-    """Means of three neighbours, after linear interpolation over missing ones; NaN: all are missing; (N, C, T)."""
+    """Means of SMOOTHED neighbours, after linear interpolation over missing values, (N, C, T); NaN: all are missing."""
     places, result = np.arange(values.shape[2]), np.full_like(values, np.nan)
     for row, series in zip(result.reshape(-1, len(places)), values.reshape(-1, len(places)), strict=True):
         known = np.isfinite(series)
         if known.any():
-            whole = np.pad(np.interp(places, places[known], series[known]), 1, mode="edge")
-            row[:] = (whole[:-2] + whole[1:-1] + whole[2:]) / 3.0
+            whole = np.pad(np.interp(places, places[known], series[known]), SMOOTHED // 2, mode="reflect")
+            row[:] = np.convolve(whole, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
     return result
 
 
