@@ -101,8 +101,8 @@ CASES = {
     ),
     "every second row": (rows(lambda n: slice(0, n, 2)), [(SEVERE, "the commands between the rows are unknown")]),
     "ms as s": (restamped(lambda t: 1e3 * t), [(SEVERE, "stamps in ms instead of s would fit")]),
-    "command early": (command_moved(-1), [(SEVERE, "'rows_early: 1' in the map would fit")]),
-    "command late": (command_moved(1), [(SEVERE, "'rows_early: -1' in the map would fit")]),
+    "command early": (command_moved(-1), [(NOTE, "moved; 'rows_early: 1' in the map")]),
+    "command late": (command_moved(1), [(NOTE, "moved; 'rows_early: -1' in the map")]),
 }
 
 
@@ -113,6 +113,13 @@ def test_damage_is_found_and_nothing_else(recording, case):
     assert [finding.weight for finding in found] == [weight for weight, _ in wanted], [f.line() for f in found]
     for finding, (_, words) in zip(found, wanted, strict=True):
         assert words in finding.line()
+
+
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_a_command_in_the_wrong_row_is_moved_back(recording, rows):
+    moved = check_recording(command_moved(rows)(recording), CONFIG).samples.signals[4]
+    right = check_recording(recording, CONFIG).samples.signals[4]
+    assert np.array_equal(moved[2:-2], right[2:-2])
 
 
 def test_faulty_readings_are_left_out(recording):
@@ -174,7 +181,7 @@ def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
 
 def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
     assert check_recording(recording, CONFIG, own_grid=None).samples.period == CONFIG.control_period
-    forced = check_recording(recording, CONFIG, own_grid=True).samples
+    forced = sampled(recording, CONFIG, own_grid=True)
     np.testing.assert_array_equal(forced.signals[4, 1:], recording.signals[4, :-1])
     np.testing.assert_array_equal(forced.signals[0], recording.signals[0])
 

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows, unrecorded
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.following import Follower
 from hydro_agents.estimation.result import Estimate
+from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -52,8 +53,6 @@ LEAST_DEVIATION = 0.1
 LARGEST_NULL_SHIFT, LARGEST_BACK_PRESSURE, LARGEST_BIAS = 0.004, 1.5e5, 2.0
 """Limits of a healthy axis: null shift as a fraction of full stroke, return pressure above the data sheet's in Pa, and
 offset of a sensor relative to its data sheet."""
-
-RECORDED = ("supply.pressure", "supply.tank_pressure")  # unknowns that recorded pressures replace
 
 MISFIT = "the model does not explain the readings"
 UNDETERMINED = "the window does not determine the leak; more motion is needed"
@@ -92,14 +91,20 @@ class EstimatorDetector:
         changes: of the task that gives unknowns and priors.
         unknowns: additional names (:mod:`hydro_agents.estimation.unknowns`).
         threads: worker threads; ``None`` takes one per core.
+        restarts: further searches for windows that the model does not explain.
     """
 
     threshold: float | None = None
 
     def __init__(
-        self, changes: Mapping[str, Any] | None = None, unknowns: tuple[str, ...] = (), threads: int | None = 1
+        self,
+        changes: Mapping[str, Any] | None = None,
+        unknowns: tuple[str, ...] = (),
+        threads: int | None = 1,
+        restarts: int = EstimationSettings().restarts,
     ) -> None:
         self.changes, self.unknowns, self.threads = dict(changes or {}), unknowns, threads
+        self.settings = EstimationSettings(restarts=restarts)
 
     def refuses(self, task: TaskConfig, samples: int) -> str:
         """An empty text: the estimator reads every rig and every length."""
@@ -135,7 +140,7 @@ class EstimatorDetector:
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(signals, boundary, simple, expected, again)
+            plain, rows = self._fit_again(signals, boundary, simple, expected, worn, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
@@ -156,13 +161,18 @@ class EstimatorDetector:
     def _fit(
         self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
     ) -> Estimate:
-        names, priors = self.names(task, worn), wear_priors(task) if worn else None
-        if boundary is not None:  # a recorded pressure is no unknown
-            recorded = np.asarray(np.isfinite(boundary).all(axis=(0, 2)))
-            known = {name for name, whole in zip(RECORDED, recorded, strict=True) if whole}
-            names = tuple(name for name in names if name not in known)
-            priors = priors and {name: prior for name, prior in priors.items() if name not in known}
-        return estimate(signals, task, names, priors=priors, threads=self.threads, progress=progress, boundary=boundary)
+        names = unrecorded(self.names(task, worn), boundary)
+        priors = {name: prior for name, prior in wear_priors(task).items() if worn and name in names}
+        return estimate(
+            signals,
+            task,
+            names,
+            priors=priors,
+            settings=self.settings,
+            threads=self.threads,
+            progress=progress,
+            boundary=boundary,
+        )
 
     def _fit_again(
         self,
@@ -170,11 +180,23 @@ class EstimatorDetector:
         boundary: Floats | None,
         simple: NDArray[np.int64],
         task: TaskConfig,
+        worn: Estimate,
         progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        edge = None if boundary is None else boundary[simple]
-        return self._fit(signals[simple], edge, task, False, progress), np.arange(len(simple))
+        names = unrecorded(self.names(task, False), boundary)
+        first = {name: worn.value(name)[simple] for name in names if name in worn.names}
+        plain = estimate(
+            signals[simple],
+            task,
+            names,
+            first=first,
+            settings=self.settings.model_copy(update={"horizons": ()}),
+            threads=self.threads,
+            progress=progress,
+            boundary=None if boundary is None else boundary[simple],
+        )
+        return plain, np.arange(len(simple))
 
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
         """The score and its standard deviation, (N,) each."""
@@ -246,6 +268,7 @@ class FollowingDetector(EstimatorDetector):
         boundary: Floats | None,
         simple: NDArray[np.int64],
         task: TaskConfig,
+        worn: Estimate,
         progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
         return self._fit(signals, boundary, task, False), simple  # a follower needs all axes

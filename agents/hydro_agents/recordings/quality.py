@@ -106,8 +106,37 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | N
     findings += channels.findings
     samples = samples._replace(signals=np.where(channels.bad, np.nan, samples.signals))
     if not checked.severe and not checked.faults:
+        early = row_of_command(samples, config)
+        if early:
+            samples = samples._replace(signals=_with_command_moved(samples, early))
+            word = "early" if early > 0 else "late"
+            what = f"is one row too {word} for the spool: moved; 'rows_early: {early}' in the map says the same"
+            findings.append(Finding("command", what, Weight.NOTE))
         findings += check_wiring(samples, config)
     return Checked(samples, findings)
+
+
+def row_of_command(samples: Sampled, config: TaskConfig) -> int:
+    """By how many rows the command stands too early for the spool: −1, 0 or 1; 0 where the signals do not tell."""
+    signals = _stretch_with_motion(samples)
+    expected = _response_at_next_sample(config)
+    if signals is None or expected <= LEAST_RESPONSE or not _commanded(signals, config):
+        return 0
+    weights, rest, wanted = _spool_after_commands(signals)
+    slope = float(weights[:4].sum())
+    if rest > 0.5 * wanted or not SLOPES[0] <= slope <= SLOPES[1]:
+        return 0
+    later, now = weights[0] / slope, weights[1] / slope
+    return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
+
+
+def _with_command_moved(samples: Sampled, early: int) -> Floats:
+    """The signals (5, T) with the command moved by a row; NaN where the neighbouring row is missing."""
+    signals, other = samples.signals.copy(), np.arange(len(samples.place)) - early
+    inside = np.clip(other, 0, len(other) - 1)
+    known = (other == inside) & (samples.place[inside] == samples.place - early)
+    signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
+    return signals
 
 
 def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
@@ -156,13 +185,19 @@ class Balance(NamedTuple):
     expected_travel: float  # m, by the flow through the valve
 
 
-def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
-    """Find wrong signs, exchanged chambers, wrong units and a command in the wrong row; needs motion."""
+def _stretch_with_motion(samples: Sampled) -> Floats | None:
+    """The signals (5, T) of a stretch without gaps in which the axis moves most; ``None`` if all are too short."""
     whole = np.all(np.isfinite(samples.signals), axis=0)
     if whole.sum() < FEWEST_SAMPLES:
-        return []
+        return None
     signals = _liveliest(samples.signals[:, _longest_stretch(samples.place, whole)])
-    if signals.shape[1] < FEWEST_SAMPLES:
+    return signals if signals.shape[1] >= FEWEST_SAMPLES else None
+
+
+def check_wiring(samples: Sampled, config: TaskConfig) -> list[Finding]:
+    """Find wrong signs, exchanged chambers and wrong units; needs motion."""
+    signals = _stretch_with_motion(samples)
+    if signals is None:
         return []
     findings = _spool_and_command(signals, config)
     if any(finding.weight is Weight.SEVERE for finding in findings):
@@ -244,32 +279,37 @@ def _change_that_helps(signals: Floats, config: TaskConfig) -> str:
 
 
 def _spool_and_command(signals: Floats, config: TaskConfig) -> list[Finding]:
-    """Check sign, scale and row of the command against the spool."""
-    spool, command = signals[SPOOL], signals[COMMAND]
-    if np.ptp(command) < 0.02 or command.std() < 2.0 * config.sensors.spool_position.noise:
+    """Check sign and scale of the command against the spool."""
+    if not _commanded(signals, config):
         return []
-    # Columns: the command one row later, in this row, one and two rows before.
-    rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
-    wanted = spool[2:-1]
-    weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
-    rest = wanted - rows @ weights
+    weights, rest, wanted = _spool_after_commands(signals)
     slope = float(weights[:4].sum())
-    if rest.std() > 0.5 * wanted.std():
+    if rest > 0.5 * wanted:
         return [Finding("spool_position", "does not follow the command", Weight.NOTE)]
     if slope < 0.0:
         return [Finding("spool_position", "moves against the command: reverse the sign of one of them", Weight.SEVERE)]
     if not SLOPES[0] <= slope <= SLOPES[1]:
         what = f"moves {slope:.3g} times as far as the command; check the units of both"
         return [Finding("spool_position", what, Weight.SEVERE)]
-    expected = _response_at_next_sample(config)
-    later, now = weights[0] / slope, weights[1] / slope
-    if expected > LEAST_RESPONSE and later > 0.5 * expected:
-        what = "is one row too late for the spool; 'rows_early: -1' in the map would fit"
-        return [Finding("command", what, Weight.SEVERE)]
-    if expected > LEAST_RESPONSE and now < 0.25 * expected:
-        what = "is one row too early for the spool; 'rows_early: 1' in the map would fit"
-        return [Finding("command", what, Weight.SEVERE)]
     return []
+
+
+def _commanded(signals: Floats, config: TaskConfig) -> bool:
+    """Whether the command changes enough for the spool to follow it."""
+    command = signals[COMMAND]
+    return bool(np.ptp(command) >= 0.02 and command.std() >= 2.0 * config.sensors.spool_position.noise)
+
+
+def _spool_after_commands(signals: Floats) -> tuple[Floats, float, float]:
+    """Weights of the command one row later, in this row, one and two rows before and of 1 in the spool's readings.
+
+    Returns also the standard deviations of what is left and of the readings.
+    """
+    spool, command = signals[SPOOL], signals[COMMAND]
+    rows = np.column_stack([command[3:], command[2:-1], command[1:-2], command[:-3], np.ones(len(command) - 3)])
+    wanted = spool[2:-1]
+    weights, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
+    return weights, float((wanted - rows @ weights).std()), float(wanted.std())
 
 
 def _response_at_next_sample(config: TaskConfig) -> float:

@@ -159,7 +159,8 @@ def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None])
     first = commanded[lively(windows.signals[commanded], FIRST_WINDOWS)]
     if not len(first):
         return detector.read_and_fit(windows, config)
-    reading, fitted = detector.read_and_fit(windows.part(first), config, progress)
+    hasty = EstimatorDetector(threads=None, restarts=1)
+    reading, fitted = hasty.read_and_fit(windows.part(first), config, progress)
     others = np.setdiff1d(np.arange(count), first)
     if not len(others):
         return reading, fitted

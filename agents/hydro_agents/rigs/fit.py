@@ -100,7 +100,11 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
 
 
 def fit_windows(
-    signals: Array, config: TaskConfig, ranges: Mapping[str, Distribution], progress: Progress | None = None
+    signals: Array,
+    config: TaskConfig,
+    ranges: Mapping[str, Distribution],
+    progress: Progress | None = None,
+    boundary: Array | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -111,6 +115,7 @@ def fit_windows(
         config: the task, on the rig.
         ranges: ranges that the rig file gives.
         progress: called with phase, done, total.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
 
     def report(phase: str, done: int, total: int) -> None:
@@ -120,20 +125,21 @@ def fit_windows(
     measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
     report("windows", 0, len(signals))
-    alone = estimate(signals, config, list(priors), settings=ROUGHLY)
+    alone = estimate(signals, config, list(priors), settings=ROUGHLY, boundary=boundary)
     report("windows", len(signals), len(signals))
     fits: list[tuple[Model, Joint, Array]] = []
     for attempt in range(MOST_ATTEMPTS):
-        model, joint, misfit = _common_fit(signals, config, priors, alone, lambda *at: report("common fit", *at))
+        model, joint, misfit = _common_fit(
+            signals, boundary, config, priors, alone, lambda *at: report("common fit", *at)
+        )
         fits.append((model, joint, misfit))
         if (misfit < WELL_FITTED).all() or attempt + 1 == MOST_ATTEMPTS:
             break
         # A window may have ended in another minimum; the common values are a better start.
         values = model.values(joint.scaled)[0]
         first = {model.names[place]: float(values[place]) for place in joint.shared}
-        again = estimate(
-            signals, config, list(priors), first=first, settings=ROUGHLY.model_copy(update={"restarts": 0})
-        )
+        once = ROUGHLY.model_copy(update={"restarts": 0})
+        again = estimate(signals, config, list(priors), first=first, settings=once, boundary=boundary)
         better = np.flatnonzero(again.misfit < alone.misfit)
         alone.replace(better, again, better)
     report("common fit", 1, 1)
@@ -194,6 +200,7 @@ def fit_together(
 
 def _common_fit(
     signals: Array,
+    boundary: Array | None,
     config: TaskConfig,
     priors: Mapping[str, Prior],
     alone: Estimate,
@@ -202,7 +209,8 @@ def _common_fit(
     """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
     kept = _without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
-        model = Model(config, priors, signals[kept, -1])
+        edge = None if boundary is None else boundary[kept]
+        model = Model(config, priors, signals[kept, -1], boundary=edge)
         readings = usable_readings(signals[kept], config, model)
         joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
         still = _without_outliers(joint.misfit)
