@@ -10,7 +10,7 @@ from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
 from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.monitor import load_head
 from hydro_agents.estimation.model import Model
-from hydro_agents.estimation.unknowns import priors_of
+from hydro_agents.estimation.unknowns import course_of, priors_of
 from hydro_agents.learning.opponents import shipped
 from hydro_agents.recordings.columns import ColumnMap
 from hydro_agents.rigs.diagnose import diagnose
@@ -62,6 +62,34 @@ def test_a_recorded_supply_gives_the_leak_although_it_swings(leak):
     assert found.answers.all()
     np.testing.assert_allclose(found.flow_lpm, leak, atol=0.015)
     assert (found.high_lpm - found.low_lpm < 0.03).all()
+
+
+def test_a_supply_that_moves_is_found_without_its_record():
+    windows = swinging(0.3)
+    found = EstimatorDetector().read(Windows(windows.signals, windows.begin, windows.end), CONFIG)
+    assert found.answers.all()
+    np.testing.assert_allclose(found.flow_lpm, 0.3, atol=0.03)
+    assert (found.low_lpm > 0.2).all()
+
+
+def test_the_course_of_a_supply_is_the_sum_of_its_steps():
+    constant = task_config(CONFIG, plant={"supply": {"model": "constant"}})
+    commands = np.full((1, 101), 0.05)
+    course = course_of(100 * CONFIG.control_period)
+    assert course == ("supply.course_1", "supply.course_2")
+    window, priors = np.zeros(1, np.int64), priors_of(constant)
+    moving = Model(constant, priors_of(constant, (*priors, *course)), commands)
+    scaled = np.zeros((1, len(moving.names)))
+    scaled[0, -2:] = 1.0
+    step = moving.values(scaled)[0, -1]
+    setting = moving.values(scaled)[0, moving.names.index("supply.pressure")]
+    time = CONFIG.control_period * np.arange(101)
+    pressure = setting + step * (np.clip(time / 0.25, 0.0, 1.0) + np.clip(time / 0.25 - 1.0, 0.0, 1.0))
+    boundary = np.stack([pressure[None], np.full((1, 101), np.nan)], axis=1)
+    known = Model(constant, priors, commands, boundary=boundary)
+    read, expected = moving.readings(scaled, window)[0], known.readings(scaled[:, :-2], window)[0]
+    # The recorded pressure is the mean over a period, the course that at its end.
+    np.testing.assert_allclose(read, expected, rtol=0.02, atol=2.0)
 
 
 def test_a_recorded_pressure_at_the_setting_of_a_constant_supply_changes_nothing():
