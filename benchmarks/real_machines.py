@@ -25,6 +25,7 @@ from hydro_agents.rigs.found_rig import shown
 from hydro_agents.rigs.held_back import HeldBack
 from hydro_agents.rigs.identify import identify
 from hydro_agents.rigs.repeatability import share_inside
+from hydro_agents.running.console import ProgressDisplay
 from hydro_env import HydroError
 from hydro_env.files import read_yaml, write_yaml
 from hydro_env.folders import config_file
@@ -79,7 +80,9 @@ def festo(folder: Path, samples: list[int], fitted: list[int], source: Path) -> 
     began, cost = time.monotonic(), time.process_time()
     others = [volts for volts in range(1, 6) if volts not in fitted]
     apart = [f"*_{volts}V_*" for volts in others]
-    found = identify(list(names), task_config(None, rig=source), read_rig(source), maps, hold_back=apart)
+    task, rig = task_config(None, rig=source), read_rig(source)
+    with ProgressDisplay() as display:
+        found = identify(list(names), task, rig, maps, display.update, apart)
     recorded = sum(float(recording.time[-1]) for recording in found.recordings)
     print(f"\n{found.verdict()}")
     print(

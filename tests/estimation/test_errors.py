@@ -1,5 +1,7 @@
 """Errors of readings: what was put in is found, whitened residuals are white, and the estimate allows for them."""
 
+import warnings
+
 import numpy as np
 import pytest
 import yaml
@@ -151,3 +153,13 @@ def test_nothing_is_said_of_a_recording_that_agrees_with_the_data_sheet(clean):
     _, found = EstimatorDetector(threads=1).read_and_fit(Windows.of(clean), TASK)
     assert contradictions(found, TASK) == []
     assert lines_to_paste(found, TASK) == ""
+
+
+def test_an_absent_channel_has_no_spikes_and_no_warning():
+    residual = np.random.default_rng(7).normal(size=(2, 4, 200))
+    residual[:, 1], residual[0, 2, 50] = np.nan, 40.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = spikes_of(residual, np.isfinite(residual))
+    assert not found[:, 1].any()
+    assert found[0, 2, 50]

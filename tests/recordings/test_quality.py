@@ -179,6 +179,15 @@ def test_a_fast_log_of_a_few_commands_is_taken_on_its_own_grid():
     assert on_grid(CONFIG, CONFIG.control_period) is CONFIG
 
 
+def test_a_fast_log_without_a_change_of_command_has_a_grid_too():
+    log = stepped(10_000, [(0.0, 0.2)])
+    log.signals[4, 300:340] = np.nan
+    samples = check_recording(log, CONFIG, own_grid=True).samples
+    assert samples.period == pytest.approx(1e-3)
+    assert np.nanmin(samples.signals[4]) == np.nanmax(samples.signals[4]) == 0.2
+    assert 3 <= np.isnan(samples.signals[4]).sum() <= 4
+
+
 def test_a_log_that_keeps_the_control_period_is_taken_at_it(recording):
     assert check_recording(recording, CONFIG, own_grid=None).samples.period == CONFIG.control_period
     forced = sampled(recording, CONFIG, own_grid=True)

@@ -86,9 +86,9 @@ def spikes_of(residual: Array, known: Mask) -> Mask:
     """Single readings that stand out from their neighbours, (B, channels, T)."""
     filled = np.where(known, residual, 0.0)
     away = np.abs(filled - median_filter(filled, size=(1, 1, _NEIGHBOURS), mode="nearest"))
-    away = np.where(known, away, np.nan)
+    away = np.where(known, away, np.where(known.any(axis=2, keepdims=True), np.nan, 0.0))  # 0: an absent channel
     with np.errstate(invalid="ignore"):
-        usual = 1.483 * np.nanmedian(away, axis=2, keepdims=True) if known.any() else np.zeros((1, 1, 1))
+        usual = 1.483 * np.nanmedian(away, axis=2, keepdims=True)
         spikes = known & (away > np.maximum(SPIKE * np.nan_to_num(usual), LEAST_SPIKE))
     spikes &= spikes.sum(axis=2, keepdims=True) <= MOST_SPIKES * known.sum(axis=2, keepdims=True)
     return np.asarray(spikes)

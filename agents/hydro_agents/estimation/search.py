@@ -142,7 +142,7 @@ def _fit_errors(
         wide, kept, row, scaled, wider, settings, last.iterations, last.directions, found.searches[odd], errors
     )
     again.widen(scaled - before, wide.derivative(scaled))
-    signal = np.nanstd(kept, axis=2)
+    signal = np.nanstd(np.where(np.isfinite(kept).any(axis=2, keepdims=True), kept, 0.0), axis=2)  # 0: absent
     small = errors.slow <= np.maximum(LARGEST_SLOW_ERROR * np.nan_to_num(signal), SMALL_SLOW_ERROR)
     again.holds[:] &= small.all(axis=1)
     if LEAKAGE in model.names:  # a leak that is surely negative stands for an error of the model

@@ -142,7 +142,7 @@ def _on_own_grid(
     """
     rows = max(round(OWN_PERIOD / distance), 1)
     period = float(f"{rows * distance:.6g}")
-    changed = place[1:][np.diff(signals[COMMAND]) != 0.0]
+    changed = place[1:][np.abs(np.diff(signals[COMMAND])) > 0.0]
     first = int(np.bincount(changed % rows, minlength=rows).argmax())
     around = (place - first + rows // 2) // rows
     number = np.unique(around)
