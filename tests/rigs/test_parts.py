@@ -249,12 +249,12 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
         nothing = np.zeros((len(readings), 1))
         return Joint(nothing, np.zeros(1, np.int64), nothing[..., None], nothing, np.array(misfits[len(readings)]))
 
-    monkeypatch.setattr(rigs_fit, "Model", lambda config, priors, commands: None)
+    monkeypatch.setattr(rigs_fit, "Model", lambda config, priors, commands, boundary: None)
     monkeypatch.setattr(rigs_fit, "usable_readings", lambda signals, config, model: signals)
     monkeypatch.setattr(rigs_fit, "_first_values", lambda *_: None)
     monkeypatch.setattr(rigs_fit, "fit_together", fitted)
     alone = SimpleNamespace(misfit=np.ones(4))
-    *_, misfit = rigs_fit._common_fit(np.zeros((4, 5, 10)), CONFIG, {}, alone, lambda *_: None)
+    *_, misfit = rigs_fit._common_fit(np.zeros((4, 5, 10)), None, CONFIG, {}, alone, lambda *_: None)
     assert misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
