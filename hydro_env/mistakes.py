@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -162,14 +163,39 @@ def _message(root: Mapping[str, Any], path: Path, given: Any, mistake: Mapping[s
         return f"{mistake['msg'].removeprefix('Value error, ')}{unit}"
     if "enum" in schema:
         return one_of(given, map(str, schema["enum"]))
+    schema, own_unit, meant = _in_unit_of(given, schema)
+    unit = f" {own_unit}" if own_unit else unit
     allowed = allowed_by(schema)
     message = f"must be {allowed}" if allowed else "is not allowed here"
-    hint = ""
+    hint = f"; {meant} meant?" if meant else ""
     if isinstance(given, str) and schema.get("type") == "object" and ":" in given:
         hint = "; a space must follow the colon"
     elif (isinstance(given, str) and re.match(r"[-+\d.]*,\d", given)) or _doubled(given, schema):
         hint = "; decimals need a point"
     return f"{'is empty; ' if given is None else ''}{message}{unit}{hint}"
+
+
+def _in_unit_of(given: Any, schema: dict[str, Any]) -> tuple[dict[str, Any], str, str]:
+    """The bounds of a number in the unit in which the user wrote it, this unit, and the quantity probably meant.
+
+    ``120 MPa`` where at most 100 MPa are allowed is probably ``120 bar``, and a mere ``70`` in Pa ``70 bar``.
+    """
+    from hydro_env.units import UNITS, split_quantity
+
+    bounds = [key for key in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum") if key in schema]
+    units = UNITS.get(str(schema.get("unit")), {})
+    if not bounds or not units or isinstance(given, bool):
+        return schema, "", ""
+    written, own = split_quantity(given) if isinstance(given, str) else (given, "")
+    if not isinstance(written, int | float) or abs(written) > 1e300 or (isinstance(given, str) and own not in units):
+        return schema, "", ""
+    low = max(schema.get("minimum", -math.inf), schema.get("exclusiveMinimum", -math.inf))
+    high = min(schema.get("maximum", math.inf), schema.get("exclusiveMaximum", math.inf))
+    fitting = [name for name, factor in units.items() if name != own and low < written * factor < high]
+    meant = f"{written:g} {fitting[0]}" if fitting and written else ""
+    if not own:
+        return schema, "", meant
+    return schema | {key: float(f"{schema[key] / units[own]:.12g}") for key in bounds}, own, meant
 
 
 def _doubled(given: Any, schema: Mapping[str, Any]) -> bool:

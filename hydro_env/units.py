@@ -63,6 +63,12 @@ def _plain(unit: str) -> str:
     return unit.translate(letters)
 
 
+def split_quantity(text: str) -> tuple[float | None, str]:
+    """Number and unit of a text such as ``63 mm``; ``None`` and nothing for any other text."""
+    found = _QUANTITY.fullmatch(text.strip())
+    return (float(found[1]), found[2].strip()) if found is not None else (None, "")
+
+
 def in_si(value: Any, unit: str) -> Any:
     """A quantity written with its unit, such as ``63 mm``, as a number in SI; anything else unchanged.
 

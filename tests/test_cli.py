@@ -190,6 +190,7 @@ def test_folders_that_cannot_be_written(tmp_path):
     ("arguments", "parts"),
     [
         ("simulate --voltage abc", ["'--voltage'", "number", "see hydro simulate --help"]),
+        ("simulate --voltage 1,5", ["'--voltage'", "decimals need a point; see"]),
         ("simulate --volts 3", ["--volts", "--voltage"]),
         ("simulate --voltage", ["--voltage"]),
         ("simulate extra", ["extra", "see hydro simulate --help"]),

@@ -163,7 +163,7 @@ def test_a_keyword_that_replaces_a_value_of_the_file_is_not_blamed_on_its_line(t
         task_config(file, episode_duration=-1)
     assert str(caught.value).splitlines()[1:] == [
         "  episode_duration = -1: must be a number within 0.01 to 3600 (unit: s)",
-        "  line 2: control_period = 5: must be a number within 0.0005 to 0.02 (unit: s)",
+        "  line 2: control_period = 5: must be a number within 0.0005 to 0.02 (unit: s); 5 ms meant?",
     ]
 
 

@@ -41,6 +41,23 @@ def test_what_is_no_quantity_stays_as_it_is():
     assert in_si(["1 mm", 2.0, "3"], "m") == [0.001, 2.0, "3"]
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"supply": {"pressure": "120 MPa"}}, "within 0.1 to 100 MPa; 120 bar meant?"),
+        ({"supply": {"pressure": "3000 bar"}}, "within 1 to 1000 bar; 3000 psi meant?"),
+        ({"supply": {"pressure": 70}}, r"\(unit: Pa\); 70 bar meant?"),
+        ({"cylinder": {"bore_diameter": "40 m"}}, "m; 40 mm meant?"),
+        ({"fluid": {"bulk_modulus": "14 bar"}}, "bar; 14 "),
+        ({"load": {"mass": "1,5 kg"}}, "decimals need a point"),
+        ({"load": {"mass": -60}}, r"\(unit: kg\)$"),
+    ],
+)
+def test_a_value_out_of_bounds_is_answered_in_its_own_unit(values, message):
+    with pytest.raises(ConfigurationError, match=message):
+        PlantParameters.from_dict(values)
+
+
 def test_leaks_that_are_no_flow_are_refused():
     assert resistance_from_flow(1e-320) == resistance_from_flow(0) == math.inf
     assert flow_from_resistance(math.inf) == 0.0

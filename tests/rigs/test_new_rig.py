@@ -181,6 +181,8 @@ def test_the_command_writes_a_file_that_check_rig_reads(tmp_path):
 
 
 WRONG = {
+    "decimal comma": ({"bore": "63,5 mm"}, "such as 63 mm; decimals need a point"),
+    "too much pressure": ({"supply_pressure": "120 MPa"}, "within 0.1 to 100 MPa; 120 bar meant?"),
     "missing": ({"bore": None}, "--bore: must be given"),
     "another quantity": ({"bore": "63 bar"}, "--bore '63 bar': unit 'bar': must be one of mm, m, cm"),
     "no unit": ({"rod": "36"}, "--rod '36': needs a unit, such as 36 mm"),

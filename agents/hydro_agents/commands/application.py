@@ -136,6 +136,8 @@ def main() -> None:
             error.show()
             sys.exit(2)
         message = error.format_message().replace("Value error, ", "").replace("Input should", "must").rstrip(".")
+        if "number" in message and any(re.match(r"(--[\w-]+=)?[-+]?\d*,\d", word) for word in sys.argv[1:]):
+            message += "; decimals need a point"
         command = error.ctx.command_path if error.ctx is not None else "hydro"
         _end(2, f"{message}; see {command} --help")
     except HydroError as error:

@@ -94,6 +94,11 @@ class Prior:
         away = self.deviation * scaled
         return self.mean * np.exp(away) if self.logarithmic else self.mean + away
 
+    def scaled(self, value: float) -> float:
+        """The inverse of :meth:`value`."""
+        away = math.log(value / self.mean) if self.logarithmic else value - self.mean
+        return away / self.deviation
+
 
 def starts_of(config: TaskConfig) -> list[str]:
     """Names of the unknown start states of a window."""

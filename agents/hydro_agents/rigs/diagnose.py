@@ -22,9 +22,9 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_agents.rigs.data_sheet import contradictions, lines_to_paste, lively, worst_signal
+from hydro_agents.rigs.data_sheet import contradictions, lively, worst_signal
 from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, by_volume, judge
-from hydro_env import PlantParameters, TaskConfig
+from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
 
@@ -69,7 +69,7 @@ class Diagnosis(NamedTuple):
     """All results for a recording."""
 
     recording: Recording
-    plant: PlantParameters  # of the rig that was assumed
+    task: TaskConfig  # that was assumed
     checked: Checked
     windows: Windows
     estimator: Reading | None
@@ -78,7 +78,7 @@ class Diagnosis(NamedTuple):
     verdict: Verdict
     alarm: Watched | None  # None: no settings of an alarm were given
     note: str  # why the head was not used; empty if it was
-    mend: str  # lines of a task's file that make the data sheet agree with the recording; empty: none
+    fitted: Estimate | None  # of the windows with commands; None: none was read
 
 
 def diagnose(
@@ -146,10 +146,7 @@ def diagnose(
     verdict = judge(checked.findings, estimator, reading, limits, window, residual)
     if balance is not None:
         verdict = by_volume(verdict, balance, limits)
-    mend = lines_to_paste(fitted, config) if fitted is not None else ""
-    return Diagnosis(
-        recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note, mend
-    )
+    return Diagnosis(recording, config, checked, windows, estimator, reading, limits, verdict, watched, note, fitted)
 
 
 def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None]) -> tuple[Reading, Estimate | None]:

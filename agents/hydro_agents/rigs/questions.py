@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -88,7 +89,10 @@ def parsed(question: Question, text: str) -> float | str:
     try:
         number = float(value)
     except ValueError:
-        raise ConfigurationError(f"{place}: must be a number with its unit, such as {question.example}") from None
+        comma = "; decimals need a point" if re.match(r"[-+]?\d*,\d", text.strip()) else ""
+        raise ConfigurationError(
+            f"{place}: must be a number with its unit, such as {question.example}{comma}"
+        ) from None
     share = question.example.endswith("%")
     if isinstance(value, str) and number != 0.0 and (question.unit != "1" or share):
         raise ConfigurationError(f"{place}: needs a unit, such as {question.example}")
