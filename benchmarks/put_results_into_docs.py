@@ -2,9 +2,9 @@
 
 Run: python benchmarks/put_results_into_docs.py [results]
 
-The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``. A part that is
-absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what stands between is made from
-``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
+The folder holds what commands wrote: ``study``, ``seeds``, ``robustness``, ``leakage``, ``reproduce``, ``alone``,
+``baselines``. A part that is absent keeps what it has. A page holds ``<!-- table: NAME -->`` and ``<!-- end -->``; what
+stands between is made from ``docs/tables/NAME.csv``, and ``tests/test_site.py`` checks that it still is.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from benchmarks.put_into_docs import filled
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TABLES = DOCS / "tables"
-PAGES = ("results.md", "reproduction.md")
+PAGES = ("results.md", "reproduction.md", "learning.md")
 
 
 def _study(table: pd.DataFrame) -> pd.DataFrame:
@@ -123,6 +123,34 @@ def _verdict_rows(table: pd.DataFrame) -> list[dict[str, str]]:
     ]
 
 
+LADDER = ("mean", "geo", "travel", "reversals", "failed", "gradient steps")
+"""Figures of a ladder that a page shows."""
+
+
+def _ladder(table: pd.DataFrame) -> pd.DataFrame:
+    return table[["rung", "seeds", *LADDER, "mean sd", "geo sd"]]
+
+
+def _ladder_rows(table: pd.DataFrame) -> list[dict[str, str]]:
+    def with_spread(row: pd.Series, name: str) -> str:
+        spread = row[f"{name} sd"]
+        return f"{row[name]:.3f}" + ("" if pd.isna(spread) else f" ± {spread:.3f}")
+
+    return [
+        {
+            "rung": row["rung"],
+            "seeds": f"{row['seeds']:.0f}" if row["seeds"] else "–",
+            "accuracy ÷ PID's": with_spread(row, "mean"),
+            "kinds of reference weigh the same": with_spread(row, "geo"),
+            "valve travel ÷ PID's": f"{row['travel']:.2f}",
+            "reversals ÷ PID's": f"{row['reversals']:.2f}",
+            "failures per training": f"{row['failed']:.1f}",
+            "gradient steps": "–" if pd.isna(row["gradient steps"]) else f"{row['gradient steps']:.0f}",
+        }
+        for _, row in table.iterrows()
+    ]
+
+
 class Source(NamedTuple):
     """A table of the pages: the file that a command wrote, what of it is kept, and how it is shown."""
 
@@ -138,6 +166,8 @@ SOURCES = {
     "learning_curves": Source("seeds/tables/learning_curves.csv", pd.DataFrame.copy),
     "robustness": Source("robustness/tables/ranking.csv", pd.DataFrame.copy, _robustness_rows),
     "detectors": Source("leakage/tables/detection.csv", _detectors, _detector_rows),
+    "alone": Source("alone/ladder.csv", _ladder, _ladder_rows),
+    "baselines": Source("baselines/ladder.csv", _ladder, _ladder_rows),
     "verdicts": Source("reproduce/verdicts.csv", pd.DataFrame.copy, _verdict_rows),
 }
 
