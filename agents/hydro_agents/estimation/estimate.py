@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import Model
@@ -21,9 +20,6 @@ from hydro_env.task.sensors import SENSORS
 Array = NDArray[np.float64]
 
 SAMPLES_PER_BATCH = 25_600  # largest number of samples, over all windows, in one fit; more would only need more memory
-
-
-NEIGHBOURS = 11  # readings whose median tells how far one of them is from an end of the sensor's range
 
 
 def estimate(
@@ -127,18 +123,14 @@ def checked_signals(signals: Any) -> Array:
 def usable_readings(signals: Array, config: TaskConfig, model: Model) -> Array:
     """Readings over their noise (B, channels, T); NaN if a reading is missing or useless.
 
-    Useless are readings at an end of the sensor's range, where they saturate, and the first reading of each pressure,
-    whose lag depends on the time before the window. The median of a reading and its neighbours decides whether it lies
-    within three standard deviations of the noise from an end: the reading itself would decide by its own noise, and
-    those that are left would be biased.
+    Useless are readings within three standard deviations of the noise from an end of the sensor's range, where they
+    saturate, and the first reading of each pressure, whose lag depends on the time before the window.
     """
     readings = signals[:, : len(SENSORS)].copy()
     if config.sensors.enabled:
         sensors = [getattr(config.sensors, channel) for channel in SENSORS]
-        noise = np.array([sensor.noise for sensor in sensors])[:, None]
-        low, high = (np.array([getattr(sensor, end) for sensor in sensors])[:, None] for end in ("low", "high"))
-        level = median_filter(np.where(np.isfinite(readings), readings, 0.0), size=(1, 1, NEIGHBOURS), mode="nearest")
-        far = (level > low + 3.0 * noise) & (level < high - 3.0 * noise)
-        readings[~(far & (readings > low) & (readings < high))] = np.nan
+        low = np.array([sensor.low + 3.0 * sensor.noise for sensor in sensors])[:, None]
+        high = np.array([sensor.high - 3.0 * sensor.noise for sensor in sensors])[:, None]
+        readings[~((readings > low) & (readings < high))] = np.nan
     readings[:, [SENSORS.index("pressure_a"), SENSORS.index("pressure_b")], 0] = np.nan
     return readings / model.noise[:, None]
