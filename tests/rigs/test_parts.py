@@ -253,7 +253,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
         own = np.zeros(1, np.int64)
         return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
 
-    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands: None)
+    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands, boundary: None)
     monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
     monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
     monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from hydro_agents.estimation.replay import RISE, Commands, replay, time_constant
 from hydro_agents.estimation.unknowns import (
     BIASES,
+    COURSE,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     GAINS,
+    KNOTS,
     LATENCY,
     LEAKAGE,
     RISE_TIME,
@@ -190,8 +192,14 @@ class Model:
         latency = np.full(len(window), self.config.command_latency)
         lag = np.full(len(window), time_constant(self.config))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
+        commands = self.commands.beginning(samples or self.samples)
+        course: Array | None = None
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
-            if name == LEAKAGE:
+            if name.startswith(COURSE):
+                time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
+                rise = value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
+                course = rise if course is None else course + rise
+            elif name == LEAKAGE:
                 for field, size in leak_past_piston(value, self.config.leakage.law).items():
                     physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size
             elif name == EXTERNAL_LEAKAGE:
@@ -211,8 +219,7 @@ class Model:
                 physical[:, PARAMETER_PATHS.index(name)] = value
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        commands = self.commands.beginning(samples or self.samples)
-        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag)
+        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]
         return read, last

@@ -179,7 +179,9 @@ def _cost(residual: Array, known: NDArray[np.bool_], scaled: Array, shared: Indi
     return float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
 
 
-def common_fit(signals: Array, config: TaskConfig, priors: Mapping[str, Prior], report: Report) -> Common:
+def common_fit(
+    signals: Array, config: TaskConfig, priors: Mapping[str, Prior], report: Report, boundary: Array | None = None
+) -> Common:
     """Fit windows of one recording together.
 
     Args:
@@ -187,32 +189,39 @@ def common_fit(signals: Array, config: TaskConfig, priors: Mapping[str, Prior], 
         config: the task, on the rig.
         priors: of the unknowns.
         report: called with phase, done, total.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
     report("windows", 0, len(signals))
-    alone = estimate(signals, config, list(priors), settings=ROUGHLY)
+    alone = estimate(signals, config, list(priors), settings=ROUGHLY, boundary=boundary)
     report("windows", len(signals), len(signals))
-    best = _common_fit(signals, config, priors, alone, report)
+    best = _common_fit(signals, config, priors, alone, report, boundary)
     if best.explained < len(signals):
         better = np.empty(0, np.int64)
         if 2 * best.explained >= len(signals):
-            better = _again(signals, config, best, alone)
+            better = _again(signals, config, best, alone, boundary)
         else:
             few = np.sort(np.argsort(alone.misfit)[:FEW])
-            other = estimate(signals[few], config, list(priors), settings=RANDOMLY)
+            other = estimate(signals[few], config, list(priors), settings=RANDOMLY, boundary=_of(boundary, few))
             better = np.flatnonzero(other.misfit < alone.misfit[few])
             alone.replace(few[better], other, better)
         if len(better):
-            again = _common_fit(signals, config, priors, alone, report)
+            again = _common_fit(signals, config, priors, alone, report, boundary)
             best = max(best, again, key=lambda one: (one.explained, -float(np.median(one.misfit))))
     report("common fit", 1, 1)
     return best
 
 
-def _again(signals: Array, config: TaskConfig, found: Common, alone: Estimate) -> Indices:
+def _of(boundary: Array | None, window: Indices) -> Array | None:
+    return None if boundary is None else boundary[window]
+
+
+def _again(
+    signals: Array, config: TaskConfig, found: Common, alone: Estimate, boundary: Array | None = None
+) -> Indices:
     """Fit the windows that common values do not explain again, near these values; the better ones go to ``alone``."""
     left = np.flatnonzero(~(found.misfit < WELL_FITTED))
     model, joint = found.model, found.joint
-    windows = Model(config, model.priors, signals[left, -1])
+    windows = Model(config, model.priors, signals[left, -1], boundary=_of(boundary, left))
     measured = usable_readings(signals[left], config, windows)
     unknowns = len(model.names)
     mean, precision = np.zeros((len(left), unknowns)), np.tile(np.eye(unknowns), (len(left), 1, 1))
@@ -227,7 +236,12 @@ def _again(signals: Array, config: TaskConfig, found: Common, alone: Estimate) -
 
 
 def _common_fit(
-    signals: Array, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
+    signals: Array,
+    config: TaskConfig,
+    priors: Mapping[str, Prior],
+    alone: Estimate,
+    report: Report,
+    boundary: Array | None = None,
 ) -> Common:
     """The best common fit of the consistent windows from several starting values."""
 
@@ -236,7 +250,7 @@ def _common_fit(
 
     kept = _without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
-        model = Model(config, priors, signals[kept, -1])
+        model = Model(config, priors, signals[kept, -1], boundary=_of(boundary, kept))
         readings, shared = usable_readings(signals[kept], config, model), shared_and_own(model)[0]
         rough = [
             _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)[0]

@@ -99,7 +99,11 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
 
 
 def fit_windows(
-    signals: Array, config: TaskConfig, ranges: Mapping[str, Distribution], progress: Progress | None = None
+    signals: Array,
+    config: TaskConfig,
+    ranges: Mapping[str, Distribution],
+    progress: Progress | None = None,
+    boundary: Array | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -110,6 +114,7 @@ def fit_windows(
         config: the task, on the rig.
         ranges: ranges that the rig file gives.
         progress: called with phase, done, total.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
 
     def report(phase: str, done: int, total: int) -> None:
@@ -118,7 +123,7 @@ def fit_windows(
 
     measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
-    return _summary(common_fit(signals, config, priors, report), config, ranges)
+    return _summary(common_fit(signals, config, priors, report, boundary), config, ranges)
 
 
 def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Joint, Spread, Sides]:
