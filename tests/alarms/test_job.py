@@ -11,8 +11,8 @@ from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import scale_of
 from hydro_agents.detection.alarm_job import FAULTS, LEVELS, AlarmJob, run_job
 from hydro_agents.detection.detector import Cause, Windows, measured_run
-from hydro_agents.detection.estimator import FollowingDetector
 from hydro_agents.detection.features import SIGNALS
+from hydro_agents.detection.following_detector import FollowingDetector
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.detection.monitor import HeadDetector
 from hydro_agents.learning.opponents import shipped

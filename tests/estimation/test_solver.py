@@ -10,6 +10,7 @@ from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import SHORT_STEP, Model
 from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, prior_belief, without
 from hydro_agents.estimation.unknowns import STARTS, priors_of
+from hydro_agents.rigs.common_fit import fit_together
 
 
 def problem(leak, seeds, unknowns=None):
@@ -83,9 +84,13 @@ def test_windows_with_common_parameters_end_in_the_minimum_that_scipy_finds():
     equations, roots = final_equations(model, measured, windows, found.scaled, shared)
     start = np.concatenate([guess[0, :4], guess[:, 4:].ravel()])
     best = by_scipy(model, measured, windows, roots, places, start).x
+    apart = found.scaled.copy()  # from where the search of hydro identify comes back
+    apart[:, shared] += 3.0 * np.sqrt(np.diag(np.linalg.inv(equations.precision[0])))[shared]
+    identified = fit_together(model, measured, apart).scaled
     for window in windows:
         deviation = np.sqrt(np.diag(np.linalg.inv(equations.precision[window])))
         assert (np.abs(best[places[window]] - found.scaled[window]) < 0.1 * deviation).all()
+        assert (np.abs(best[places[window]] - identified[window]) < 0.1 * deviation).all()
         assert (found.scaled[window, shared] == found.scaled[0, shared]).all()
 
 

@@ -8,8 +8,9 @@ import pytest
 
 from hydro_agents.detection.detector import CAUSE_OF_FAULT, NO_COMMANDS, VERDICTS, Cause, Reading, Windows, logit
 from hydro_agents.detection.detectors import DetectorChoice, make_detector
-from hydro_agents.detection.estimator import EstimatorDetector, FollowingDetector
+from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.features import LABELS, SIGNALS
+from hydro_agents.detection.following_detector import FollowingDetector
 from hydro_agents.detection.looks import looks_at
 from hydro_agents.detection.monitor import OTHER_CAUSES, HeadDetector
 from hydro_agents.evaluation.leak_protocol import LeakProtocol

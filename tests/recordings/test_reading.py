@@ -9,8 +9,9 @@ from recorded import recorded_file
 from hydro_agents.recordings.columns import read_map
 from hydro_agents.recordings.guessed_map import UnknownHeadingsError, guessed_map
 from hydro_agents.recordings.recording import read_recording
+from hydro_agents.recordings.sampling import cut, sampled
 from hydro_agents.recordings.simulated import named_faults, recording_csv
-from hydro_env import ConfigurationError
+from hydro_env import ConfigurationError, TaskConfig
 
 TIME = np.arange(5) * 0.005
 SIGNALS = np.array([np.linspace(-0.1, 0.1, 5), np.linspace(1e6, 5e6, 5), np.full(5, 3e6), np.zeros(5), np.full(5, 0.5)])
@@ -241,3 +242,20 @@ def test_the_guess_goes_to_standard_output_and_the_error_to_the_other(tmp_path):
         assert_one_clear_line(answer, "no column has the heading 'time'")
         (tmp_path / "map.yaml").write_text(answer.stdout, encoding="utf-8")
         assert read_map(tmp_path / "map.yaml").columns().keys() == {"time", "command", "position"}
+
+
+def test_pressures_of_the_supply_a_flow_and_a_temperature_may_stand_beside_the_signals(tmp_path):
+    file = tmp_path / "axis.csv"
+    headings = "time [s],command [V],supply_pressure [bar],flow [l/min],oil_temperature [°C],tank_pressure"
+    rows = "\n".join(f"{0.005 * k},0.0,{70 + k},6,41,9" for k in range(10))
+    file.write_text(f"{headings}\n{rows}\n", encoding="utf-8")
+    found = read_recording(file)
+    np.testing.assert_allclose(found.beside[0], 1e5 * (70 + np.arange(10)))
+    assert np.isnan(found.beside[1]).all()  # a heading without a unit is another program's column
+    np.testing.assert_allclose(found.beside[2:], [[1e-4] * 10, [41.0] * 10])
+    windows = cut(sampled(found, TaskConfig()), 5)
+    assert windows.beside.shape == (2, 4, 5)
+    assert windows.part(np.array([1])).beside[0, 0, 0] == pytest.approx(75e5)
+    file.write_text("time [s],command [V],flow [furlong]\n0,0,1\n1,0,1\n2,0,1\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"flow: .*furlong"):
+        read_recording(file)

@@ -66,6 +66,18 @@ def test_a_rig_that_the_model_does_not_describe_ends_in_cannot_tell(tmp_path):
     assert verdict_on(tmp_path, tmp_path / "a.csv").startswith("cannot tell: the model does not describe this rig")
 
 
+def test_a_late_command_is_read_and_the_page_says_how_the_task_would_agree(tmp_path):
+    recorded_file(tmp_path / "a.csv", {"command_latency": 3e-3}, leakage=0.5, duration=2.0)
+    answer = hydro("diagnose", tmp_path / "a.csv", "--output", tmp_path / "out")
+    lines = own_lines(answer.stdout)
+    assert lines[-1].startswith(("internal leak of 0.50", "internal leak of 0.49"))
+    mended = yaml.safe_load(next(line for line in lines if line.startswith("command_latency:")))
+    assert mended["command_latency"] == pytest.approx(3e-3, abs=2e-4)
+    page = (tmp_path / "out" / "diagnosis.html").read_text(encoding="utf-8")
+    assert "noise found" in page
+    assert f"command_latency: {mended['command_latency']}" in page
+
+
 def test_an_axis_at_rest_with_worn_edges_must_be_moved(tmp_path):
     task = MOTIONS["standing still"].change(CONFIG)
     recorded_file(tmp_path / "a.csv", task, 0.3, None, {"valve_underlap": 0.02}, seed=90_210_000, duration=2.0)

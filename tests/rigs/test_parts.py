@@ -9,8 +9,9 @@ import yaml
 
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
-from hydro_agents.rigs import fit as rigs_fit
-from hydro_agents.rigs.fit import Fit, Joint, combinations, unknowns_of
+from hydro_agents.rigs import common_fit
+from hydro_agents.rigs.common_fit import Joint
+from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import _line, _with_unit, found_values, narrowed
 from hydro_agents.rigs.held_back import HeldBack, _share, errors_in_words
 from hydro_agents.rigs.parts import COMMAND, POSITION, parts_of
@@ -181,7 +182,7 @@ def fit_of(values, remaining=None):
     value, low, high = np.array(list(values.values())).T
     left = np.array([(remaining or {}).get(name, 0.1) for name in names])
     priors = {name: Prior(1.0, 1.0) for name in names}
-    return Fit(names, priors, value, low, high, left, 1.0, np.eye(len(names)), np.zeros(5))
+    return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
 
 
 def test_ranges_are_narrowed_to_the_intervals_and_never_widened():
@@ -246,16 +247,22 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     misfits = {4: [1.0, 1.0, 1.0, 50.0], 3: [1.0, 1.0, 40.0]}
 
     def fitted(model, readings, first, progress):
-        nothing = np.zeros((len(readings), 1))
-        return Joint(nothing, np.zeros(1, np.int64), nothing[..., None], nothing, np.array(misfits[len(readings)]))
+        count = len(readings)
+        nothing, none = np.zeros((count, 1)), np.empty(0, np.int64)
+        misfit = np.array(misfits[count])
+        own = np.zeros(1, np.int64)
+        return Joint(nothing, own, nothing[..., None], nothing, misfit, none, np.zeros((count, 0, 1)), 0.0)
 
-    monkeypatch.setattr(rigs_fit, "Model", lambda config, priors, commands: None)
-    monkeypatch.setattr(rigs_fit, "usable_readings", lambda signals, config, model: signals)
-    monkeypatch.setattr(rigs_fit, "_first_values", lambda *_: None)
-    monkeypatch.setattr(rigs_fit, "fit_together", fitted)
+    monkeypatch.setattr(common_fit, "Model", lambda config, priors, commands, boundary: None)
+    monkeypatch.setattr(common_fit, "usable_readings", lambda signals, config, model: signals)
+    monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
+    monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
+    monkeypatch.setattr(common_fit, "_descend", lambda *_, **__: (None, None))
+    monkeypatch.setattr(common_fit, "_costs", lambda *_: [0.0])
+    monkeypatch.setattr(common_fit, "fit_together", fitted)
     alone = SimpleNamespace(misfit=np.ones(4))
-    *_, misfit = rigs_fit._common_fit(np.zeros((4, 5, 10)), CONFIG, {}, alone, lambda *_: None)
-    assert misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
+    found = common_fit._common_fit(np.zeros((4, 5, 10)), CONFIG, {}, alone, lambda *_: None)
+    assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 
 def test_without_ranges_leak_biases_and_start_alone_are_unknown():

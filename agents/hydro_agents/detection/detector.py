@@ -17,6 +17,7 @@ detector of your own::
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, Protocol
@@ -33,6 +34,10 @@ from hydro_env.task.faults import KIND_OF_FAULT
 Floats = NDArray[np.float64]
 
 HALF_WIDTH = 1.645  # half width of a 90 % interval, in standard deviations
+
+SMOOTHED = 7  # readings of a recorded supply or tank pressure that are averaged: their noise adds up in the travel
+
+RECORDED = ("supply.pressure", "supply.tank_pressure")  # unknowns that recorded pressures replace
 
 NO_COMMANDS = "commands are missing in the window"
 
@@ -95,6 +100,16 @@ class Windows:
         unknown = np.full(len(signals), np.nan)
         return cls(np.asarray(signals, dtype=np.float64), unknown, unknown)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Windows]) -> Windows:
+        """Several sets of windows of the same length as one."""
+        rows = next((part.beside.shape[1] for part in parts if part.beside is not None), 0)
+        sides = [np.full((len(p), rows, p.samples), np.nan) if p.beside is None else p.beside for p in parts]
+        signals, begin, end = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("signals", "begin", "end")
+        )
+        return cls(signals, begin, end, np.concatenate(sides) if rows else None)
+
     def __len__(self) -> int:
         return len(self.signals)
 
@@ -127,14 +142,23 @@ class Windows:
 
 
 def _smooth(values: Floats) -> Floats:
-    """Means of three neighbours, after linear interpolation over missing ones; NaN: all are missing; (N, C, T)."""
+    """Means of SMOOTHED neighbours, after linear interpolation over missing values, (N, C, T); NaN: all are missing."""
     places, result = np.arange(values.shape[2]), np.full_like(values, np.nan)
     for row, series in zip(result.reshape(-1, len(places)), values.reshape(-1, len(places)), strict=True):
         known = np.isfinite(series)
         if known.any():
-            whole = np.pad(np.interp(places, places[known], series[known]), 1, mode="edge")
-            row[:] = (whole[:-2] + whole[1:-1] + whole[2:]) / 3.0
+            whole = np.pad(np.interp(places, places[known], series[known]), SMOOTHED // 2, mode="reflect")
+            row[:] = np.convolve(whole, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
     return result
+
+
+def unrecorded(names: tuple[str, ...], boundary: Floats | None) -> tuple[str, ...]:
+    """The unknowns without those that recorded pressures (N, 2, T) replace."""
+    if boundary is None:
+        return names
+    whole = np.asarray(np.isfinite(boundary).all(axis=(0, 2)))
+    recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
+    return tuple(name for name in names if name not in recorded)
 
 
 class MeasuredColumns(NamedTuple):

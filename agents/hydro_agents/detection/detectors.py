@@ -8,7 +8,8 @@ from pydantic import Field, field_validator
 
 from hydro_agents.controllers.registry import imported
 from hydro_agents.detection.detector import Detector
-from hydro_agents.detection.estimator import EstimatorDetector, FollowingDetector
+from hydro_agents.detection.estimator import EstimatorDetector
+from hydro_agents.detection.following_detector import FollowingDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.monitor import HEAD_FILE, HeadDetector
 from hydro_agents.running.folders import pretrained_folder

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows, unrecorded
 from hydro_agents.estimation.estimate import estimate
-from hydro_agents.estimation.following import Follower
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings
 from hydro_agents.estimation.unknowns import (
@@ -26,6 +25,7 @@ from hydro_agents.estimation.unknowns import (
     EXTERNAL_RESISTANCE,
     LEAKAGE,
     Prior,
+    course_of,
     default_unknowns,
 )
 from hydro_agents.running.text import number
@@ -46,6 +46,8 @@ DETERMINED = 0.05
 other rigs it grows with their flow (:func:`leak_scale`)."""
 
 LEAST_TRAVEL = 20.0  # smallest travel of an axis in motion, in standard deviations of the position's noise
+
+LEAST_GAIN = 3.0  # of twice the log-likelihood per step of a moving supply, by which its course is believed
 
 LEAST_DEVIATION = 0.1
 """Smallest credible standard deviation of the leak, as a fraction of the healthy bound: the model is not exact."""
@@ -132,14 +134,16 @@ class EstimatorDetector:
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
         signals, expected = windows.signals[chosen], task_config(task, **self.changes)
-        worn = self._fit(signals, expected, True, progress)
+        boundary = None if windows.boundary is None else windows.boundary[chosen]
+        worn = self._fit(signals, boundary, expected, True, progress)
+        moves = self._with_moving_supply(signals, boundary, expected, worn)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
         still = self._at_rest(signals, task)
-        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still)
+        simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(signals, simple, expected, worn, again)
+            plain, rows = self._fit_again(signals, boundary, simple, expected, worn, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
@@ -157,27 +161,72 @@ class EstimatorDetector:
         own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
         return tuple(dict.fromkeys(own))
 
-    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
-        priors = wear_priors(task) if worn else None
+    def _fit(
+        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
+    ) -> Estimate:
+        names = unrecorded(self.names(task, worn), boundary)
+        priors = {name: prior for name, prior in wear_priors(task).items() if worn and name in names}
         return estimate(
             signals,
             task,
-            self.names(task, worn),
+            names,
             priors=priors,
             settings=self.settings,
             threads=self.threads,
             progress=progress,
+            boundary=boundary,
         )
 
+    def _with_moving_supply(
+        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: Estimate
+    ) -> NDArray[np.bool_]:
+        """Fit windows whose readings the model does not explain with a supply that moves; returns where it does, (N,).
+
+        The better estimates replace those in ``worn``. A recorded supply moves as recorded.
+        """
+        moves = np.zeros(len(signals), dtype=np.bool_)
+        odd = np.flatnonzero(~worn.holds | (worn.slow > 0.0).any(axis=1))
+        recorded = boundary is not None and bool(np.isfinite(boundary[:, 0]).any())
+        if recorded or not len(odd):
+            return moves
+        course = course_of((signals.shape[2] - 1) * task.control_period)
+        found = estimate(
+            signals[odd],
+            task,
+            (*worn.names, *course),
+            priors=wear_priors(task),
+            first={name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()},
+            settings=self.settings.model_copy(update={"horizons": (), "restarts": 0}),
+            threads=self.threads,
+            boundary=None if boundary is None else boundary[odd],
+        )
+        gain = worn.unlikelihood[odd] - found.unlikelihood
+        better = np.flatnonzero(found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course))))
+        worn.replace(odd[better], found.among(worn.names), better)
+        moves[odd[better]] = True
+        return moves
+
     def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, worn: Estimate, progress: Progress | None
+        self,
+        signals: Floats,
+        boundary: Floats | None,
+        simple: NDArray[np.int64],
+        task: TaskConfig,
+        worn: Estimate,
+        progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        names = self.names(task, False)
+        names = unrecorded(self.names(task, False), boundary)
         first = {name: worn.value(name)[simple] for name in names if name in worn.names}
-        nearby = self.settings.model_copy(update={"horizons": ()})
         plain = estimate(
-            signals[simple], task, names, first=first, settings=nearby, threads=self.threads, progress=progress
+            signals[simple],
+            task,
+            names,
+            first=first,
+            settings=self.settings.model_copy(update={"horizons": ()}),
+            threads=self.threads,
+            progress=progress,
+            boundary=None if boundary is None else boundary[simple],
         )
         return plain, np.arange(len(simple))
 
@@ -212,48 +261,6 @@ class EstimatorDetector:
             fault=_in_words(worn, excess > 0.0),
             why=tuple(np.where(~fits, MISFIT, np.where(known, "", np.where(still, AT_REST, UNDETERMINED))).tolist()),
         )
-
-
-class FollowingDetector(EstimatorDetector):
-    """The estimator for successive windows of the same axes: its score is the leak itself, in l/min at 100 bar.
-
-    If a window begins with the last sample of the previous one, the search starts from the previous estimate, which is
-    faster; otherwise it starts afresh. The detector remembers the windows: use a ``deepcopy`` for another run.
-    """
-
-    window = 401
-    """Control periods; the windows of an alarm touch."""
-
-    def __init__(
-        self, changes: Mapping[str, Any] | None = None, unknowns: tuple[str, ...] = (), threads: int | None = None
-    ) -> None:
-        super().__init__(changes, unknowns, threads)
-        self._followers: dict[tuple[bool, str, int], Follower] = {}
-
-    def _fit(self, signals: Floats, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
-        del progress
-        key = worn, task.model_dump_json(), signals.shape[2]
-        if key not in self._followers:
-            self._followers[key] = Follower(
-                task,
-                self.names(task, worn),
-                window=signals.shape[2],
-                priors=wear_priors(task) if worn else None,
-                threads=self.threads,
-            )
-        return self._followers[key].window_of(signals)
-
-    def _fit_again(
-        self, signals: Floats, simple: NDArray[np.int64], task: TaskConfig, worn: Estimate, progress: Progress | None
-    ) -> tuple[Estimate, NDArray[np.int64]]:
-        return self._fit(signals, task, False), simple  # a follower needs all axes
-
-    def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
-        del task  # the alarm compares the readings of an axis at rest with one another
-        return np.zeros(len(signals), dtype=np.bool_)
-
-    def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
-        return value, deviation
 
 
 def leak_scale(task: TaskConfig) -> float:

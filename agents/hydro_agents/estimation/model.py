@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from hydro_agents.estimation.replay import RISE, Commands, replay, time_constant
 from hydro_agents.estimation.unknowns import (
     BIASES,
+    COURSE,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     GAINS,
+    KNOTS,
     LATENCY,
     LEAKAGE,
     RISE_TIME,
@@ -40,6 +42,9 @@ FIRST_STEP, FIRST_START_STEP = 3e-3, 3e-4
 """Steps of the first finite differences, in standard deviations of the prior, for parameters and for start states."""
 
 MOST_LATE = 3.0  # largest latency, and largest lead, of an unknown latency, control periods
+LARGEST_CHANGE = 1e6
+"""Largest change of a reading by a step, over its noise; beyond it the integration of the moved plant has diverged."""
+
 LONGEST_INTERVAL = 10.0  # s; a longer gap between two samples must be a mistake
 
 _UNFOLLOWED = [State._fields.index(name) for name in ("coil_current", "gas_volume")]
@@ -132,7 +137,7 @@ class Model:
         resting[_UNFOLLOWED] = np.nan
         self._start = np.array(np.broadcast_to(resting if start is None else start, (self.count, N_STATES)))
 
-        self._priors = tuple(priors.values())
+        self.priors = dict(priors)
         self._mean = np.array([prior.mean for prior in priors.values()])
         self._deviation = np.array([prior.deviation for prior in priors.values()])
         self._logarithmic = np.array([prior.logarithmic for prior in priors.values()], dtype=np.bool_)
@@ -147,7 +152,7 @@ class Model:
         """The same model of some of the windows, with more unknowns behind its own."""
         return Model(
             self.config,
-            dict(zip(self.names, self._priors, strict=True)) | dict(priors),
+            self.priors | dict(priors),
             self.commands.command[window],
             self.commands.durations[window],
             self._physical[window],
@@ -187,8 +192,14 @@ class Model:
         latency = np.full(len(window), self.config.command_latency)
         lag = np.full(len(window), time_constant(self.config))
         bias, gain = np.zeros((len(window), len(SENSORS))), np.ones((len(window), len(SENSORS)))
+        commands = self.commands.beginning(samples or self.samples)
+        course: Array | None = None
         for name, value in zip(self.names, self.values(scaled).T, strict=True):
-            if name == LEAKAGE:
+            if name.startswith(COURSE):
+                time = np.pad(np.cumsum(commands.durations[window], axis=1), ((0, 0), (1, 0)))
+                rise = value[:, None] * np.clip(time / KNOTS - int(name.removeprefix(COURSE)) + 1, 0.0, 1.0)
+                course = rise if course is None else course + rise
+            elif name == LEAKAGE:
                 for field, size in leak_past_piston(value, self.config.leakage.law).items():
                     physical[:, PARAMETER_PATHS.index(f"leakage.{field}")] = size
             elif name == EXTERNAL_LEAKAGE:
@@ -208,22 +219,28 @@ class Model:
                 physical[:, PARAMETER_PATHS.index(name)] = value
         if self.config.plant.supply.model == "constant" and "start.supply_pressure" not in self.names:
             start[:, _SUPPLY] = physical[:, _SETTING]  # a constant supply stays there
-        commands = self.commands.beginning(samples or self.samples)
-        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag)
+        read, last = replay(self.config, commands, window, physical, start, latency, self.threads, lag, course)
         read *= (gain / self.noise)[:, :, None]
         read += (bias / self.noise)[:, :, None]
         return read, last
 
     def linearise(
-        self, scaled: Array, window: Indices | None = None, directions: Array | None = None, samples: int | None = None
+        self,
+        scaled: Array,
+        window: Indices | None = None,
+        directions: Array | None = None,
+        samples: int | None = None,
+        central: bool = False,
     ) -> Linearised:
-        """Readings and their derivatives by forward differences, all plants in one batch.
+        """Readings and their derivatives by finite differences, all plants in one batch.
 
         Args:
             scaled: the unknowns of each window, (B, P).
             window: index of each window, (B,); ``None``: all in order.
             directions: steps of the differences (:meth:`directions`); ``None``: a small step for each unknown.
             samples: number of first samples to replay; ``None``: all.
+            central: steps to both sides instead of forward steps. A long forward step measures the slope beside the
+                point, so that a search with it ends beside the minimum of a curved valley.
         """
         if window is None:
             window = np.arange(self.count)
@@ -231,19 +248,30 @@ class Model:
             directions = np.tile(np.diag(self._first_steps), (len(scaled), 1, 1))
         count, unknowns = scaled.shape
         moved = len(self.simulated)
-        rows = np.repeat(scaled[:, None], moved + 1, axis=1)
-        rows[:, 1:, self.simulated] += directions.transpose(0, 2, 1)
-        read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, moved + 1), samples)
-        read, last = read.reshape(count, moved + 1, len(SENSORS), -1), last.reshape(count, moved + 1, N_STATES)
-        with np.errstate(invalid="ignore", over="ignore"):
-            # If one of the two plants of a difference failed, there is no derivative.
-            change = np.nan_to_num(read[:, 1:] - read[:, :1], posinf=0.0, neginf=0.0)
-            last_change = np.nan_to_num(last[:, 1:] - last[:, :1], posinf=0.0, neginf=0.0)
+        steps = directions.transpose(0, 2, 1)
+        if central:
+            steps = np.concatenate([steps, -steps], axis=1)
+        rows = np.repeat(scaled[:, None], steps.shape[1] + 1, axis=1)
+        rows[:, 1:, self.simulated] += steps
+        read, last = self.readings(rows.reshape(-1, unknowns), np.repeat(window, rows.shape[1]), samples)
+        read, last = read.reshape(count, rows.shape[1], len(SENSORS), -1), last.reshape(count, -1, N_STATES)
+
+        def change(values: Array) -> Array:
+            """Change by each step, (B, S, …); 0 without a derivative: one of the plants of the difference failed."""
+            with np.errstate(invalid="ignore", over="ignore"):
+                if central:
+                    difference = 0.5 * (values[:, 1 : moved + 1] - values[:, moved + 1 :])
+                else:
+                    difference = values[:, 1:] - values[:, :1]
+            return np.nan_to_num(difference, posinf=0.0, neginf=0.0)
+
+        moves, last_moves = change(read), change(last)
+        moves[np.abs(moves).max(axis=(2, 3)) > LARGEST_CHANGE] = 0.0
         back = np.linalg.inv(directions).transpose(0, 2, 1)
         jacobian = np.zeros((count, unknowns, len(SENSORS), read.shape[-1]))
-        jacobian[:, self.simulated] = (back @ change.reshape(count, moved, -1)).reshape(change.shape)
+        jacobian[:, self.simulated] = (back @ moves.reshape(count, moved, -1)).reshape(moves.shape)
         last_jacobian = np.zeros((count, unknowns, N_STATES))
-        last_jacobian[:, self.simulated] = back @ last_change
+        last_jacobian[:, self.simulated] = back @ last_moves
         for place, channel in self._added.items():
             jacobian[:, place, channel] = self._deviation[place] / self.noise[channel]
         return Linearised(read[:, 0], jacobian, last[:, 0], last_jacobian)

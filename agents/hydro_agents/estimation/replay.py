@@ -35,8 +35,9 @@ _CURRENT, _GAS_VOLUME, _SUPPLY_PRESSURE = (
     State._fields.index(name) for name in ("coil_current", "gas_volume", "supply_pressure")
 )
 
-_TANK, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
-    Coefficients._fields.index(name) for name in ("tank_pressure", "supply_dynamics", "line_stiffness")
+_TANK, _RELIEF, _SUPPLY_DYNAMICS, _LINE_STIFFNESS = (
+    Coefficients._fields.index(name)
+    for name in ("tank_pressure", "relief_pressure", "supply_dynamics", "line_stiffness")
 )
 
 Reading = named_tuple("Reading", SENSORS, __name__)  # what the sensors read at one instant
@@ -79,6 +80,7 @@ def replay(
     latency: Array,
     threads: int | None = None,
     lag: Array | None = None,
+    course: Array | None = None,
 ) -> tuple[Array, Array]:
     """Readings of R plants, without noise and bias, and their states at the last sample.
 
@@ -93,6 +95,7 @@ def replay(
             sample, moves the commands by whole samples.
         threads: worker threads; ``None`` takes one per core.
         lag: time constant of the pressure transducers of each row, (R,), s; ``None``: that of the task.
+        course: added to the setting of each row's supply, and to its pressure, (R, T), Pa; ``None``: 0.
 
     Returns:
         Readings (R, sensors, T) in the order of ``SENSORS``, and states (R, N_STATES). They are NaN after a failure
@@ -111,6 +114,7 @@ def replay(
         physical,
         latency,
         np.full(rows, time_constant(config)) if lag is None else np.asarray(lag, dtype=np.float64),
+        np.zeros((rows, samples)) if course is None else course,
         accuracy,
         state,
         readings,
@@ -138,6 +142,7 @@ def _build(sources: int) -> Any:
         physical: Array,
         latency: Array,
         time_constants: Array,
+        course: Array,
         accuracy: Any,
         state: Array,
         readings: Array,
@@ -187,6 +192,9 @@ def _build(sources: int) -> Any:
                 late = math.floor(latency[first + row] / duration)  # whole samples
                 interval[row, 0] = latency[first + row] - late * duration
                 interval[row, 1] = duration - interval[row, 0]
+                moved = course[first + row, sample] - course[first + row, sample - 1]
+                states[row, _SUPPLY_PRESSURE] += moved
+                coefficient[row, _RELIEF] += moved
                 for side in range(2):
                     mean = 0.5 * (boundary[source, side, sample - 1] + boundary[source, side, sample])
                     if not math.isnan(mean) and side == 0:

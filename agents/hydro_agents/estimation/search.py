@@ -52,6 +52,7 @@ class EstimationSettings(Group):
     largest_misfit: Number = Field(
         4.0, gt=0.0, description="standard deviations of chi2; above this the model is not valid"
     )
+    errors: bool = Field(True, description="whether windows with a misfit are fitted again with errors of their own")
 
 
 def search(
@@ -109,7 +110,7 @@ def _fit_errors(
     residuals; they weigh the readings of the next fit.
     """
     odd = np.flatnonzero(~found.holds & np.isfinite(found.scaled).all(axis=1))
-    if not len(odd):
+    if not (settings.errors and len(odd)):
         return
     window, count, own = window[odd], len(odd), len(model.names)
     more = {name: prior for name, prior in timing_priors(model.config).items() if name not in model.names}

@@ -93,6 +93,7 @@ def fit(
     shared: Indices = NONE_SHARED,
     progress: Callable[[int, int], None] | None = None,
     errors: Errors | None = None,
+    central: bool = False,
 ) -> Fit:
     """Improve the unknowns of some windows until convergence.
 
@@ -115,6 +116,7 @@ def fit(
         shared: indices of the unknowns that all windows have in common.
         progress: called with the number of iterations and its limit.
         errors: of the readings of each window, (B, channels); ``None``: white noise as in the data sheet.
+        central: take differences to both sides (:meth:`~hydro_agents.estimation.model.Model.linearise`).
     """
     scaled = first.copy()
     used = measured[window, :, :samples]
@@ -128,7 +130,7 @@ def fit(
         if progress is not None:
             progress(iteration, iterations)
         here, data, mask = scaled[active], used[active], known[active]
-        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples)
+        linear = model.linearise(here, window[active], directions[active] if steps_known else None, samples, central)
         own = None if errors is None else errors.part(active)
         residual, jacobian = masked(linear, data, mask, own)
         weight = channel_weights(residual, mask)

@@ -31,6 +31,12 @@ LEAKAGE, EXTERNAL_LEAKAGE = "leakage_flow_lpm", "external_leakage_flow_lpm"
 LATENCY, RISE_TIME = "command_latency", "pressure_rise_time"
 BIASES = tuple(f"{channel}_bias" for channel in SENSORS)
 GAINS = tuple(f"{channel}_gain" for channel in SENSORS)
+COURSE, KNOTS = "supply.course_", 0.25
+"""A supply that moves: its pressure rises by ``supply.course_k``, Pa, from knot k − 1 to knot k, KNOTS s later. These
+steps of a random walk are unknowns of a window, numbered from 1."""
+
+COURSE_STEP = 0.02  # standard deviation of a step, as a share of the supply pressure
+
 STARTS = tuple(f"start.{name}" for name in STATE_NAMES)
 EXTERNAL_RESISTANCE = f"leakage.{ROD_SEAL.parameter}"
 
@@ -88,6 +94,11 @@ class Prior:
         away = self.deviation * scaled
         return self.mean * np.exp(away) if self.logarithmic else self.mean + away
 
+    def scaled(self, value: float) -> float:
+        """The inverse of :meth:`value`."""
+        away = math.log(value / self.mean) if self.logarithmic else value - self.mean
+        return away / self.deviation
+
 
 def starts_of(config: TaskConfig) -> list[str]:
     """Names of the unknown start states of a window."""
@@ -97,6 +108,11 @@ def starts_of(config: TaskConfig) -> list[str]:
     if config.plant.friction.model == "lugre":
         start.append("start.bristle_deflection")
     return start
+
+
+def course_of(duration: float) -> tuple[str, ...]:
+    """Names of the steps of a moving supply in a window of ``duration`` s."""
+    return tuple(f"{COURSE}{knot}" for knot in range(1, math.ceil(duration / KNOTS) + 1))
 
 
 def default_unknowns(config: TaskConfig) -> tuple[str, ...]:
@@ -154,6 +170,8 @@ def prior_of(config: TaskConfig, name: str) -> Prior:
         return Prior(latency.mean, max(math.sqrt(latency.variance), 0.05e-3))
     if name == RISE_TIME:
         return Prior(config.sensors.pressure_rise_time, RISE_TIME_UNKNOWN)
+    if name.startswith(COURSE):
+        return Prior(0.0, COURSE_STEP * config.plant.supply.pressure)
     if name in STARTS:
         return _start(config, name.removeprefix("start."))
     if name in BIASES:

@@ -88,8 +88,8 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
     commands = _commands(time, can)
     information = _information(np.clip(list(commands.values()), -1.0, 1.0), fit, config, state)
     # The recording is weighted by its widened intervals.
-    present = fit.information / fit.widening**2 + np.eye(len(fit.names))
-    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + information / fit.widening**2)))
+    present = _widened(fit.information, fit) + np.eye(len(fit.names))
+    after = np.sqrt(np.einsum("mii->mi", np.linalg.inv(present + _widened(information, fit))))
     advice: dict[str, Advice | None] = {}
     for name in wanted:
         place = fit.names.index(name)
@@ -98,6 +98,11 @@ def advise(fit: Fit, config: TaskConfig, plant: PlantParameters) -> dict[str, Ad
         helps = left < LEAST_GAIN * fit.remaining[place]
         advice[name] = Advice(list(commands)[best], left, left <= DETERMINED) if helps else None
     return advice
+
+
+def _widened(information: Array, fit: Fit) -> Array:
+    """Information, (…, p, p), less by the widening of the intervals."""
+    return np.asarray(information / (fit.widening[:, None] * fit.widening))
 
 
 def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str, float]) -> Array:
@@ -109,7 +114,7 @@ def _information(commands: Array, fit: Fit, config: TaskConfig, state: dict[str,
     scaled = model.scaled(np.tile(values, (len(commands), 1)))
     shared = np.arange(len(fit.names))
     precision = np.tile(np.eye(len(priors)), (len(commands), 1, 1))
-    precision[:, shared[:, None], shared] += fit.information / fit.widening**2
+    precision[:, shared[:, None], shared] += _widened(fit.information, fit)
     linear = model.linearise(scaled, None, model.directions(precision, LONG_STEP))
     measured = linear.readings * model.noise[:, None]
     for row, channel in enumerate(SENSORS):  # absent sensors give no information

@@ -15,15 +15,16 @@ from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.volume_balance import VolumeLeak, leak_by_volume
 from hydro_agents.estimation.result import Estimate, join
-from hydro_agents.recordings.columns import ColumnMap
-from hydro_agents.recordings.findings import Finding
+from hydro_agents.recordings.columns import BESIDE, ColumnMap
+from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_agents.rigs.data_sheet import contradictions, lines_to_paste, lively, worst_signal
-from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, judge
-from hydro_env import PlantParameters, TaskConfig
+from hydro_agents.rigs.data_sheet import contradictions, lively, worst_signal
+from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, by_volume, judge
+from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
 
@@ -68,7 +69,7 @@ class Diagnosis(NamedTuple):
     """All results for a recording."""
 
     recording: Recording
-    plant: PlantParameters  # of the rig that was assumed
+    task: TaskConfig  # that was assumed
     checked: Checked
     windows: Windows
     estimator: Reading | None
@@ -77,7 +78,7 @@ class Diagnosis(NamedTuple):
     verdict: Verdict
     alarm: Watched | None  # None: no settings of an alarm were given
     note: str  # why the head was not used; empty if it was
-    mend: str  # lines of a task's file that make the data sheet agree with the recording; empty: none
+    fitted: Estimate | None  # of the windows with commands; None: none was read
 
 
 def diagnose(
@@ -120,7 +121,8 @@ def diagnose(
     recording = read_recording(path, columns)
     checked = check_recording(recording, config)
     whole, filled = bridged(checked.samples)
-    checked = Checked(whole, [*checked.findings, *filled])
+    balance = volume_leak(recording)
+    checked = Checked(whole, [*checked.findings, *filled, *_about_beside(recording, balance)])
     windows = cut(whole, max(round(window / config.control_period), 2))
     limits = Limits.of(config)
     estimator, fitted, reading, watched = None, None, None, None
@@ -142,10 +144,9 @@ def diagnose(
             watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
     residual = worst_signal(fitted, config) if fitted is not None else ""
     verdict = judge(checked.findings, estimator, reading, limits, window, residual)
-    mend = lines_to_paste(fitted, config) if fitted is not None else ""
-    return Diagnosis(
-        recording, config.plant, checked, windows, estimator, reading, limits, verdict, watched, note, mend
-    )
+    if balance is not None:
+        verdict = by_volume(verdict, balance, limits)
+    return Diagnosis(recording, config, checked, windows, estimator, reading, limits, verdict, watched, note, fitted)
 
 
 def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None]) -> tuple[Reading, Estimate | None]:
@@ -166,6 +167,37 @@ def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None])
     rest, more = detector.read_and_fit(windows.part(others), config, lambda done: progress(2 * len(first) + done))
     whole = reading.followed_by(rest).among(np.concatenate([first, others]), count, "")
     return whole, fitted if more is None else join([fitted, more])
+
+
+def volume_leak(recording: Recording) -> VolumeLeak | None:
+    """The leak by the balance of volumes; ``None`` without a flow, the position or one of the pressures."""
+    if recording.beside is None:
+        return None
+    signals = (*recording.signals[:3], recording.beside[BESIDE.index("flow")])
+    step = float(np.median(np.diff(recording.time)))
+    if not all(np.isfinite(values).any() for values in signals) or step <= 0.0:
+        return None
+    time = np.arange(recording.time[0], recording.time[-1], step)
+    # A missing reading stays NaN.
+    position, pressure_a, pressure_b, flow = (np.interp(time, recording.time, values) for values in signals)
+    return leak_by_volume(position, pressure_a, pressure_b, flow, step)
+
+
+def _about_beside(recording: Recording, balance: VolumeLeak | None) -> list[Finding]:
+    """What the further signals of a recording say."""
+    found: list[Finding] = []
+    if recording.beside is None:
+        return found
+    for name, values in zip(BESIDE, recording.beside, strict=True):
+        if np.isfinite(values).any() and name != "flow":
+            size, unit = (1.0, "°C") if name == "oil_temperature" else (1e-5, "bar")
+            low, high = size * np.nanquantile(values, [0.01, 0.99])
+            more = "a leak past the seal grows as the oil thins" if unit == "°C" else "the model follows it"
+            found.append(Finding(name, f"is {low:.4g} to {high:.4g} {unit}; {more}", Weight.NOTE))
+    if balance is not None:
+        what = balance.why or f"leaves {100.0 * balance.rest:.2g} % unexplained in {balance.moves} steady moves"
+        found.append(Finding("flow", what, Weight.NOTE))
+    return found
 
 
 def leak_table(diagnosis: Diagnosis) -> pd.DataFrame:

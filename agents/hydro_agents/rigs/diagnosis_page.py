@@ -19,8 +19,9 @@ from hydro_agents.report.canvas import GREY, INK, PAPER, WIDE, Plot, make_plot, 
 from hydro_agents.report.content import Content
 from hydro_agents.report.page import FIGURE_FILES, Page
 from hydro_agents.report.palette import MEANINGS, looks_of
-from hydro_agents.report.sections import Block, Fold, Points, Text, render_page, section
+from hydro_agents.report.sections import Block, Code, Fold, Points, Text, render_page, section
 from hydro_agents.report.shared import findings_frame
+from hydro_agents.rigs.data_sheet import lines_to_paste, residual_table
 from hydro_agents.rigs.diagnose import Diagnosis, findings_table, leak_table
 from hydro_agents.rigs.verdict import Kind, combined, named_fault
 from hydro_agents.running.folders import output_folder
@@ -34,7 +35,14 @@ PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE = "diagnosis.html", "leak.csv
 FILES = (PAGE_FILE, TABLE_FILE, FINDINGS_FILE, PICTURE_FILE, FIGURE_FILES)
 JOB = "diagnose"
 
-DIAGNOSIS = ("diagnosed", "leak_over_time", "recording", "windows", "judging")  # sections of the page, in order
+DIAGNOSIS = (
+    "diagnosed",
+    "leak_over_time",
+    "recording",
+    "signals",
+    "windows",
+    "judging",
+)  # sections of the page, in order
 SOURCES = Markup("Numbers: <code>leak.csv</code> and <code>findings.csv</code> beside this page.")
 
 ADVICE = {
@@ -80,7 +88,8 @@ def diagnose_to_folder(folder: Path, diagnosis: Diagnosis, overwrite: bool, comm
         render_diagnosis(diagnosis, Origin.now(command)).write(folder / PAGE_FILE)
     lines = [finding.line() for finding in diagnosis.checked.findings]
     lines += [diagnosis.alarm.line()] if diagnosis.alarm is not None else []
-    lines += [f"{MEND}\n{diagnosis.mend.rstrip()}"] if diagnosis.mend else []
+    mend = lines_to_paste(diagnosis.fitted, diagnosis.task) if diagnosis.fitted is not None else ""
+    lines += [f"{MEND}\n{mend.rstrip()}"] if mend else []
     return [*lines, str(folder / PAGE_FILE), diagnosis.verdict.line()]
 
 
@@ -90,7 +99,7 @@ def render_diagnosis(diagnosis: Diagnosis, origin: Origin) -> Page:
     read = [f"{int(reading.answers.sum())} read by the {name}" for name, reading in _readings(diagnosis).items()]
     facts = {
         "Recording": recording.source,
-        "Rig assumed": rig_line(diagnosis.plant),
+        "Rig assumed": rig_line(diagnosis.task.plant),
         "Duration": f"{number(float(recording.time[-1]), 2)} s, {len(recording.time)} rows",
         "Control period": f"{1e3 * samples.period:g} ms, {len(samples.time)} samples",
         "Windows": ", ".join([f"{len(diagnosis.windows)} windows", *read]),
@@ -119,6 +128,17 @@ def leak_over_time(content: Content) -> list[Block]:
     if diagnosis.note:
         blocks.append(Text(f"{capitalised(diagnosis.note)}. Only the estimator was used.", "soft"))
     return blocks
+
+
+@section("How the signals fit", needs=("diagnosis",))
+def signals(content: Content) -> list[Block]:
+    """What is left of each signal when the model has been fitted, and how the data sheet would agree."""
+    diagnosis = content.part("diagnosis", Diagnosis)
+    if diagnosis.fitted is None:
+        return []
+    mend = lines_to_paste(diagnosis.fitted, diagnosis.task)
+    lines: list[Block] = [Text(MEND), Code(mend)] if mend else []
+    return [residual_table(diagnosis.fitted, diagnosis.task), *lines]
 
 
 @section("Window by window", needs=("diagnosis",))

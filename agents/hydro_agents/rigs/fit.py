@@ -8,25 +8,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.model import Model
-from hydro_agents.estimation.result import Estimate
-from hydro_agents.estimation.search import EstimationSettings
-from hydro_agents.estimation.solver import channel_weights, equations_of, fit, masked, misfit_of, prior_belief, without
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
     EXTERNAL_RESISTANCE,
     LEAKAGE,
-    STARTS,
     Prior,
     priors_of,
     starts_of,
+)
+from hydro_agents.rigs.common_fit import WELL_FITTED, Common, Joint, common_fit, fit_together
+from hydro_agents.rigs.intervals import (
+    Profile,
+    Sides,
+    Spread,
+    beside_the_edge,
+    range_ends,
+    sides_of,
+    spread_of,
+    truncated_end,
+    within_bounds,
 )
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
@@ -35,28 +43,12 @@ from hydro_env.task.sensors import SENSORS
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-WIDENING = 1.25
-"""Factor on all standard deviations, chosen on validation seeds; it covers the linearisation and errors of the
-replay."""
-
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
 
-WELL_FITTED = 4.0  # largest misfit of an explained window, as in hydro_agents.estimation.estimate.EstimationSettings
-OUTLIER = 3.0
-"""Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
-local minimum, or there was a disturbance."""
-
-ROUGHLY = EstimationSettings(restarts=1, iterations=20, tolerance=0.2)
-"""Search settings of the single windows; the common fit continues from their results."""
-
-MOST_ATTEMPTS = 2  # number of common fits; before a further one, unexplained windows are fitted again
-ITERATIONS = 40  # of a common fit, at the most
-
-TOLERANCE = 0.1  # a common fit ends when a step with little damping lowers its cost by less
-MOST_DAMPING = 5e5
-"""A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
+FEW_ITERATIONS = 8  # of a fit that begins in a minimum
+PINNED = 1e-6  # standard deviation of an unknown that a fit keeps, in standard deviations of its range
 
 
 class Fit(NamedTuple):
@@ -68,15 +60,22 @@ class Fit(NamedTuple):
     low: Array  # (p,), ends of the 95 % interval, in the unknown's unit
     high: Array  # (p,)
     remaining: Array  # (p,), standard deviation as a share of that of the range
-    widening: float  # factor on the standard deviations of a fit to white noise
+    widening: Array  # (p,), factor on the standard deviations of a fit to white noise
     information: Array  # (p, p), of the readings, for unknowns scaled by their ranges
     misfit: Array  # (B,), of each window; infinite for a window that was left out
     joint: Joint | None = None  # the common fit of the other windows
+    open: NDArray[np.int64] | None = None  # (p,), 1: only the lower end is known, −1: only the upper one; None: both
+    second: Mapping[str, float] = MappingProxyType({})  # values of another minimum that explains the readings as well
 
     @property
     def determined(self) -> NDArray[np.bool_]:
-        """Whether the recording determines each unknown, (p,)."""
-        return np.asarray(self.remaining <= DETERMINED)
+        """Whether the recording determines each unknown, (p,); an interval with one known end does not."""
+        return np.asarray((self.remaining <= DETERMINED) & (self.side == 0))
+
+    @property
+    def side(self) -> NDArray[np.int64]:
+        """1 where only the lower end of an interval is known, −1 where only the upper one, (p,)."""
+        return np.zeros(len(self.names), np.int64) if self.open is None else self.open
 
     @property
     def explained(self) -> NDArray[np.bool_]:
@@ -100,7 +99,11 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
 
 
 def fit_windows(
-    signals: Array, config: TaskConfig, ranges: Mapping[str, Distribution], progress: Progress | None = None
+    signals: Array,
+    config: TaskConfig,
+    ranges: Mapping[str, Distribution],
+    progress: Progress | None = None,
+    boundary: Array | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
@@ -111,6 +114,7 @@ def fit_windows(
         config: the task, on the rig.
         ranges: ranges that the rig file gives.
         progress: called with phase, done, total.
+        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
 
     def report(phase: str, done: int, total: int) -> None:
@@ -119,160 +123,77 @@ def fit_windows(
 
     measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
-    report("windows", 0, len(signals))
-    alone = estimate(signals, config, list(priors), settings=ROUGHLY)
-    report("windows", len(signals), len(signals))
-    fits: list[tuple[Model, Joint, Array]] = []
-    for attempt in range(MOST_ATTEMPTS):
-        model, joint, misfit = _common_fit(signals, config, priors, alone, lambda *at: report("common fit", *at))
-        fits.append((model, joint, misfit))
-        if (misfit < WELL_FITTED).all() or attempt + 1 == MOST_ATTEMPTS:
-            break
-        # A window may have ended in another minimum; the common values are a better start.
-        values = model.values(joint.scaled)[0]
-        first = {model.names[place]: float(values[place]) for place in joint.shared}
-        again = estimate(
-            signals, config, list(priors), first=first, settings=ROUGHLY.model_copy(update={"restarts": 0})
-        )
-        better = np.flatnonzero(again.misfit < alone.misfit)
-        alone.replace(better, again, better)
-    report("common fit", 1, 1)
-    model, joint, misfit = min(fits, key=lambda one: float(np.median(one[2])))
-    return _summary(model, joint, priors, misfit)
+    return _summary(common_fit(signals, config, priors, report, boundary), config, ranges)
 
 
-class Joint(NamedTuple):
-    """A common fit of B windows with P unknowns, of which p are shared; all unknowns are scaled by their priors."""
-
-    scaled: Array  # (B, P), most probable values; the shared ones are the same in each row
-    shared: NDArray[np.int64]  # (p,), indices of the shared unknowns
-    information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
-    score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
-    misfit: Array  # (B,), as in hydro_agents.estimation.estimate.Estimate
-
-    @property
-    def precision(self) -> Array:
-        """Inverse covariance of the shared unknowns, (p, p), including the priors."""
-        total: Array = self.information.sum(axis=0) + np.eye(len(self.shared))
-        return total
-
-
-def fit_together(
-    model: Model, measured: Array, first: Array, progress: Callable[[int, int], None] | None = None
-) -> Joint:
-    """The most probable shared parameters and start states of several windows.
-
-    Args:
-        model: of the B windows.
-        measured: readings over their noise, (B, channels, T); NaN is left out.
-        first: initial scaled unknowns, (B, P); the shared ones are the same in each row.
-        progress: called with the number of iterations and its limit.
-    """
-    shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS], np.int64)
-    window, belief = np.arange(model.count), prior_belief(model, model.count)
-    scaled, _, directions = fit(
-        model,
-        measured,
-        window,
-        first,
-        belief,
-        model.samples,
-        ITERATIONS,
-        TOLERANCE,
-        give_up=MOST_DAMPING,
-        shared=shared,
-        progress=progress,
-    )
-    known = np.isfinite(measured)
-    linear = model.linearise(scaled, None, directions)
-    residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
-    weight, prior = channel_weights(residual, known), without(belief.precision, shared)
-    equations = equations_of(residual, jacobian, weight, scaled, prior, shared)
-    misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
-    return Joint(scaled, shared, equations.information, equations.score, misfit)
+def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Joint, Spread, Sides]:
+    """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
+    joint, model = common.joint, common.model
+    spread = spread_of(joint)
+    sides = sides_of(Profile(model, common.readings, joint), spread, ends)
+    edges = np.flatnonzero(sides.open)
+    if not len(edges):
+        return joint, spread, sides
+    pinned, scaled, places = dict(model.priors), joint.scaled.copy(), joint.shared[edges]
+    moved = {}
+    for edge, place in zip(edges, places, strict=True):
+        name, prior = model.names[place], model.priors[model.names[place]]
+        end = ends[edge, 1 if sides.open[edge] > 0 else 0]
+        moved[place] = beside_the_edge(name, prior, config.plant, float(sides.end[edge]), float(end))
+        pinned[name] = Prior(float(prior.value(np.array(moved[place]))), PINNED * prior.deviation, prior.logarithmic)
+    scaled[:, places] = 0.0
+    pinned_model = Model(config, pinned, model.commands.command)
+    again = fit_together(pinned_model, common.readings, scaled, iterations=FEW_ITERATIONS)
+    for place, value in moved.items():
+        again.scaled[:, place] = value
+    # The readings say nothing about them here.
+    again.information[:, edges] = again.information[:, :, edges] = 0.0
+    again.score[:, edges] = again.response[:, :, edges] = 0.0
+    return again, spread_of(again), sides
 
 
-def _common_fit(
-    signals: Array,
-    config: TaskConfig,
-    priors: Mapping[str, Prior],
-    alone: Estimate,
-    progress: Callable[[int, int], None],
-) -> tuple[Model, Joint, Array]:
-    """Model and common fit of the consistent windows, and the misfit of all, (B,); infinite if left out."""
-    kept = _without_outliers(alone.misfit)
-    for again in (False, True):  # the second time without the outliers of the first
-        model = Model(config, priors, signals[kept, -1])
-        readings = usable_readings(signals[kept], config, model)
-        joint = fit_together(model, readings, _first_values(model, readings, alone, kept), progress)
-        still = _without_outliers(joint.misfit)
-        if again or len(still) == len(kept):
-            break
-        kept = kept[still]
-    misfit = np.full(len(signals), np.inf)
-    misfit[kept] = joint.misfit
-    return model, joint, misfit
-
-
-def _without_outliers(misfit: Array) -> NDArray[np.int64]:
-    """Indices of the windows that are explained, or whose misfit is not much larger than that of most others."""
-    finite = np.where(np.isfinite(misfit), misfit, 1e9)
-    return np.flatnonzero(finite <= max(WELL_FITTED, OUTLIER * float(np.median(finite))))
-
-
-def _first_values(model: Model, readings: Array, alone: Estimate, kept: NDArray[np.int64]) -> Array:
-    """Start of the common fit, (B, P) scaled: shared values of one window, or their median; each window's own start."""
-    shared = np.array([place for place, name in enumerate(model.names) if name not in STARTS])
-    scaled = alone.scaled[kept]
-    candidates = np.concatenate([scaled[:, shared], np.median(scaled[:, shared], axis=0, keepdims=True)])
-    known = np.isfinite(readings)
-    costs = []
-    for candidate in candidates:
-        tried = scaled.copy()
-        tried[:, shared] = candidate
-        read, _ = model.readings(tried, np.arange(len(tried)))
-        square = np.where(known, readings - read, 0.0) ** 2
-        costs.append(float(np.nan_to_num(square.sum(axis=(1, 2)), nan=1e12, posinf=1e12).clip(max=1e12).sum()))
-    result = scaled.copy()
-    result[:, shared] = candidates[int(np.argmin(costs))]
-    return result
-
-
-def _summary(model: Model, joint: Joint, priors: Mapping[str, Prior], misfit: Array) -> Fit:
+def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution]) -> Fit:
     """Values and intervals of the shared unknowns."""
-    names = tuple(model.names[place] for place in joint.shared)
-    scaled = joint.scaled[0]
-    widening = WIDENING * math.sqrt(max(_scatter(joint), 1.0))
-    deviation = widening * np.sqrt(np.diag(np.linalg.inv(joint.precision)))
-    reach = np.zeros((2, len(scaled)))
-    reach[:, joint.shared] = COVERAGE * np.minimum(deviation, 1.0) * np.array([[-1.0], [1.0]])
-    low, high = (model.values(scaled + side)[joint.shared] for side in reach)
+    shared = common.joint.shared
+    names = tuple(common.model.names[place] for place in shared)
+    priors = {name: common.model.priors[name] for name in names}
+    ends = range_ends(config, ranges, priors, names)
+    joint, spread, sides = _beside_edges(common, config, ends)
+    values = common.model.values(joint.scaled[0])[shared]
+    reach = spread.reach[:, None] * sides.wider * np.array([-1.0, 1.0])
+    reach = np.clip(reach, -COVERAGE, COVERAGE)
+    scaled = joint.common[:, None] + reach
+    for row in np.flatnonzero(sides.open).tolist():
+        scaled[row] = (sides.end[row], ends[row, 1]) if sides.open[row] > 0 else (ends[row, 0], sides.end[row])
+    intervals = np.array([priors[name].value(row) for name, row in zip(names, scaled, strict=True)])
+    for row, name in enumerate(names):
+        low, high = intervals[row]
+        if name in (LEAKAGE, EXTERNAL_LEAKAGE):
+            high = truncated_end(float(values[row]), low, high)
+        intervals[row] = [within_bounds(config.plant, name, float(end)) for end in (low, high)]
+    misfit = common.misfit.copy()
+    misfit[np.isfinite(misfit)] = joint.misfit
+    second = {} if common.second is None else _apart(names, priors, common.second.common, scaled)
     return Fit(
         names=names,
-        priors={name: priors[name] for name in names},
-        values=model.values(scaled)[joint.shared],
-        low=low,
-        high=high,
-        remaining=np.minimum(deviation, 1.0),
-        widening=widening,
+        priors=priors,
+        values=np.array([within_bounds(config.plant, *pair) for pair in zip(names, values.tolist(), strict=True)]),
+        low=intervals[:, 0],
+        high=intervals[:, 1],
+        remaining=np.minimum(np.diff(scaled, axis=1)[:, 0] / (2.0 * COVERAGE), 1.0),
+        widening=spread.widening,
         information=joint.information.sum(axis=0),
         misfit=misfit,
         joint=joint,
+        open=sides.open,
+        second=second,
     )
 
 
-def _scatter(joint: Joint) -> float:
-    """Squared scatter of the windows around the common values, relative to its expectation from noise (Birge's ratio).
-
-    Each window would change the shared values by its information's inverse times its score. With a wrong model the
-    windows disagree by more than their own uncertainty.
-    """
-    own = np.eye(len(joint.shared))
-    square = freedom = 0.0
-    for information, score in zip(joint.information, joint.score, strict=True):
-        square += float(score @ np.linalg.solve(information + own, score))
-        freedom += float(np.trace(np.linalg.solve(information + own, information)))
-    return square / max(freedom - len(joint.shared), 1.0)
+def _apart(names: tuple[str, ...], priors: Mapping[str, Prior], other: Array, scaled: Array) -> dict[str, float]:
+    """Values of another minimum that lie outside the intervals, (p, 2) scaled."""
+    away = (other < scaled[:, 0]) | (other > scaled[:, 1])
+    return {names[row]: float(priors[names[row]].value(other[row])) for row in np.flatnonzero(away).tolist()}
 
 
 class Combination(NamedTuple):

@@ -11,6 +11,7 @@ import yaml
 
 from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE, PATHS
 from hydro_agents.rigs.fit import Fit
+from hydro_agents.rigs.intervals import within_bounds
 from hydro_agents.running.text import decimals_for, number
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.plant.parts.leakage import LEAK_LAWS, leak_past_piston
@@ -46,7 +47,7 @@ def found_values(fit: Fit, config: TaskConfig) -> dict[str, float]:
             values[EXTERNAL_RESISTANCE] = resistance_from_flow(value)
         elif name in PATHS:
             values[name] = value
-    values = {path: _within_bounds(config.plant, path, value) for path, value in values.items()}
+    values = {path: within_bounds(config.plant, path, value) for path, value in values.items()}
     breakaway, coulomb = "friction.breakaway_force", "friction.coulomb_force"
     if breakaway in values:  # two separate estimates may contradict each other within their uncertainty
         values[breakaway] = max(values[breakaway], values.get(coulomb, own_value(config.plant, coulomb)))
@@ -68,19 +69,6 @@ def found_biases(fit: Fit) -> list[float]:
     return [own.get(name, 0.0) for name in BIASES]
 
 
-def _within_bounds(plant: PlantParameters, path: str, value: float) -> float:
-    group, field = path.split(".")
-    for bound in type(getattr(plant, group)).model_fields[field].metadata:
-        low, above, high = (getattr(bound, name, None) for name in ("ge", "gt", "le"))
-        if low is not None:
-            value = max(value, low)
-        if above is not None and value <= above:
-            value = above + 1e-6
-        if high is not None:
-            value = min(value, high)
-    return value
-
-
 def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distribution) -> tuple[float, float]:
     """Lowest and highest value that a range allows, SI, including the value without the range.
 
@@ -99,24 +87,26 @@ def hull(plant: PlantParameters, found: PlantParameters, path: str, given: Distr
 def narrowed(fit: Fit, config: TaskConfig, ranges: Mapping[str, Distribution]) -> dict[str, dict[str, Any]]:
     """The range of each parameter in the new rig file: its 95 % interval, within the given range.
 
-    An undetermined parameter keeps its range. So does the leak, which a task draws.
+    An undetermined parameter keeps its range; if one end of its interval is known, the part beyond that end. The leak,
+    which a task draws, keeps its range too.
     """
     result: dict[str, dict[str, Any]] = {}
     plant = found_plant(fit, config)
-    for name, low, high, determined in zip(fit.names, fit.low, fit.high, fit.determined, strict=True):
+    for name, low, high, determined, side in zip(fit.names, fit.low, fit.high, fit.determined, fit.side, strict=True):
         path = path_of(name)
         if path not in ranges:
             continue
         given = ranges[path]
-        if not determined:
+        if not (determined or side):
             result[path] = _undetermined(config.plant, path, given)
         elif name == EXTERNAL_LEAKAGE:
             result[path] = _external(low, high, given)
         else:
             ends = _overlap((low, high), hull(config.plant, plant, path, given))
-            ends = (_within_bounds(plant, path, ends[0]), _within_bounds(plant, path, ends[1]))
+            ends = (within_bounds(plant, path, ends[0]), within_bounds(plant, path, ends[1]))
             if given.times is None:
-                result[path] = {"uniform": _rounded(ends)}
+                form = "log_uniform" if side and given.logarithmic else "uniform"
+                result[path] = {form: _rounded(ends)}
             else:  # a ratio is never below the old one: breakaway stays above Coulomb friction
                 factor, least = own_value(plant, given.times), given.bounds(1.0)[0]
                 ratios = (max(ends[0] / factor, least), max(ends[1] / factor, least))
@@ -153,6 +143,7 @@ def _undetermined(plant: PlantParameters, path: str, given: Distribution) -> dic
 def _external(low: float, high: float, given: Distribution) -> dict[str, Any]:
     """Range of the resistance of the leak past the rod seal; ``low``, ``high`` in l/min at 100 bar."""
     least, most = sorted(given.bounds(1.0))
+    low, high = max(low, 0.0), max(high, 0.0)
     resistances = (max(resistance_from_flow(high), least), min(resistance_from_flow(low), most))
     if not resistances[0] <= resistances[1]:  # beyond the old range
         resistances = (resistance_from_flow(high), resistance_from_flow(low))
@@ -245,6 +236,12 @@ class Shown(NamedTuple):
         difference = abs(high - low)
         decimals = decimals_for(difference, 2) if difference > 0.0 and np.isfinite(difference) else None
         return f"{number(low, decimals, 4)} to {number(high, decimals, 4)}"
+
+    def interval(self, low: float, high: float, side: int) -> str:
+        """A 95 % interval; with ``side`` 1 or −1 only its lower or upper end is known."""
+        if not side:
+            return self.span(low, high)
+        return f"at least {self.value(low, 0.01 * low)}" if side > 0 else f"at most {self.value(high, 0.01 * high)}"
 
     def value(self, value: float, uncertainty: float) -> str:
         """A value with the digits that its uncertainty allows; both in the unknown's unit."""

@@ -96,8 +96,10 @@ def simulate_held_back(part: Stretch, config: TaskConfig, plant: PlantParameters
     physical = to_vector(plant)[None]
     count = max(round(START_FROM / config.control_period), 10)
     names = starts_of(config)
-    found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical)
-    model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical)
+    edge = None if part.boundary is None else part.boundary[None]
+    early = None if edge is None else edge[:, :, : count + 1]
+    found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical, boundary=early)
+    model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical, boundary=edge)
     read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
     simulated = read[0] * model.noise[:, None] + bias
     time = config.control_period * np.arange(signals.shape[1], dtype=np.float64)

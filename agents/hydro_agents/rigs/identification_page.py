@@ -72,7 +72,7 @@ def identify_to_folder(folder: Path, found: Identification, overwrite: bool, com
             notes = [
                 f"Found by: {command}",
                 f"hydro_env {__version__}; {found.verdict()}.",
-                "Ranges: 95 % intervals; an undetermined parameter keeps its range.",
+                "Ranges: 95 % intervals; an undetermined parameter keeps its range, or the part beyond its known end.",
             ]
             text = rig_yaml(read_yaml(found.rig.source), found.fit, found.config, found.rig.randomisation, notes)
             write_text(folder / RIG_FILE, text)
@@ -101,7 +101,7 @@ def render_identification(found: Identification, origin: Origin) -> Page:
         + (f" of {len(used)} recordings" if len(used) > 1 else ""),
         "Explained": f"{int(found.fit.explained.sum())} windows to within the sensors' noise",
         "Held back": "; ".join(place_of_part(found, part) for part in found.held_back) or "nothing",
-        "Standard deviations": f"widened by {found.fit.widening:.3g}",
+        "Standard deviations": f"widened by {found.fit.widening.min():.3g} to {found.fit.widening.max():.3g}",
     }
     tables = {
         "protocol": pd.DataFrame(facts.items(), columns=["key", "value"]),
@@ -261,6 +261,5 @@ def _scaled(found: Identification, values: np.ndarray) -> np.ndarray:
     scaled = []
     for name, value in zip(found.fit.names, values.tolist(), strict=True):
         prior = found.fit.priors[name]
-        away = np.log(value / prior.mean) if prior.logarithmic else value - prior.mean
-        scaled.append(float(away) / prior.deviation)
+        scaled.append(prior.scaled(value))
     return np.array(scaled)

@@ -22,9 +22,11 @@ def unknowns_table(found: Identification) -> Table:
     """Each unknown: its range before, its value, its interval, and whether it is determined."""
     rows = []
     fit, plant = found.fit, found.config.plant
-    for name, value, low, high, known in zip(fit.names, fit.values, fit.low, fit.high, fit.determined, strict=True):
+    for name, value, low, high, known, side in zip(
+        fit.names, fit.values, fit.low, fit.high, fit.determined, fit.side.tolist(), strict=True
+    ):
         look, before = shown(name, plant), range_before(found, name)
-        width = look.value(float(value), float(high - low)), look.span(float(low), float(high))
+        width = look.value(float(value), float(high - low)), look.interval(float(low), float(high), side)
         span = look.span(*before) if before is not None else "–"
         rows.append((look.words, look.unit, span, *width, "yes" if known else "no"))
     header = ("Unknown", "Unit", "Range before", "Found", "95 % interval", "Determined")

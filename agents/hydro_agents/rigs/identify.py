@@ -94,16 +94,33 @@ class Identification(NamedTuple):
             notes.append(
                 f"Left out, because the model fits them far worse than the others: {left_out} of {count} windows."
             )
-        if not {"pressure_a_bias", "pressure_b_bias"} & set(self.fit.names) and self.config.sensors.enabled:
-            notes.append("No pressure was recorded: the intervals are too narrow (docs/identify.md). Record pressures.")
+        if self.one_sided:
+            notes.append(
+                "Only one end is known, because no motion of the recording reached the limit: "
+                f"{'; '.join(self.one_sided)}. The rig file keeps its value where that is possible."
+            )
+        if self.fit.second:
+            others = [
+                f"{shown(name, self.config.plant).words} {shown(name, self.config.plant).value(value, 0.01 * value)}"
+                for name, value in self.fit.second.items()
+            ]
+            notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
         if explained < 0.5 * count:
             notes.append(
                 "The readings differ from the model by more than the sensors' noise. The intervals are therefore wider "
-                f"(factor {self.fit.widening:.2g}), but may still be too narrow."
+                f"(factor {float(np.median(self.fit.widening)):.2g}), but may still be too narrow."
             )
         return notes
+
+    @property
+    def one_sided(self) -> list[str]:
+        """Parameters of which only one end of the interval is known, as text: ``valve: slew limit at least 98``."""
+        fit, plant = self.fit, self.config.plant
+        sides = zip(fit.names, fit.low.tolist(), fit.high.tolist(), fit.side.tolist(), strict=True)
+        looks = [(shown(name, plant), low, high, side) for name, low, high, side in sides if side]
+        return [f"{look.words} {look.interval(*ends)} {look.unit}".rstrip() for look, *ends in looks]
 
     def verdict(self) -> str:
         """The result in one sentence."""
@@ -175,7 +192,7 @@ def identify(
             raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *driven(one)])}")
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
-    fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress)
+    fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress, parts.fitted.boundary)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:
@@ -238,6 +255,8 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
             "unit": "l/min at 100 bar" if name in (LEAKAGE, EXTERNAL_LEAKAGE) else "SI",
             "remaining": float(fit.remaining[place]),
             "determined": bool(fit.determined[place]),
+            "known_ends": {0: "both", 1: "low", -1: "high"}[int(fit.side[place])],
+            "widening": float(fit.widening[place]),
             "motion_that_helps": advice.motion if advice is not None else None,
         }
     return {
@@ -267,7 +286,7 @@ def as_json(found: Identification, command: str) -> dict[str, Any]:
         "repeats_inside_their_intervals": plain(share_inside(found.repeats)),
         "windows": len(fit.misfit),
         "windows_explained": int(fit.explained.sum()),
-        "widening": fit.widening,
+        "another_minimum": dict(fit.second),
         "unknowns": unknowns,
         "singular_values": [{"value": one.singular_value, "parts": dict(one.parts)} for one in found.combinations],
         "findings": [finding.line() for finding in found.findings],

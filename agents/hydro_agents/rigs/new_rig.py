@@ -279,16 +279,10 @@ def _supply(values: _Values) -> list[Entry]:
     ]
     if not regulated:
         return entries
-    slope = values.number("pump_flow") / (5.0 * BAR)
+    slope, droop = values.number("pump_flow") / (5.0 * BAR), ("{log_factor: [0.3, 2.5]}", "droop under flow")
     entries += [
         values.given("supply.pump_flow", "pump_flow", ("", ""), "{factor: [0.92, 1.0]}; volumetric efficiency"),
-        Entry(
-            "supply.relief_slope",
-            f"{slope:.3g}",
-            "assumed: 5 bar more at full flow; m³/(s Pa)",
-            "{log_factor: [0.3, 2.5]}",
-            "the droop of the pressure under flow",
-        ),
+        Entry("supply.relief_slope", f"{slope:.3g}", "assumed: 5 bar more at full flow; m³/(s Pa)", *droop),
     ]
     if model == "pump":
         volume = max(0.02 * values.number("pump_flow") / LITRE_PER_MINUTE, 0.1)  # l

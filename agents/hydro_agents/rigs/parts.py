@@ -47,6 +47,7 @@ class Stretch(NamedTuple):
     recording: int  # its number, from 0
     begin: float  # s
     signals: Floats  # (5, T), in the order of SIGNALS
+    boundary: Floats | None = None  # (2, T), recorded supply and tank pressure, Pa
 
 
 class Parts(NamedTuple):
@@ -118,7 +119,7 @@ def parts_of(recordings: Sequence[Sampled], sources: Sequence[str], whole: Colle
     choose = _liveliest if len(used) == 1 else _most_varied
     fitted = {number: choose(windows, most) for number, windows in used.items()}
     return Parts(
-        Windows(*(np.concatenate([getattr(w, name) for w in fitted.values()]) for name in ("signals", "begin", "end"))),
+        Windows.joined(list(fitted.values())),
         np.repeat(list(fitted), [len(windows) for windows in fitted.values()]),
         stretches,
         reason,
@@ -226,4 +227,9 @@ def _as_stretch(recording: int, windows: Windows, longest: float) -> Stretch:
     breaks = np.flatnonzero(np.abs(windows.begin[1:] - windows.end[:-1]) > 0.1 * span) + 1
     stretches = np.split(np.arange(len(windows)), breaks)
     chosen = max(stretches, key=len)[:most]
-    return Stretch(recording, float(windows.begin[chosen[0]]), np.concatenate(list(windows.signals[chosen]), axis=1))
+    signals, edges = (
+        None if values is None else np.concatenate(list(values[chosen]), axis=1)
+        for values in (windows.signals, windows.boundary)
+    )
+    assert signals is not None
+    return Stretch(recording, float(windows.begin[chosen[0]]), signals, edges)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Reading
 from hydro_agents.detection.estimator import leak_scale
+from hydro_agents.detection.volume_balance import VolumeLeak
 from hydro_agents.recordings.findings import NOT_RECORDED, Finding, Weight
 from hydro_agents.recordings.quality import AXIS
 from hydro_agents.running.text import decimals_for, number
@@ -155,6 +156,20 @@ def judge(
         return Verdict(Kind.HEALTHY, "", leak, leader)
     why = f"the leak past the piston is {leak.text()}, which may be healthy or faulty; record more motion"
     return Verdict(Kind.UNKNOWN, why, leak, leader)
+
+
+def by_volume(verdict: Verdict, balance: VolumeLeak, limits: Limits) -> Verdict:
+    """The verdict with a measured flow: where the detectors cannot tell, the balance of volumes decides alone."""
+    if verdict.kind is not Kind.UNKNOWN or balance.why:
+        return verdict
+    leak = Leak(balance.value, balance.low, balance.high)
+    why = f"by a balance of volumes over {balance.moves} steady moves, which needs no valve"
+    if leak.low > limits.healthy:
+        return Verdict(Kind.LEAK, why, leak, "balance of volumes")
+    if leak.high < limits.fault:
+        return Verdict(Kind.HEALTHY, why, leak, "balance of volumes")
+    why = f"the leak past the piston is {leak.text()} {why}; it may be healthy or faulty"
+    return Verdict(Kind.UNKNOWN, why, leak, "balance of volumes")
 
 
 def _without_pressures(findings: Sequence[Finding]) -> bool:

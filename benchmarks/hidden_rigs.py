@@ -1,0 +1,138 @@
+"""Hidden rigs for :mod:`benchmarks.identification`: files of ``hydro new-rig``, recordings, and the true values.
+
+Drawn cylinders of 25 to 100 mm, supplies of 70 to 250 bar, every second valve with an overlap of up to 6 %. All that
+the file leaves open is drawn from its ranges. Every fifth rig or so lacks sensors or has a clipped position; one in ten
+has a file with a wrong number that the file calls certain.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.drawn_rigs import TRIES, drawn_answers
+from hydro_agents.estimation.unknowns import BIASES, EXTERNAL_LEAKAGE, EXTERNAL_RESISTANCE, LEAKAGE
+from hydro_agents.recordings.simulated import record_axis
+from hydro_agents.rigs.new_rig import new_rig
+from hydro_agents.rigs.questions import answers_from
+from hydro_agents.rigs.stable_gain import stable_pid
+from hydro_env import ConfigurationError, ServoHydraulicVectorEnv, TaskConfig
+from hydro_env.files import write_text
+from hydro_env.plant.parameters import PARAMETER_PATHS, to_vector
+from hydro_env.task.configuration import task_config
+from hydro_env.task.rig import read_rig
+from hydro_env.task.sensors import SENSOR_COLUMNS
+from hydro_env.units import flow_from_resistance
+
+LARGEST_BORE, MOST_OVERLAP = 100, 6.0  # mm, %
+EVERY = 30  # rigs until the pattern below repeats
+WITHOUT_PRESSURES = (1, 5, 9, 13, 17, 20, 24, 28)  # number of the rig within the pattern
+WITHOUT_SPOOL = (2, 6, 10, 14, 18, 22, 25, 29)
+CLIPPED = (3, 11, 19, 27)
+WRONG_FACTORS = {"bore": 1.04, "rated_drop": 0.5, "rod": 1.12}
+WRONG = dict(zip((7, 16, 23), WRONG_FACTORS, strict=True))
+"""Answer that is wrong in the file, by the number of the rig within the pattern; the file calls it certain."""
+
+
+class HiddenRig(NamedTuple):
+    """What ``hydro identify`` gets, and what it should find."""
+
+    name: str  # in words
+    recording: Path
+    rig: Path
+    wrong: str  # the number of the file that is wrong; empty: none
+    true: dict[str, float]  # of all unknowns by name
+
+
+def true_values(config: TaskConfig, seed: int, leak: float | None = None) -> dict[str, float]:
+    """True values of all unknowns of an episode by name."""
+    env = ServoHydraulicVectorEnv(1, config, info=False)
+    env.reset(seed=[seed], options=None if leak is None else {"leakage_flow_lpm": np.array([leak])})
+    values = dict(zip(PARAMETER_PATHS, to_vector(env.axes.parameters(0)).tolist(), strict=True))
+    values |= dict(zip(BIASES, env.axes.column("bias")[0, SENSOR_COLUMNS].tolist(), strict=True))
+    values[LEAKAGE] = float(env.axes.column("leak_flow")[0])
+    values[EXTERNAL_LEAKAGE] = flow_from_resistance(values[EXTERNAL_RESISTANCE])
+    env.close()
+    return values
+
+
+def hidden_rig(folder: Path, seed: int, number: int, duration: float) -> HiddenRig:
+    """The rig of a seed, with its recording; both are kept in the folder and read again.
+
+    Args:
+        folder: of the files.
+        seed: of all that is drawn.
+        number: of the rig; it sets the sensors that are absent, and the number that is wrong.
+        duration: of the recording, s.
+
+    Raises:
+        ConfigurationError: no rig can be drawn.
+    """
+    kind = number % EVERY
+    wrong = WRONG.get(kind, "")
+    recording, rig, kept = (folder / f"{seed}{end}" for end in (".csv", ".yaml", ".json"))
+    if not kept.exists():
+        texts, config = _drawn(folder / f"{seed}-true.yaml", seed, kind, duration)
+        record_axis(recording, config, stable_pid(config)[0], seed)
+        given = dict(texts)
+        if kind in CLIPPED:
+            given["position_range"] = f"{_clip(recording):.7g} mm"
+        if wrong:
+            size, unit = given.get(wrong, "70 bar").split(" ")
+            given[wrong] = f"{WRONG_FACTORS[wrong] * float(size):.4g} {unit}"
+        _write(rig, given)
+        name = f"{texts['bore']} x {texts['stroke']}, {texts['supply_pressure']}, overlap {texts.get('overlap', '0 %')}"
+        name += ", no pressures" * (kind in WITHOUT_PRESSURES) + ", no spool sensor" * (kind in WITHOUT_SPOOL)
+        name += ", clipped" * (kind in CLIPPED) + (f", wrong {wrong}" if wrong else "")
+        write_text(kept, json.dumps({"name": name, "true": true_values(config, seed)}))
+    stored = json.loads(kept.read_text(encoding="utf-8"))
+    return HiddenRig(stored["name"], recording, rig, wrong, stored["true"])
+
+
+def identified_task(rig: Path) -> TaskConfig:
+    """The task of ``hydro identify`` on a rig: only the ranges of its file are open."""
+    ranges = read_rig(rig).randomisation
+    return task_config(None, rig=rig, randomisation={path: each.model_dump() for path, each in ranges.items()})
+
+
+def _drawn(file: Path, seed: int, kind: int, duration: float) -> tuple[dict[str, str], TaskConfig]:
+    """The answers of a rig that can work, and the task that records it."""
+    fault = ConfigurationError(f"{file}: no rig was drawn")
+    for attempt in range(TRIES):
+        texts, _ = drawn_answers(seed, attempt)
+        if float(texts["bore"].split(" ")[0]) > LARGEST_BORE:
+            continue
+        for name in ("overlap", "absent"):
+            texts.pop(name, None)
+        if kind % 2 == 0:
+            texts["overlap"] = f"{np.random.default_rng([seed, 1]).uniform(0.0, MOST_OVERLAP):.2g} %"
+            texts.pop("null_flow", None)
+        if kind in WITHOUT_PRESSURES:
+            texts["absent"] = "pressure_a,pressure_b"
+        elif kind in WITHOUT_SPOOL:
+            texts["absent"] = "spool_position"
+        try:
+            _write(file, texts)
+            return texts, identified_task(file).model_copy(update={"episode_duration": duration})
+        except ConfigurationError as error:
+            fault = error
+    raise fault
+
+
+def _write(file: Path, texts: dict[str, Any]) -> None:
+    write_text(file, new_rig(answers_from(texts), texts, str(file))[0])
+
+
+def _clip(recording: Path) -> float:
+    """Clip the highest third of the positions of a recording, as a sensor that is too short would; its range in mm."""
+    lines = recording.read_text(encoding="utf-8").splitlines()
+    place = lines[0].split(",").index("position [mm]")
+    rows = [line.split(",") for line in lines[1:]]
+    end = float(np.quantile([float(row[place]) for row in rows], 2 / 3))
+    for row in rows:
+        row[place] = f"{min(float(row[place]), end):.7g}"
+    write_text(recording, "\n".join([lines[0], *(",".join(row) for row in rows)]) + "\n")
+    return end
