@@ -33,6 +33,7 @@ from hydro_env.task.sensors import SENSORS
 
 VALIDATION_SKIP = 50_000  # seeds of validation before those of the drawn rigs
 FAR = 10.0  # standard deviations
+KINDS = ("no spool sensor", "no pressures", "clipped")  # in the names of the rigs of ``--new-rig``
 
 
 def rig_of_a_task(folder: Path, seed: int, arguments: argparse.Namespace) -> HiddenRig:
@@ -162,6 +163,14 @@ def _report(results: list[dict[str, Any]]) -> None:
         by_rig = [[row["within"] for row in result["unknowns"] if row["determined"]] for result in done]
         shares_within = np.array([np.mean(one) for one in by_rig if one])
         print(f"rigs with at least 90 % of their determined unknowns within: {np.mean(shares_within >= 0.9):.0%}")
+    for kind in KINDS:
+        some = [one for one in right if kind in one["name"]]
+        own = [row for one in some if not one["refused"] for row in one["unknowns"]]
+        sure = [row for row in own if row["determined"]]
+        if sure:
+            print(f"{kind}: {len(some)} rigs, {sum(bool(one['refused']) for one in some)} refused; determined "
+                  f"{len(sure) / len(own):.1%}, inside {np.mean([row['within'] for row in sure]):.1%} of {len(sure)}, "
+                  f"beyond {FAR:g} σ {sum(row['away'] > FAR for row in sure)}")  # fmt: skip
     one_sided = [row for row in rows if row["side"]]
     print(f"one end known: {len(one_sided)}, of which {sum(row['within'] for row in one_sided)} hold the truth")
     print(f"\n{'unknown':32} determined  within  median uncertainty left")

@@ -11,6 +11,7 @@ import typer
 
 from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
 from hydro_env import ConfigurationError
+from hydro_env.mistakes import one_of
 
 if TYPE_CHECKING:
     from hydro_agents.controllers.base import Controller
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 FMU_FILE = "hydro_axis.fmu"
 SOURCES = ("plant.h", "plant.c")
 JOB = "export"
+LANGUAGES = ("c", "st")
 OWN_PARTS = ("plant", "leakage_head", "playground")
 
 
@@ -37,6 +39,12 @@ def export(
     rig: Rig = None,
     period: Period = None,
     latency: Latency = None,
+    language: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="c|st", help="st: a controller also as Structured Text (IEC 61131-3) for a PLC."
+        ),
+    ] = "c",
     overwrite: Overwrite = False,
 ) -> None:
     """Write the plant, a controller or the leakage head for other tools, or for your own C program.
@@ -60,6 +68,10 @@ def export(
     """
     from hydro_env.task.configuration import task_config
 
+    if language not in LANGUAGES:
+        raise ConfigurationError(f"--format {language[:40]}: {one_of(language, LANGUAGES)}")
+    if what in OWN_PARTS and language != "c":
+        raise ConfigurationError(f"export {what}: has no --format {language}; a controller does")
     if what in OWN_PARTS and (period is not None or latency is not None):
         raise ConfigurationError(f"export {what}: takes no --period and no --latency; a controller does")
     if what == "plant":
@@ -71,7 +83,7 @@ def export(
     elif what == "playground":
         _export_playground(output, overwrite)
     else:
-        _export_controller(what, (task, rig, period, latency), output, overwrite)
+        _export_controller(what, (task, rig, period, latency), language, output, overwrite)
 
 
 Given = tuple[str | None, Path | None, str | None, str | None]  # task, rig, control period and latency
@@ -115,9 +127,9 @@ def _export_playground(output: Path, overwrite: bool) -> None:
     _write(output, overwrite, [PAGE_FILE], lambda: ({PAGE_FILE: playground_page()}, ()))
 
 
-def _export_controller(what: str, given: Given, output: Path, overwrite: bool) -> None:
+def _export_controller(what: str, given: Given, language: str, output: Path, overwrite: bool) -> None:
     from hydro_agents.controllers.registry import CONTROLLERS
-    from hydro_agents.export.controller_folder import FILES, exported_files
+    from hydro_agents.export.controller_folder import FILES, ST_FILE, exported_files
     from hydro_agents.export.exported import ExportedController
     from hydro_agents.export.onnx_writer import onnx_package
     from hydro_agents.learning.opponents import gains_file, takes_gains_for_any_rig, trained_for
@@ -138,7 +150,8 @@ def _export_controller(what: str, given: Given, output: Path, overwrite: bool) -
             "tunes them; then export results/study/controllers/NAME",
             file=sys.stderr,
         )
-    _write(output, overwrite, FILES, lambda: exported_files(controller, config, command_line()))
+    names = [*FILES, ST_FILE] if language == "st" else FILES
+    _write(output, overwrite, names, lambda: exported_files(controller, config, command_line(), language))
 
 
 def _controller_and_task(what: str, given: Given) -> tuple[Controller, TaskConfig]:

@@ -153,11 +153,7 @@ class FlowLinearising:
             g.set_off_share,
             self._preview.times,
         )
-        self._gain, self._near = g.position_gain / self.pace, g.braking * full_speed * self.pace
-        self._blend = period / (period + g.damping_filter * self.pace)
-        self._damping = g.damping * oscillation
-        self._friction = g.friction * plant.friction.largest_force / period
-        self._mass = g.force_rate * mass / period**2
+        self._oscillation, self._mass = oscillation, mass
         self._turned = _REVERSAL * plant.friction.stribeck_velocity
         noise = max(config.sensors.position.noise, config.sensors.position.resolution, 1e-9)
         leak = LITRE_PER_MINUTE / LEAKAGE_TEST_PRESSURE
@@ -219,8 +215,9 @@ class FlowLinearising:
         soon = scale * self._model.speed(0.5 * (spool + command_before), flow) + other
         place = estimate[:, POSITION] + self._ahead * soon
         wanted, error = self._wanted(now, place, flow)
-        wanted += self._gain * braked(error, self._near)
-        wanted -= self._damping / flow.stiffness * (flow.force - now.slow_force)
+        g = self.gains  # read at each call: the exported code lets them change while the machine runs
+        wanted += g.position_gain / self.pace * braked(error, g.braking * self._full_speed * self.pace)
+        wanted -= g.damping * self._oscillation / flow.stiffness * (flow.force - now.slow_force)
         command = np.clip(self._model.opening((wanted - other) / scale, flow), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), now
@@ -262,7 +259,9 @@ class FlowLinearising:
         estimate, covariance = self._filter.advanced(
             old.estimate, old.covariance, half * (old.speed + speed), half * (old.leak + flow.leak), squeezed, position
         )
-        slow_force = old.slow_force + self._blend * (flow.force - old.slow_force)
+        period = self.config.control_period
+        blend = period / (period + self.gains.damping_filter * self.pace)
+        slow_force = old.slow_force + blend * (flow.force - old.slow_force)
         reference = self._preview.advanced(old.reference, batch)
         return FlowLinearisingState(
             reference, old.supply, flow.force, slow_force, speed, flow.leak, estimate, covariance
@@ -272,8 +271,10 @@ class FlowLinearising:
         """Reference speed with friction feed-forward (m/s), and error at the predicted position (m), each (N,)."""
         steps, jumps = self._jumps.split(now.reference)
         travel, speed, before, after = (steps @ self._weights).T
-        rate = self._friction * (np.tanh(speed / self._turned) - np.tanh(before / self._turned))
-        rate += self._mass * (after - 2.0 * speed + before)
+        g, period = self.gains, self.config.control_period
+        rate = g.friction * self.config.plant.friction.largest_force / period
+        rate = rate * (np.tanh(speed / self._turned) - np.tanh(before / self._turned))
+        rate += g.force_rate * self._mass / period**2 * (after - 2.0 * speed + before)
         wanted = speed + rate / flow.stiffness
         target = now.reference[:, 1] + travel + self._jumps.begun(jumps, flow.force, now.supply)
         return wanted, target - place

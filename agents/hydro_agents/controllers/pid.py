@@ -145,7 +145,7 @@ class PID:
         smooth = np.clip(reference_speed, -self._jump, self._jump)
         lasting = feedback + g.derivative * smooth + self._feedforward(smooth)
         bounded = np.clip(lasting, -self._limit, self._limit)
-        integral = integral + (bounded - lasting) * min(period / g.anti_windup_time, 1.0)
+        integral = integral + (bounded - lasting) * np.minimum(period / g.anti_windup_time, 1.0)
         command = np.clip(self._compensated(wanted), -1.0, 1.0)
         action = command.astype(np.float32)[:, None]
         return (action[0] if single else action), PIDState(integral, velocity, position, reference)

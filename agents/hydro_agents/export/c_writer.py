@@ -46,6 +46,8 @@ _HELPERS = {
 }
 _RESERVED = {"short", "long", "signed", "unsigned", "register", "auto", "static", "const", "union", "double", "float"}
 _INDICES = ("i", "j", "k")
+PLAINER = {"values": "in_si", "dictcomp": "ahead", "entries": "entry", "result": "interpolated", "way": "chosen"}
+"""Names of variables in Python that say little outside of it, and better ones."""
 
 
 @dataclass
@@ -76,9 +78,31 @@ class CWriter:
             written = self._statement(node)
             if written and node.origin and node.origin != origin:
                 origin = node.origin
-                lines.append(f"/* {origin.replace('*/', '* /').replace('/*', '/ *')} */")
+                lines.append(self.comment(origin))
             lines += written
         return [f"{indent}{line}" for line in lines]
+
+    def comment(self, text: str) -> str:
+        """A comment."""
+        return f"/* {text.replace('*/', '* /').replace('/*', '/ *')} */"
+
+    def number(self, value: Any) -> str:
+        """An exact number."""
+        return number(value)
+
+    def named_begins(self, text: str) -> str:
+        """The variable ``begins`` for a condition that has another name."""
+        return f"const int begins = {text};"
+
+    def assign(self, target: str, text: str) -> str:
+        """A statement that gives a variable a value."""
+        return f"{target} = {text};"
+
+    def copied(self, target: str, variable: str, size: int) -> str:
+        """A statement that copies a variable, or an array of a size."""
+        if size == 1:
+            return self.assign(target, variable)
+        return f"{_loop('i', size)} {target}[i] = {variable}[i];"
 
     def kept(self, name: str, node: Node) -> tuple[str, list[str]]:
         """A separate variable for a result, and the statements that define it."""
@@ -96,13 +120,13 @@ class CWriter:
         if node.operation == "constant":
             assert node.table is not None
             if node.size == 1 or isinstance(index, int):
-                return number(node.table[index if isinstance(index, int) else 0])
+                return self.number(node.table[index if isinstance(index, int) else 0])
             return f"{self._table(node)}[{index}]"
         if node.operation == "collect":
             taken = _regular(node)
             if taken is not None:
                 source, start, step = taken
-                return self.element(source, _place(start, step, index))
+                return self.element(source, loop_place(start, step, index))
             if isinstance(index, int):
                 return self.element(*node.piece(index))
         return self._names[id(node)] if node.size == 1 else f"{self._names[id(node)]}[{index}]"
@@ -152,7 +176,7 @@ class CWriter:
 
     def _collected(self, node: Node, kind: str, name: str) -> list[str]:
         lines = [f"{kind} {name}[{node.size}];"]
-        runs = _runs(node)
+        runs = runs_of_places(node)
         if len(runs) > 12 and len(node.operands) == 1:
             places = self._place_table(node)
             return [*lines, f"{_loop('i', node.size)} {name}[i] = {self.element(node.operands[0], f'{places}[i]')};"]
@@ -160,8 +184,8 @@ class CWriter:
             if length == 1:
                 lines.append(f"{name}[{first}] = {self.element(source, start)};")
             else:
-                text = self.element(source, _place(start, step, "i") if source.size > 1 else 0)
-                lines.append(f"{_loop('i', length)} {name}[{_place(first, 1, 'i')}] = {text};")
+                text = self.element(source, loop_place(start, step, "i") if source.size > 1 else 0)
+                lines.append(f"{_loop('i', length)} {name}[{loop_place(first, 1, 'i')}] = {text};")
         return lines
 
     def _multiplied(self, node: Node, kind: str, name: str) -> list[str]:
@@ -202,6 +226,7 @@ class CWriter:
     # Names and tables ---------------------------------------------------------------------------------------------
 
     def _new_name(self, name: str) -> str:
+        name = PLAINER.get(name, name)
         plain = name if name not in (*_RESERVED, *_INDICES, "factor") else f"{name}_value"
         unique = next(one for one in (plain, *(f"{plain}_{n}" for n in range(2, 10_000))) if one not in self._used)
         self._used.add(unique)
@@ -219,7 +244,7 @@ class CWriter:
 
     def _new_table(self, name: str, kind: str, values: NDArray[Any]) -> str:
         unique = self._new_name(f"{name}_table")
-        texts = [number(value) for value in values]
+        texts = [self.number(value) for value in values]
         rows = [", ".join(texts[first : first + 8]) for first in range(0, len(texts), 8)]
         body = ",\n    ".join(rows)
         self.tables.append(f"static const {kind} {unique}[{len(texts)}] = {{\n    {body}\n}};")
@@ -243,7 +268,8 @@ def _loop(index: str, count: int) -> str:
     return f"for (int {index} = 0; {index} < {count}; ++{index})"
 
 
-def _place(start: int, step: int, index: int | str) -> int | str:
+def loop_place(start: int, step: int, index: int | str) -> int | str:
+    """The place ``start + step * index``, as a number or as a text."""
     if isinstance(index, int) or step == 0:
         return start + step * index if isinstance(index, int) else start
     plain = index.isidentifier() or index.endswith("]")
@@ -251,7 +277,7 @@ def _place(start: int, step: int, index: int | str) -> int | str:
     return scaled if start == 0 else f"{start} + {scaled}"
 
 
-def _runs(node: Node) -> list[tuple[int, int, Node, int, int]]:
+def runs_of_places(node: Node) -> list[tuple[int, int, Node, int, int]]:
     """A ``collect`` as stretches with equal steps: first element, length, operand, first index in it, step."""
     runs: list[tuple[int, int, Node, int, int]] = []
     for element in range(node.size):
@@ -268,5 +294,5 @@ def _runs(node: Node) -> list[tuple[int, int, Node, int, int]]:
 
 def _regular(node: Node) -> tuple[Node, int, int] | None:
     """Operand, start and step of a ``collect`` that is a single stretch, which needs no separate array."""
-    runs = _runs(node) if node.size < 4096 else []
+    runs = runs_of_places(node) if node.size < 4096 else []
     return (runs[0][2], runs[0][3], runs[0][4]) if len(runs) == 1 else None

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from hydro_agents.controllers.base import Controller
+from hydro_agents.controllers.registry import GainRow
 from hydro_agents.export.c_files import CCode, c_code
 from hydro_agents.export.c_writer import C_TYPES, CWriter
 from hydro_agents.export.graph import Builder, Graph, Node
@@ -20,6 +24,7 @@ from hydro_env import ConfigurationError, TaskConfig, __version__
 
 STARTED, CONTINUED = "started.", "continued."
 
+GAINS = "gains."
 OUTPUTS = ("voltage", "next_state", "lost_signals")
 DOUBLE = np.dtype(np.float64)
 _C_NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -46,6 +51,7 @@ class ControllerGraph:
     graph: Graph
     memory: tuple[Part, ...]
     measured: MeasuredController
+    gains: tuple[GainRow, ...] = ()  # inputs ``gains.NAME``: numbers that may change while the controller runs
 
     @property
     def signals(self) -> MeasuredSignals:
@@ -74,8 +80,14 @@ class ControllerGraph:
         return found
 
 
-def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGraph:
+def controller_graph(controller: Controller, config: TaskConfig, gains: Sequence[GainRow] = ()) -> ControllerGraph:
     """Trace a controller.
+
+    Args:
+        controller: the controller.
+        config: its task.
+        gains: those that become inputs of the graph, of :func:`~hydro_agents.export.variable_gains.variable_gains`;
+            the others are constants in it.
 
     Raises:
         TraceError: the controller contains data-dependent decisions that no fixed graph can represent.
@@ -89,7 +101,9 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
     signals = empty.last
 
     def step(signals: Any, start: Any, **values: Any) -> dict[str, Any]:
-        found = measured.step(signals, start, with_leaves(empty, values))
+        variable = {gain.name: values.pop(GAINS + gain.name) for gain in gains}
+        varied = MeasuredController(_with_gains(controller, variable), measured.signals) if variable else measured
+        found = varied.step(signals, start, with_leaves(empty, values))
         outputs: dict[str, Any] = {"begins": found.begins, "lost": found.lost, **leaves_of(found.common)}
         for prefix, way in ((STARTED, found.started), (CONTINUED, found.continued)):
             for name, leaf in leaves_of(way).items():
@@ -101,18 +115,27 @@ def controller_graph(controller: Controller, config: TaskConfig) -> ControllerGr
                     )
         return outputs
 
-    graph = trace(step, {"signals": signals, "start": np.array(False), **leaves})
+    given = {GAINS + gain.name: np.array(float(gain.value)) for gain in gains}
+    graph = trace(step, {"signals": signals, "start": np.array(False), **given, **leaves})
     after, _ = controller.predict(np.zeros((1, len(measured.signals.layout.names)), dtype=np.float32), None)
     if not isinstance(after, np.ndarray):
         raise TraceError(f"{who}: keeps its memory outside its state: cannot be exported")
     parts = tuple(Part(name, node.size, node.kind) for name, node in graph.inputs.items() if name in leaves)
-    found = ControllerGraph(graph, parts, measured)
+    found = ControllerGraph(graph, parts, measured, tuple(gains))
     for name in leaves:
         for way in [name] if name in graph.outputs else [STARTED + name, CONTINUED + name]:
             node = graph.outputs.get(way)
             if node is None or (node.size, node.kind) != (graph.inputs[name].size, graph.inputs[name].kind):
                 raise TraceError(f"{who}: its memory '{name}' changes its shape or type: cannot be exported")
     return found
+
+
+def _with_gains(controller: Controller, gains: Mapping[str, Any]) -> Controller:
+    """The controller with other values, such as traced ones, in place of some gains."""
+    changed = copy(controller)
+    own: Any = controller
+    changed.gains = SimpleNamespace(**{**dict(own.gains), **gains})  # type: ignore[attr-defined]
+    return changed
 
 
 def entries_read(controller: Controller, config: TaskConfig) -> set[str]:
@@ -192,16 +215,50 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     """
     if not _C_NAME.fullmatch(name):
         raise ConfigurationError(f"name '{name}': must be a valid name in C, such as controller_1")
-    graph, outputs = controller.graph, controller.graph.outputs
+    fields = field_names(controller)
+    inputs = {"signals": "signals", "start": "start"} | {part: f"memory->{text}" for part, text in fields.items()}
+    inputs |= {GAINS + gain.name: f"{name}_gains.{gain.name}" for gain in controller.gains}
+    writer = CWriter(inputs)
+    writer.reserve("voltage", "memory", "signals", "start", f"{name}_step", f"{name}_gains")
+    step = written_step(controller, writer, {part: f"memory->{text}" for part, text in fields.items()})
+    step["kept"] += f"\n    memory->lost_signals = (int){writer.element(controller.graph.outputs['lost'], 0)};"
+    values = {
+        "name": name,
+        "type": memory_type(name),
+        "gains_type": memory_type(name).removesuffix("Memory") + "Gains",
+        "gains": controller.gains,
+        "title": controller.title,
+        "version": __version__,
+        "sample_time": controller.signals.config.control_period,
+        "signals": controller.signals.signals,
+        "parts": [
+            {"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory
+        ],
+        **step,
+        "helpers": writer.helpers,
+        "tables": writer.tables,
+    }
+    return c_code(name, values, "controller")
+
+
+def field_names(controller: ControllerGraph) -> dict[str, str]:
+    """Name of the variable of each part of the memory, by the name of the part."""
     short = Counter(_field(part.name) for part in controller.memory)
-    fields = {
+    return {
         part.name: _field(part.name) if short[_field(part.name)] == 1 else re.sub(r"\W", "_", part.name)
         for part in controller.memory
     }
-    writer = CWriter(
-        {"signals": "signals", "start": "start"} | {name: f"memory->{text}" for name, text in fields.items()}
-    )
-    writer.reserve("voltage", "memory", "signals", "start", f"{name}_step")
+
+
+def written_step(controller: ControllerGraph, writer: CWriter, fields: Mapping[str, str]) -> dict[str, str]:
+    """The statements of a step: ``common``, then those of a start or of a continuation, then ``kept``.
+
+    Args:
+        controller: the controller.
+        writer: of the language.
+        fields: variable of each part of the memory, by the name of the part.
+    """
+    graph, outputs = controller.graph, controller.graph.outputs
     ways = {
         prefix: [node for name, node in outputs.items() if name.startswith(prefix)] for prefix in (STARTED, CONTINUED)
     }
@@ -215,38 +272,24 @@ def controller_code(controller: ControllerGraph, name: str = "controller") -> CC
     begins, made = writer.kept("begins", outputs["begins"])
     texts["common"] += [f"    {line}" for line in made]
     if begins != "begins":
-        texts["common"].append(f"    const int begins = {begins};")
+        texts["common"].append(f"    {writer.named_begins(begins)}")
     for part in controller.memory:
         if part.name in outputs:
-            texts["kept"] += _stored(writer, fields[part.name], outputs[part.name], "    ")
-    texts["kept"].append(f"    memory->lost_signals = (int){writer.element(outputs['lost'], 0)};")
+            variable, made = writer.kept(f"new_{_field(part.name)}", outputs[part.name])
+            texts["kept"] += [f"    {line}" for line in [*made, writer.copied(fields[part.name], variable, part.size)]]
     for prefix, key in ((STARTED, "started"), (CONTINUED, "continued")):
         lines = writer.statements([node for node in needed[prefix] if id(node) not in done], " " * 8)
-        lines.append(f"        voltage = {writer.element(outputs[prefix + 'voltage'], 0)};")
+        lines.append(f"        {writer.assign('voltage', writer.element(outputs[prefix + 'voltage'], 0))}")
         copies, stores = [], []
         for part in controller.memory:
             node = outputs.get(prefix + part.name)
             if node is not None and not (node.operation == "input" and node.name == part.name):
                 # All values are read before the memory changes.
-                variable, made = writer.kept(f"new_{fields[part.name]}", node)
+                variable, made = writer.kept(f"new_{_field(part.name)}", node)
                 copies += [f"        {line}" for line in made]
-                stores += _copied(fields[part.name], variable, part.size, "        ")
+                stores.append(f"        {writer.copied(fields[part.name], variable, part.size)}")
         texts[key] = [*lines, *copies, *stores]
-    values = {
-        "name": name,
-        "type": memory_type(name),
-        "title": controller.title,
-        "version": __version__,
-        "sample_time": controller.signals.config.control_period,
-        "signals": controller.signals.signals,
-        "parts": [
-            {"type": C_TYPES[part.kind], "field": fields[part.name], "size": part.size} for part in controller.memory
-        ],
-        "helpers": writer.helpers,
-        "tables": writer.tables,
-        **{key: "\n".join(lines) for key, lines in texts.items()},
-    }
-    return c_code(name, values, "controller")
+    return {key: "\n".join(lines) for key, lines in texts.items()}
 
 
 def memory_type(name: str) -> str:
@@ -256,18 +299,6 @@ def memory_type(name: str) -> str:
 
 def _field(name: str) -> str:
     return re.sub(r"\W", "_", name.removeprefix("controller."))
-
-
-def _stored(writer: CWriter, name: str, node: Node, indent: str) -> list[str]:
-    """Statements that store a result in the memory."""
-    variable, made = writer.kept(f"new_{name}", node)
-    return [*(f"{indent}{line}" for line in made), *_copied(name, variable, node.size, indent)]
-
-
-def _copied(name: str, variable: str, size: int, indent: str) -> list[str]:
-    if size == 1:
-        return [f"{indent}memory->{name} = {variable};"]
-    return [f"{indent}for (int i = 0; i < {size}; ++i) memory->{name}[i] = {variable}[i];"]
 
 
 def controller_model(controller: ControllerGraph) -> Any:

@@ -15,7 +15,12 @@ from hydro_agents.controllers.base import Controller
 from hydro_agents.controllers.registry import CONTROLLERS, gain_rows
 from hydro_agents.export.c_files import compared, csv_text, render
 from hydro_agents.export.c_writer import C_TYPES
-from hydro_agents.export.controller import ControllerGraph, controller_code, controller_graph, controller_model
+from hydro_agents.export.controller import (
+    ControllerGraph,
+    controller_code,
+    controller_graph,
+    controller_model,
+)
 from hydro_agents.export.exported import (
     FILE,
     MODEL_FILE,
@@ -27,6 +32,8 @@ from hydro_agents.export.exported import (
     onnx_session,
 )
 from hydro_agents.export.measured import MeasuredController, MeasuredMemory
+from hydro_agents.export.structured_text import structured_text
+from hydro_agents.export.variable_gains import variable_gains
 from hydro_agents.running.cases import validation_cases, validation_errors
 from hydro_agents.running.seeds import CONTROLLER_VECTORS
 from hydro_env import HydroError, ServoHydraulicVectorEnv, TaskConfig, __version__
@@ -37,6 +44,7 @@ LARGEST_DIFFERENCE = 1e-5
 """Largest difference of the command between the exported controller and the one in Python; more is an error."""
 
 CODE = "controller"
+ST_FILE = "controller.st"
 FILES = (MODEL_FILE, f"{CODE}.c", f"{CODE}.h", f"test_{CODE}.c", "vectors.csv", TASK_FILE, "README.md", FILE)
 FAMILIES = ("step", "multi_sine", "start_stop")  # references of the closed-loop episodes, if the task has them
 LONGEST = 250  # control periods per episode of the vectors
@@ -112,8 +120,12 @@ def _disturbed(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     return rows
 
 
-def exported_files(controller: Controller, config: TaskConfig, command: str) -> tuple[dict[str, bytes], list[str]]:
+def exported_files(
+    controller: Controller, config: TaskConfig, command: str, language: str = "c"
+) -> tuple[dict[str, bytes], list[str]]:
     """The files of a controller for a task by name, and results of their checks; the contract names the command.
+
+    The language ``st`` adds Structured Text to C and ONNX.
 
     Raises:
         TraceError: the controller cannot be exported exactly.
@@ -122,7 +134,8 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
     """
     graph = controller_graph(controller, config)
     model = controller_model(graph).SerializeToString()
-    vectors, code = make_vectors(graph.measured), controller_code(graph, CODE)
+    varied = controller_graph(controller, config, variable_gains(controller, config))
+    vectors, code = make_vectors(graph.measured), controller_code(varied, CODE)
     allowed = LARGEST_DIFFERENCE * FULL_VOLTAGE
     values = {
         "title": graph.title,
@@ -134,6 +147,8 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "sample_time": config.control_period,
         "signals": graph.signals.signals,
         "state_size": sum(part.size for part in graph.memory),
+        "variable": [gain.name for gain in varied.gains],
+        "structured_text": language == "st",
         "gains": gain_rows(gains) if isinstance(gains := getattr(controller, "gains", None), Group) else [],
     }
     found = check_onnx(model, vectors)
@@ -150,6 +165,8 @@ def exported_files(controller: Controller, config: TaskConfig, command: str) -> 
         "README.md": render("controller_readme.md.j2", values),
     }
     in_c = compared(CODE, texts)
+    if language == "st":
+        texts[ST_FILE] = structured_text(varied)
     files = {MODEL_FILE: model, **{name: text.encode() for name, text in texts.items()}}
     checked = {"controller.onnx": found, "controller.c": {"result": in_c}}
     files[FILE] = _contract(controller, graph, checked, command, files).text().encode()
