@@ -108,7 +108,7 @@ def check_recording(recording: Recording, config: TaskConfig, own_grid: bool | N
     if not checked.severe and not checked.faults:
         early = row_of_command(samples, config)
         if early:
-            samples = samples._replace(signals=_with_command_moved(samples, early))
+            samples = _with_command_moved(samples, early)
             word = "early" if early > 0 else "late"
             what = f"is one row too {word} for the spool: moved; 'rows_early: {early}' in the map says the same"
             findings.append(Finding("command", what, Weight.NOTE))
@@ -130,13 +130,14 @@ def row_of_command(samples: Sampled, config: TaskConfig) -> int:
     return -1 if later > 0.5 * expected else 1 if now < 0.25 * expected else 0
 
 
-def _with_command_moved(samples: Sampled, early: int) -> Floats:
-    """The signals (5, T) with the command moved by a row; NaN where the neighbouring row is missing."""
+def _with_command_moved(samples: Sampled, early: int) -> Sampled:
+    """The samples with the command moved by a row, without those at the ends whose command is then unknown."""
     signals, other = samples.signals.copy(), np.arange(len(samples.place)) - early
     inside = np.clip(other, 0, len(other) - 1)
     known = (other == inside) & (samples.place[inside] == samples.place - early)
     signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
-    return signals
+    kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
+    return samples._replace(place=samples.place[kept], time=samples.time[kept], signals=signals[:, kept])
 
 
 def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
