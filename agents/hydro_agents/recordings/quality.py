@@ -137,7 +137,9 @@ def _with_command_moved(samples: Sampled, early: int) -> Sampled:
     known = (other == inside) & (samples.place[inside] == samples.place - early)
     signals[COMMAND] = np.where(known, samples.signals[COMMAND, inside], np.nan)
     kept = slice(*(np.flatnonzero(known)[[0, -1]] + [0, 1]).tolist())
-    return samples._replace(place=samples.place[kept], time=samples.time[kept], signals=signals[:, kept])
+    beside = None if samples.beside is None else samples.beside[:, kept]
+    place = samples.place[kept] - samples.place[kept.start]
+    return samples._replace(place=place, time=samples.time[kept], signals=signals[:, kept], beside=beside)
 
 
 def check_driving(samples: Sampled, config: TaskConfig) -> list[Finding]:
