@@ -176,7 +176,7 @@ def main() -> None:
     settings = HeadTrainingSettings(**head.settings.training["settings"])
     config = head.settings.task
     plan = settings.plan(config, [shipped(kind, config) for kind in CONTROLLERS])
-    test = Windows.joined(list(plan.windows(arguments.test, DETECTION.first + 170_000)))
+    test = Windows.joined(list(plan.windows(arguments.test, DETECTION.take(arguments.test, 170_000)[0])))
     columns = [f"{low:g}–{high:g}" for low, high in pairwise(SIZES)]
     motion, rest = ([f"{where} {column}" for column in columns] for where in ("moving", "at rest"))
     names = ("", "false alarms", "with other faults", *motion, *rest, "AUC", "disturbed, marked")
