@@ -25,7 +25,7 @@ FURTHER = (
 RESULTS = {
     "hydro_env.plant.linearisation.StateSpace",
     "hydro_env.plant.linearisation.Mode",
-    "hydro_agents.estimation.estimate.Estimate",
+    "hydro_agents.estimation.result.Estimate",
 }
 """What a function returns; the example of the function shows it."""
 
