@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from recorded import recorded_file
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.recording import read_recording
 from hydro_agents.rigs.common_fit import Joint
@@ -145,7 +146,7 @@ def test_a_slew_limit_above_the_spools_speed_is_bounded_from_below(tmp_path):
     recorded_file(tmp_path / "a.csv", {"randomisation": ranges}, 0.3, family="multi_sine", duration=5.0)
     signals = read_recording(tmp_path / "a.csv").signals
     windows = signals[:, :800].reshape(5, 4, 200).transpose(1, 0, 2)
-    fit = fit_windows(windows, config, config.randomisation)
+    fit = fit_windows(Windows.of(windows), config, config.randomisation)
     place = fit.names.index("valve.slew_limit")
     assert fit.side[place] == 1
     assert not fit.determined[place]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.sampling import Sampled
 from hydro_agents.rigs import common_fit
@@ -261,7 +262,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     monkeypatch.setattr(common_fit, "_costs", lambda *_: [0.0])
     monkeypatch.setattr(common_fit, "fit_together", fitted)
     alone = SimpleNamespace(misfit=np.ones(4))
-    found = common_fit._common_fit(np.zeros((4, 5, 10)), CONFIG, {}, alone, lambda *_: None)
+    found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)
     assert found.misfit.tolist() == [1.0, 1.0, 40.0, math.inf]
 
 

@@ -134,6 +134,14 @@ class Windows:
             return None
         return _smooth(self.beside[:, :2])
 
+    def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The unknowns without those that pressures recorded in every window replace."""
+        if self.beside is None:
+            return names
+        whole = np.asarray(np.isfinite(self.beside[:, :2]).any(axis=2).all(axis=0))
+        recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
+        return tuple(name for name in names if name not in recorded)
+
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
         parts = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -150,15 +158,6 @@ def _smooth(values: Floats) -> Floats:
             whole = np.pad(np.interp(places, places[known], series[known]), SMOOTHED // 2, mode="reflect")
             row[:] = np.convolve(whole, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
     return result
-
-
-def unrecorded(names: tuple[str, ...], boundary: Floats | None) -> tuple[str, ...]:
-    """The unknowns without those that recorded pressures (N, 2, T) replace."""
-    if boundary is None:
-        return names
-    whole = np.asarray(np.isfinite(boundary).all(axis=(0, 2)))
-    recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
-    return tuple(name for name in names if name not in recorded)
 
 
 class MeasuredColumns(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_agents.detection.detector import Floats
+from hydro_agents.detection.detector import Floats, Windows
 from hydro_agents.detection.estimator import EstimatorDetector, Progress, wear_priors
 from hydro_agents.estimation.following import Follower
 from hydro_agents.estimation.result import Estimate
@@ -31,41 +31,36 @@ class FollowingDetector(EstimatorDetector):
         super().__init__(changes, unknowns, threads)
         self._followers: dict[tuple[bool, str, int], Follower] = {}
 
-    def _fit(
-        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
-    ) -> Estimate:
-        del progress, boundary
-        key = worn, task.model_dump_json(), signals.shape[2]
+    def _fit(self, windows: Windows, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
+        del progress
+        key = worn, task.model_dump_json(), windows.samples
         if key not in self._followers:
             self._followers[key] = Follower(
                 task,
                 self.names(task, worn),
-                window=signals.shape[2],
+                window=windows.samples,
                 priors=wear_priors(task) if worn else None,
                 threads=self.threads,
             )
-        return self._followers[key].window_of(signals)
+        return self._followers[key].window_of(windows.signals)
 
-    def _with_moving_supply(
-        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: Estimate
-    ) -> NDArray[np.bool_]:
-        del boundary, task, worn  # a follower hands on one state of the supply
-        return np.zeros(len(signals), dtype=np.bool_)
+    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> NDArray[np.bool_]:
+        del task, worn  # a follower hands on one state of the supply
+        return np.zeros(len(windows), dtype=np.bool_)
 
     def _fit_again(
         self,
-        signals: Floats,
-        boundary: Floats | None,
+        windows: Windows,
         simple: NDArray[np.int64],
         task: TaskConfig,
         worn: Estimate,
         progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
-        return self._fit(signals, boundary, task, False), simple  # a follower needs all axes
+        return self._fit(windows, task, False), simple  # a follower needs all axes
 
-    def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
+    def _at_rest(self, windows: Windows, task: TaskConfig) -> NDArray[np.bool_]:
         del task  # the alarm compares the readings of an axis at rest with one another
-        return np.zeros(len(signals), dtype=np.bool_)
+        return np.zeros(len(windows), dtype=np.bool_)
 
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:
         return value, deviation

@@ -22,14 +22,14 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_agents.rigs.data_sheet import contradictions, lively, worst_signal
+from hydro_agents.rigs.data_sheet import contradictions, worst_signal
+from hydro_agents.rigs.parts import lively
 from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, by_volume, judge
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
 
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
-
 
 MOST_GAPS = 20
 """Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
@@ -153,7 +153,7 @@ def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None])
     """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried."""
     detector, count = EstimatorDetector(threads=None), len(windows)
     commanded = np.flatnonzero(windows.commanded)
-    first = commanded[lively(windows.signals[commanded], FIRST_WINDOWS)]
+    first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     if not len(first):
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=None, restarts=1)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.unknowns import (
     BIASES,
@@ -99,31 +100,29 @@ def unknowns_of(config: TaskConfig, ranges: Mapping[str, Distribution], measured
 
 
 def fit_windows(
-    signals: Array,
+    windows: Windows,
     config: TaskConfig,
     ranges: Mapping[str, Distribution],
     progress: Progress | None = None,
-    boundary: Array | None = None,
 ) -> Fit:
     """Fit the unknowns to windows of one recording.
 
     Each window is fitted alone first. The common fit starts from the values of the window that fits all others best.
 
     Args:
-        signals: (B, 5, T), SI, in the order of SIGNALS.
+        windows: of one recording, or of several of one axis.
         config: the task, on the rig.
         ranges: ranges that the rig file gives.
         progress: called with phase, done, total.
-        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
 
     def report(phase: str, done: int, total: int) -> None:
         if progress is not None:
             progress(phase, done, total)
 
-    measured = np.asarray(np.isfinite(signals[:, : len(SENSORS)]).any(axis=(0, 2)))
+    measured = np.asarray(np.isfinite(windows.signals[:, : len(SENSORS)]).any(axis=(0, 2)))
     priors = priors_of(config, unknowns_of(config, ranges, measured))
-    return _summary(common_fit(signals, config, priors, report, boundary), config, ranges)
+    return _summary(common_fit(windows, config, priors, report), config, ranges)
 
 
 def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Joint, Spread, Sides]:
@@ -142,7 +141,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Join
         moved[place] = beside_the_edge(name, prior, config.plant, float(sides.end[edge]), float(end))
         pinned[name] = Prior(float(prior.value(np.array(moved[place]))), PINNED * prior.deviation, prior.logarithmic)
     scaled[:, places] = 0.0
-    pinned_model = Model(config, pinned, model.commands.command)
+    pinned_model = Model(config, pinned, model.commands.command, boundary=model.commands.boundary)
     again = fit_together(pinned_model, common.readings, scaled, iterations=FEW_ITERATIONS)
     for place, value in moved.items():
         again.scaled[:, place] = value

@@ -192,7 +192,7 @@ def identify(
             raise ConfigurationError(f"{source}: {'; '.join([one.severe[0].line(), *driven(one)])}")
     config = on_grid(config, checked[0].samples.period)
     parts = parts_of([one.samples for one in checked], sources, whole)
-    fit = fit_windows(parts.fitted.signals, config, rig.randomisation, progress, parts.fitted.boundary)
+    fit = fit_windows(parts.fitted, config, rig.randomisation, progress)
     try:
         plant = found_plant(fit, config)
     except ConfigurationError as error:
