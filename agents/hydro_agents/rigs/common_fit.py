@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
-from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings, search
 from hydro_agents.estimation.solver import (
@@ -50,8 +50,8 @@ LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a
 
 ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
 ROUGH_TOLERANCE, TOLERANCE = 1.0, 0.02
-"""A common fit ends when a step with little damping lowers its cost by less: first with forward differences, which take
-half the time, then with central ones, which end in the minimum itself."""
+"""A common fit ends when a step with little damping lowers its cost by less: first with long differences, which bridge
+the roughness of friction, then with short ones, which alone follow a curved valley to its lowest point."""
 
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
@@ -121,7 +121,7 @@ def fit_together(
         iterations: largest number.
     """
     shared, own = shared_and_own(model)
-    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, True, iterations)
+    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
     known = np.isfinite(measured)
     linear = model.linearise(scaled, None, directions, central=True)
     residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
@@ -147,7 +147,7 @@ def _descend(
     shared: Indices,
     progress: Callable[[int, int], None] | None,
     tolerance: float,
-    central: bool,
+    step: float,
     iterations: int = ITERATIONS,
 ) -> tuple[Array, Array]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
@@ -161,10 +161,10 @@ def _descend(
         model.samples,
         iterations,
         tolerance,
+        step=step,
         give_up=MOST_DAMPING,
         shared=shared,
         progress=progress,
-        central=central,
     )
     return found.scaled, found.directions
 
@@ -243,7 +243,7 @@ def _common_fit(
         model, readings = _replayed(windows.part(kept), config, priors)
         shared = shared_and_own(model)[0]
         rough = [
-            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)[0]
+            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
             for first in _first_values(model, readings, alone, kept)
         ]
         costs = _costs(model, readings, rough)
