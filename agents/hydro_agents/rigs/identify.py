@@ -130,7 +130,7 @@ class Identification(NamedTuple):
             notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
-        if shown(RATED_FLOW, self.config.plant).words in self.beyond:
+        if self.beyond == [shown(RATED_FLOW, self.config.plant).words]:
             notes.append(
                 "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
                 "another flow, and no other value changes. Check both against the valve's data sheet."
