@@ -126,7 +126,7 @@ def identified(content: Content) -> list[Block]:
             "No rig was written. Check wiring, units and signs of the recording, and the values in the rig file that "
             "have no range."
         )
-    style = "verdict good" if found.describes else "verdict worse"
+    style = f"verdict {('doubtful' if found.unexplained else 'good') if found.describes else 'worse'}"
     return [Text(capitalised(verdict), style), Text(following), *map(Text, found.noted)]
 
 
