@@ -1,6 +1,7 @@
-"""A recording of a simulated axis for tests: time (n,), s, and signals (5, n), SI."""
+"""Recordings for tests: of a simulated axis, time (n,), s, and signals (5, n), SI; and of a real ram."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,17 @@ from hydro_env import TaskConfig
 from hydro_env.task.configuration import task_config
 
 SEED = VALIDATION_SEEDS.start + 5
+
+RAM = Path(__file__).parent / "recorded_elsewhere" / "mbari_ram.csv"
+PUMP = -0.30 * 16.387064e-3  # l per revolution; the sign is that of the flow into the upper chamber
+RAM_COLUMNS = {
+    "time": "time",
+    "command": {"column": "pump", "unit": "1", "gain": 1e-4},
+    "position": "position",
+    "pressure_a": "upper",
+    "pressure_b": "lower",
+    "flow": {"column": "pump", "unit": "l/min", "gain": PUMP},
+}
 
 
 def recorded_file(path, config=None, leakage=0.01, family="sine", faults=None, seed=SEED, duration=6.0):

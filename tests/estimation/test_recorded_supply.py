@@ -1,9 +1,8 @@
 """A supply that moves: recorded pressures drive the model, and a recorded flow needs no valve."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recorded import RAM, RAM_COLUMNS
 
 from hydro_agents.detection.detector import MeasuredColumns, Windows
 from hydro_agents.detection.disturbances import SUPPLY, Disturbances, Disturbed
@@ -23,7 +22,6 @@ from hydro_env.task.configuration import task_config
 
 CONFIG = TaskConfig(episode_duration=2.5)
 SUPPLY_PRESSURE = State._fields.index("supply_pressure")
-RAM = Path(__file__).parents[1] / "recorded_elsewhere" / "mbari_ram.csv"
 
 
 class Gauge(Disturbed):
@@ -123,20 +121,11 @@ def test_missing_readings_of_the_gauge_are_bridged():
 
 
 def test_a_real_ram_with_a_pump_gets_its_verdict_from_the_flow():
-    columns = {
-        "time": "time",
-        "command": {"column": "pump", "unit": "1", "gain": 1e-4},
-        "position": "position",
-        "pressure_a": "upper",
-        "pressure_b": "lower",
-        "flow": {"column": "pump", "unit": "l/min", "gain": -4.916119e-3},
-    }
     task = TaskConfig()
-    found = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(columns))
+    found = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(RAM_COLUMNS))
     assert found.verdict.kind is Kind.LEAK
     assert 0.18 <= found.verdict.leak.value <= 0.23
     assert "balance of volumes" in found.verdict.line()
-    without = diagnose(
-        RAM, task, load_head(None, task), ColumnMap.model_validate({k: v for k, v in columns.items() if k != "flow"})
-    )
+    columns = {name: column for name, column in RAM_COLUMNS.items() if name != "flow"}
+    without = diagnose(RAM, task, load_head(None, task), ColumnMap.model_validate(columns))
     assert without.verdict.kind is Kind.UNKNOWN

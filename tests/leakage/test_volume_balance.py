@@ -1,25 +1,13 @@
 """The leak from a measured flow: of simulated moves, and of a real ram."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from recorded import RAM, RAM_COLUMNS
 
 from hydro_agents.detection.volume_balance import leak_by_volume
 from hydro_agents.recordings.columns import BESIDE, ColumnMap
 from hydro_agents.recordings.recording import read_recording
 from hydro_env.units import LITRE_PER_MINUTE
-
-RAM = Path(__file__).parents[1] / "recorded_elsewhere" / "mbari_ram.csv"
-PUMP = -0.30 * 16.387064e-3  # l per revolution; the sign is that of the flow into the upper chamber
-COLUMNS = {
-    "time": "time",
-    "command": {"column": "pump", "unit": "1", "gain": 1e-4},
-    "position": "position",
-    "pressure_a": "upper",
-    "pressure_b": "lower",
-    "flow": {"column": "pump", "unit": "l/min", "gain": PUMP},
-}
 
 
 def moves(leak, area=9e-4, period=0.02, noise=0.0, relief=False):
@@ -59,7 +47,7 @@ def test_a_negative_leak_and_too_few_moves_have_no_answer():
 
 
 def test_a_real_ram_with_a_pump_has_the_leak_that_was_found_by_hand():
-    recording = read_recording(RAM, ColumnMap.model_validate(COLUMNS))
+    recording = read_recording(RAM, ColumnMap.model_validate(RAM_COLUMNS))
     flow = recording.beside[BESIDE.index("flow")]
     found = leak_by_volume(*recording.signals[:3], flow, 0.1)
     assert 0.18 <= found.value <= 0.23  # l/min at 100 bar, by hand

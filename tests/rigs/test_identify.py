@@ -13,6 +13,7 @@ from command_line import assert_one_clear_line, hydro, own_lines
 from published import assert_published_page
 from recorded import SEED, recorded_file
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.recordings.recording import read_recording
 from hydro_agents.rigs.advice import advise
 from hydro_agents.rigs.fit import fit_windows
@@ -231,7 +232,7 @@ def test_without_pressures_the_motion_that_would_help_is_named(folder):
     signals[:, 1:4] = np.nan
     signals[:, 0], signals[:, 4] = signals[:, 0, :1], 0.0
     signals[:, 0] += 30e-6 * np.random.default_rng(0).standard_normal(signals[:, 0].shape)
-    fit = fit_windows(signals, config, config.randomisation)
+    fit = fit_windows(Windows.of(signals), config, config.randomisation)
     assert not fit.determined[fit.names.index("load.mass")]
     assert "pressure_a_bias" not in fit.names
     advice = advise(fit, config, config.plant)

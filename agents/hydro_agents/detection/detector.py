@@ -134,6 +134,14 @@ class Windows:
             return None
         return _smooth(self.beside[:, :2])
 
+    def unrecorded(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """The unknowns without those that pressures recorded in every window replace."""
+        if self.beside is None:
+            return names
+        whole = np.asarray(np.isfinite(self.beside[:, :2]).any(axis=2).all(axis=0))
+        recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
+        return tuple(name for name in names if name not in recorded)
+
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
         """Some of the windows."""
         parts = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -150,15 +158,6 @@ def _smooth(values: Floats) -> Floats:
             whole = np.pad(np.interp(places, places[known], series[known]), SMOOTHED // 2, mode="reflect")
             row[:] = np.convolve(whole, np.full(SMOOTHED, 1.0 / SMOOTHED), mode="valid")
     return result
-
-
-def unrecorded(names: tuple[str, ...], boundary: Floats | None) -> tuple[str, ...]:
-    """The unknowns without those that recorded pressures (N, 2, T) replace."""
-    if boundary is None:
-        return names
-    whole = np.asarray(np.isfinite(boundary).all(axis=(0, 2)))
-    recorded = {name for name, known in zip(RECORDED, whole, strict=True) if known}
-    return tuple(name for name in names if name not in recorded)
 
 
 class MeasuredColumns(NamedTuple):
@@ -242,15 +241,23 @@ class Reading(NamedTuple):
         parts: Any = [one + more if isinstance(one, tuple) else np.concatenate([one, more]) for one, more in both]
         return Reading(*parts)
 
+    def part(self, chosen: NDArray[np.int64]) -> Reading:
+        """Some of the windows."""
+        values: Any = [tuple(one[row] for row in chosen) if isinstance(one, tuple) else one[chosen] for one in self]
+        return Reading(*values)
+
+    def replaced(self, chosen: NDArray[np.int64], other: Reading) -> Reading:
+        """This reading with the windows ``chosen`` as another one reads them."""
+        result: list[Any] = []
+        for values, new in zip(self, other, strict=True):
+            whole = np.array(values, dtype=object if isinstance(values, tuple) else None)
+            whole[chosen] = new
+            result.append(tuple(whole.tolist()) if isinstance(values, tuple) else whole)
+        return Reading(*result)
+
     def among(self, chosen: NDArray[np.int64], count: int, why: str) -> Reading:
         """This reading of the windows ``chosen`` as one of ``count`` windows; the others have no answer, because."""
-        result = Reading.of(np.full(count, np.nan), why=(why,) * count)
-        spread: dict[str, Any] = {}
-        for name, values, empty in zip(self._fields, self, result, strict=True):
-            whole = np.array(empty, dtype=object if isinstance(values, tuple) else None)
-            whole[chosen] = values
-            spread[name] = tuple(whole.tolist()) if isinstance(values, tuple) else whole
-        return Reading(**spread)
+        return Reading.of(np.full(count, np.nan), why=(why,) * count).replaced(chosen, self)
 
 
 class Detector(Protocol):

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows, unrecorded
+from hydro_agents.detection.detector import HALF_WIDTH, NO_COMMANDS, Cause, Floats, Reading, Windows
 from hydro_agents.estimation.estimate import estimate
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings
@@ -34,7 +34,6 @@ from hydro_env.plant.analysis import speed_limits
 from hydro_env.plant.arrays import plant_coefficients
 from hydro_env.task.configuration import task_config
 from hydro_env.task.randomisation import own_value
-from hydro_env.task.sensors import SENSORS
 from hydro_env.units import LITRE_PER_MINUTE, flow_from_resistance
 
 Progress = Callable[[int], None]
@@ -133,26 +132,25 @@ class EstimatorDetector:
         chosen = np.flatnonzero(windows.commanded)
         if not len(chosen):
             return Reading.of(np.full(len(windows), np.nan), why=(NO_COMMANDS,) * len(windows)), None
-        signals, expected = windows.signals[chosen], task_config(task, **self.changes)
-        boundary = None if windows.boundary is None else windows.boundary[chosen]
-        worn = self._fit(signals, boundary, expected, True, progress)
-        moves = self._with_moving_supply(signals, boundary, expected, worn)
+        used, expected = windows.part(chosen), task_config(task, **self.changes)
+        worn = self._fit(used, expected, True, progress)
+        moves = self._with_moving_supply(used, expected, worn)
         excess = _excess(worn, task)
         value, deviation = worn.value(LEAKAGE).copy(), worn.deviation(LEAKAGE).copy()
-        still = self._at_rest(signals, task)
+        still = self._at_rest(used, task)
         simple = np.flatnonzero(worn.holds & ~(excess > 0.0).any(axis=1) & ~still & ~moves)
         if len(simple):
             again = None if progress is None else lambda done: progress(len(chosen) + done)
-            plain, rows = self._fit_again(signals, boundary, simple, expected, worn, again)
+            plain, rows = self._fit_again(used, simple, expected, worn, again)
             better = plain.holds[rows]
             value[simple[better]] = plain.value(LEAKAGE)[rows][better]
             deviation[simple[better]] = plain.deviation(LEAKAGE)[rows][better]
         reading = self._reading(worn, excess, value, deviation, still, task)
         return reading.among(chosen, len(windows), NO_COMMANDS), worn
 
-    def _at_rest(self, signals: Floats, task: TaskConfig) -> NDArray[np.bool_]:
+    def _at_rest(self, windows: Windows, task: TaskConfig) -> NDArray[np.bool_]:
         """Windows (N,) that stand still and thus cannot show whether the valve is worn."""
-        position = signals[:, SENSORS.index("position")]
+        position = windows.signal("position")
         travel = np.fmax.reduce(position, axis=1) - np.fmin.reduce(position, axis=1)
         return np.asarray(travel < LEAST_TRAVEL * task.sensors.position.noise)
 
@@ -161,73 +159,65 @@ class EstimatorDetector:
         own = (*default_unknowns(task), *self.unknowns, *(wear_priors(task) if worn else ()))
         return tuple(dict.fromkeys(own))
 
-    def _fit(
-        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: bool, progress: Progress | None = None
-    ) -> Estimate:
-        names = unrecorded(self.names(task, worn), boundary)
+    def _fit(self, windows: Windows, task: TaskConfig, worn: bool, progress: Progress | None = None) -> Estimate:
+        names = windows.unrecorded(self.names(task, worn))
         priors = {name: prior for name, prior in wear_priors(task).items() if worn and name in names}
+        return self._estimate(windows, task, names, self.settings, progress, priors=priors)
+
+    def _estimate(
+        self,
+        windows: Windows,
+        task: TaskConfig,
+        names: tuple[str, ...],
+        settings: EstimationSettings,
+        progress: Progress | None = None,
+        **known: Any,
+    ) -> Estimate:
+        """Estimate the unknowns of windows; ``known``: priors or first values that differ from those of the task."""
         return estimate(
-            signals,
+            windows.signals,
             task,
             names,
-            priors=priors,
-            settings=self.settings,
+            settings=settings,
             threads=self.threads,
             progress=progress,
-            boundary=boundary,
+            boundary=windows.boundary,
+            **known,
         )
 
-    def _with_moving_supply(
-        self, signals: Floats, boundary: Floats | None, task: TaskConfig, worn: Estimate
-    ) -> NDArray[np.bool_]:
+    def _with_moving_supply(self, windows: Windows, task: TaskConfig, worn: Estimate) -> NDArray[np.bool_]:
         """Fit windows whose readings the model does not explain with a supply that moves; returns where it does, (N,).
 
         The better estimates replace those in ``worn``. A recorded supply moves as recorded.
         """
-        moves = np.zeros(len(signals), dtype=np.bool_)
+        moves = np.zeros(len(windows), dtype=np.bool_)
         odd = np.flatnonzero(~worn.holds | (worn.slow > 0.0).any(axis=1))
-        recorded = boundary is not None and bool(np.isfinite(boundary[:, 0]).any())
+        recorded = windows.beside is not None and bool(np.isfinite(windows.beside[:, 0]).any())
         if recorded or not len(odd):
             return moves
-        course = course_of((signals.shape[2] - 1) * task.control_period)
-        found = estimate(
-            signals[odd],
-            task,
-            (*worn.names, *course),
-            priors=wear_priors(task),
-            first={name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()},
-            settings=self.settings.model_copy(update={"horizons": (), "restarts": 0}),
-            threads=self.threads,
-            boundary=None if boundary is None else boundary[odd],
-        )
+        course = course_of((windows.samples - 1) * task.control_period)
+        first = {name: worn.value(name)[odd] for name in worn.names if np.isfinite(worn.value(name)[odd]).all()}
+        settings = self.settings.model_copy(update={"horizons": (), "restarts": 0})
+        names = (*worn.names, *course)
+        found = self._estimate(windows.part(odd), task, names, settings, priors=wear_priors(task), first=first)
         gain = worn.unlikelihood[odd] - found.unlikelihood
-        better = np.flatnonzero(found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course))))
-        worn.replace(odd[better], found.among(worn.names), better)
-        moves[odd[better]] = True
+        better = found.holds & (~worn.holds[odd] | (gain > LEAST_GAIN * len(course)))
+        moves[worn.take(odd, found, better)] = True
         return moves
 
     def _fit_again(
         self,
-        signals: Floats,
-        boundary: Floats | None,
+        windows: Windows,
         simple: NDArray[np.int64],
         task: TaskConfig,
         worn: Estimate,
         progress: Progress | None,
     ) -> tuple[Estimate, NDArray[np.int64]]:
         """Fit the windows ``simple`` without wear; returns the estimate, and the row of each of these windows in it."""
-        names = unrecorded(self.names(task, False), boundary)
+        names = windows.unrecorded(self.names(task, False))
         first = {name: worn.value(name)[simple] for name in names if name in worn.names}
-        plain = estimate(
-            signals[simple],
-            task,
-            names,
-            first=first,
-            settings=self.settings.model_copy(update={"horizons": ()}),
-            threads=self.threads,
-            progress=progress,
-            boundary=None if boundary is None else boundary[simple],
-        )
+        settings = self.settings.model_copy(update={"horizons": ()})
+        plain = self._estimate(windows.part(simple), task, names, settings, progress, first=first)
         return plain, np.arange(len(simple))
 
     def _score(self, value: Floats, deviation: Floats, task: TaskConfig) -> tuple[Floats, Floats]:

@@ -137,8 +137,7 @@ class Follower:
                     self.config, self.priors, windows[misled, -1], durations, start=start[misled], threads=self.threads
                 )
                 anew = self._anew(part, windows[misled])
-                better = np.flatnonzero(anew.misfit < found.misfit[misled])
-                found.replace(misled[better], anew, better)
+                found.take(misled, anew, anew.misfit < found.misfit[misled])
         self._before = self._hand_on(model, found, durations)
         return found
 

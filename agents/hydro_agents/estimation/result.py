@@ -48,7 +48,7 @@ class Estimate:
     spikes: Array  # (B, channels), share of the readings that are spikes, and were left out
     latency: Array  # (B,), of the command, s
     rise_time: Array  # (B,), of the pressure transducers, s
-    unlikelihood: Array  # (B,), twice the negative log-likelihood of the readings with their errors; inf: not estimated
+    unlikelihood: Array  # (B,), twice the negative log-likelihood of the readings with their errors; chi2 without
 
     def __len__(self) -> int:
         return len(self.values)
@@ -104,10 +104,19 @@ class Estimate:
         precision = np.linalg.inv(np.linalg.inv(self.precision)[:, :count, :count])
         return replace(self, names=names, **own, covariance=self.covariance[:, :count, :count], precision=precision)
 
-    def replace(self, windows: Indices, by: Estimate, its: Indices) -> None:
-        """Replace ``windows`` of this estimate by the windows ``its`` of another estimate."""
+    def take(self, windows: Indices, by: Estimate, better: NDArray[np.bool_] | None = None) -> Indices:
+        """Replace windows by those of another estimate; returns the replaced ones.
+
+        Args:
+            windows: of this estimate, (C,).
+            by: the C windows of the other estimate; further unknowns behind those of this one are left unknown.
+            better: which of them to take, (C,); ``None``: all.
+        """
+        chosen = np.arange(len(windows)) if better is None else np.flatnonzero(better)
+        by = by if by.names == self.names else by.among(self.names)
         for name in _PER_WINDOW:
-            getattr(self, name)[windows] = getattr(by, name)[its]
+            getattr(self, name)[windows[chosen]] = getattr(by, name)[chosen]
+        return windows[chosen]
 
     def _place(self, name: str) -> int:
         if name not in self.names:

@@ -90,8 +90,7 @@ def search(
         again, found = again[lower], found.part(lower)
         lowest[again] = found.chi2_per_sample
         _fit_errors(model, measured, again, begin[lower], found, belief, settings)
-        better = np.flatnonzero(found.unlikelihood < best.unlikelihood[again])
-        best.replace(again[better], found, better)
+        best.take(again, found, found.unlikelihood < best.unlikelihood[again])
     return best
 
 
@@ -123,7 +122,7 @@ def _fit_errors(
         scaled[:, own], shift = _row_of_the_command(wide, data, scaled)
         data[shift > 0, :, :UNKNOWN_COMMANDS] = np.nan  # moved by rows of the command that the window does not hold
         data[shift < 0, :, -UNKNOWN_COMMANDS:] = np.nan
-    before = scaled = _approach(wide, data, row, scaled, wider, settings)
+    scaled = _approach(wide, data, row, scaled, wider, settings)
     errors, spikes = Errors.of_data_sheet(*data.shape[:2]), np.zeros(data.shape, np.bool_)
     for attempt in range(ROUNDS):
         limit, tolerance = settings.iterations, settings.tolerance
@@ -150,7 +149,7 @@ def _fit_errors(
         again.holds[:] &= again.value(LEAKAGE) + SURE * again.deviation(LEAKAGE) >= 0.0
     again.spikes[:] = spikes.sum(axis=2) / np.maximum(known.sum(axis=2) + spikes.sum(axis=2), 1)
     again.unlikelihood[:] = unlikelihood
-    found.replace(odd, again.among(model.names), row)
+    found.take(odd, again)
 
 
 def _row_of_the_command(model: Model, measured: Array, scaled: Array) -> tuple[Array, Indices]:

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
-from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings, search
 from hydro_agents.estimation.solver import (
@@ -34,7 +35,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Report = Callable[[str, int, int], None]
 
-WELL_FITTED = 4.0  # largest misfit of an explained window, as in hydro_agents.estimation.estimate.EstimationSettings
+WELL_FITTED = EstimationSettings().largest_misfit  # of an explained window
 OUTLIER = 3.0
 """Unexplained windows whose misfit is larger than this factor times the median are left out: the search ended in a
 local minimum, or there was a disturbance."""
@@ -49,8 +50,12 @@ LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a
 
 ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
 ROUGH_TOLERANCE, TOLERANCE = 1.0, 0.02
-"""A common fit ends when a step with little damping lowers its cost by less: first with forward differences, which take
-half the time, then with central ones, which end in the minimum itself."""
+"""A common fit ends when a step with little damping lowers its cost by less: first with long differences, which bridge
+the roughness of friction, then with short ones, which alone follow a curved valley to its lowest point."""
+
+LINEARISATIONS = 3
+"""Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
+and roughness looks like information: an unknown without influence would seem to be known."""
 
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
@@ -70,7 +75,7 @@ class Joint(NamedTuple):
     shared: Indices  # (p,), indices of the shared unknowns
     information: Array  # (B, p, p), of each window about the shared unknowns, with an unknown start
     score: Array  # (B, p), derivative of each window's log-likelihood to the shared unknowns
-    misfit: Array  # (B,), as in hydro_agents.estimation.estimate.Estimate
+    misfit: Array  # (B,), as in hydro_agents.estimation.result.Estimate
     own: Indices  # (P − p,), indices of the start states
     response: Array  # (B, P − p, p), change of the most probable start states per change of the shared unknowns
     cost: float  # weighted squares of the residuals, and of the scaled unknowns
@@ -120,12 +125,14 @@ def fit_together(
         iterations: largest number.
     """
     shared, own = shared_and_own(model)
-    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, True, iterations)
+    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
     known = np.isfinite(measured)
-    linear = model.linearise(scaled, None, directions, central=True)
-    residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
-    weight, prior = channel_weights(residual, known), without(prior_belief(model, model.count).precision, shared)
-    equations = equations_of(residual, jacobian, weight, scaled, prior, shared)
+    prior = without(prior_belief(model, model.count).precision, shared)
+    for _ in range(LINEARISATIONS):
+        linear = model.linearise(scaled, None, directions, central=True)
+        residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
+        equations = equations_of(residual, jacobian, channel_weights(residual, known), scaled, prior, shared)
+        directions = model.directions(equations.precision, LONG_STEP)
     misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
     curvature = equations.curvature[:, own]
     response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
@@ -146,7 +153,7 @@ def _descend(
     shared: Indices,
     progress: Callable[[int, int], None] | None,
     tolerance: float,
-    central: bool,
+    step: float,
     iterations: int = ITERATIONS,
 ) -> tuple[Array, Array]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
@@ -160,10 +167,10 @@ def _descend(
         model.samples,
         iterations,
         tolerance,
+        step=step,
         give_up=MOST_DAMPING,
         shared=shared,
         progress=progress,
-        central=central,
     )
     return found.scaled, found.directions
 
@@ -179,69 +186,58 @@ def _cost(residual: Array, known: NDArray[np.bool_], scaled: Array, shared: Indi
     return float(likelihood.sum() + (scaled[:, own] ** 2).sum() + (scaled[0, shared] ** 2).sum())
 
 
-def common_fit(
-    signals: Array, config: TaskConfig, priors: Mapping[str, Prior], report: Report, boundary: Array | None = None
-) -> Common:
+def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], report: Report) -> Common:
     """Fit windows of one recording together.
 
     Args:
-        signals: (B, 5, T), SI, in the order of SIGNALS.
+        windows: of one recording, or of several of one axis.
         config: the task, on the rig.
         priors: of the unknowns.
         report: called with phase, done, total.
-        boundary: recorded supply and tank pressure, (B, 2, T), Pa; NaN, ``None``: those of the plant.
     """
-    report("windows", 0, len(signals))
-    alone = estimate(signals, config, list(priors), settings=ROUGHLY, boundary=boundary)
-    report("windows", len(signals), len(signals))
-    best = _common_fit(signals, config, priors, alone, report, boundary)
-    if best.explained < len(signals):
-        better = np.empty(0, np.int64)
-        if 2 * best.explained >= len(signals):
-            better = _again(signals, config, best, alone, boundary)
+    report("windows", 0, len(windows))
+    alone = _alone(windows, config, priors, ROUGHLY)
+    report("windows", len(windows), len(windows))
+    best = _common_fit(windows, config, priors, alone, report)
+    if best.explained < len(windows):
+        if 2 * best.explained >= len(windows):
+            again = np.flatnonzero(~(best.misfit < WELL_FITTED))
+            other = _nearby(windows.part(again), config, best, alone.scaled[again])
         else:
-            few = np.sort(np.argsort(alone.misfit)[:FEW])
-            other = estimate(signals[few], config, list(priors), settings=RANDOMLY, boundary=_of(boundary, few))
-            better = np.flatnonzero(other.misfit < alone.misfit[few])
-            alone.replace(few[better], other, better)
-        if len(better):
-            again = _common_fit(signals, config, priors, alone, report, boundary)
-            best = max(best, again, key=lambda one: (one.explained, -float(np.median(one.misfit))))
+            again = np.sort(np.argsort(alone.misfit)[:FEW])
+            other = _alone(windows.part(again), config, priors, RANDOMLY)
+        if len(alone.take(again, other, other.misfit < alone.misfit[again])):
+            second = _common_fit(windows, config, priors, alone, report)
+            best = max(best, second, key=lambda one: (one.explained, -float(np.median(one.misfit))))
     report("common fit", 1, 1)
     return best
 
 
-def _of(boundary: Array | None, window: Indices) -> Array | None:
-    return None if boundary is None else boundary[window]
+def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:
+    """Each window by itself."""
+    return estimate(windows.signals, config, list(priors), settings=settings, boundary=windows.boundary)
 
 
-def _again(
-    signals: Array, config: TaskConfig, found: Common, alone: Estimate, boundary: Array | None = None
-) -> Indices:
-    """Fit the windows that common values do not explain again, near these values; the better ones go to ``alone``."""
-    left = np.flatnonzero(~(found.misfit < WELL_FITTED))
-    model, joint = found.model, found.joint
-    windows = Model(config, model.priors, signals[left, -1], boundary=_of(boundary, left))
-    measured = usable_readings(signals[left], config, windows)
+def _replayed(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]) -> tuple[Model, Array]:
+    """The model of some windows, and their readings over their noise."""
+    model = Model(config, priors, windows.signals[:, -1], boundary=windows.boundary)
+    return model, usable_readings(windows.signals, config, model)
+
+
+def _nearby(windows: Windows, config: TaskConfig, found: Common, first: Array) -> Estimate:
+    """Windows that common values do not explain, fitted near these values; ``first``: where they ended, scaled."""
+    joint, (model, measured) = found.joint, _replayed(windows, config, found.model.priors)
     unknowns = len(model.names)
-    mean, precision = np.zeros((len(left), unknowns)), np.tile(np.eye(unknowns), (len(left), 1, 1))
+    mean, precision = np.zeros((len(windows), unknowns)), np.tile(np.eye(unknowns), (len(windows), 1, 1))
     mean[:, joint.shared] = joint.common
     precision[:, joint.shared[:, None], joint.shared] = joint.precision / LOOSENED
-    first = alone.scaled[left].copy()
+    first = first.copy()
     first[:, joint.shared] = joint.common
-    again = search(windows, measured, first, Belief(mean, precision), ROUGHLY)
-    better = np.flatnonzero(again.misfit < alone.misfit[left])
-    alone.replace(left[better], again, better)
-    return better
+    return search(model, measured, first, Belief(mean, precision), ROUGHLY)
 
 
 def _common_fit(
-    signals: Array,
-    config: TaskConfig,
-    priors: Mapping[str, Prior],
-    alone: Estimate,
-    report: Report,
-    boundary: Array | None = None,
+    windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], alone: Estimate, report: Report
 ) -> Common:
     """The best common fit of the consistent windows from several starting values."""
 
@@ -250,13 +246,13 @@ def _common_fit(
 
     kept = _without_outliers(alone.misfit)
     for again in (False, True):  # the second time without the outliers of the first
-        model = Model(config, priors, signals[kept, -1], boundary=_of(boundary, kept))
-        readings, shared = usable_readings(signals[kept], config, model), shared_and_own(model)[0]
+        model, readings = _replayed(windows.part(kept), config, priors)
+        shared = shared_and_own(model)[0]
         rough = [
-            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)[0]
+            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
             for first in _first_values(model, readings, alone, kept)
         ]
-        costs = _costs(model, readings, rough)
+        costs = costs_of(model, readings, rough)
         order = np.argsort(costs)
         joint = fit_together(model, readings, rough[order[0]], progress)
         still = _without_outliers(joint.misfit)
@@ -270,7 +266,7 @@ def _common_fit(
             joint, other = (joint, other) if joint.cost <= other.cost else (other, joint)
             if other.cost < joint.cost + AS_GOOD and _far(other.common, joint):
                 second = other
-    misfit = np.full(len(signals), np.inf)
+    misfit = np.full(len(windows), np.inf)
     misfit[kept] = joint.misfit
     return Common(model, readings, joint, misfit, second)
 
@@ -281,7 +277,7 @@ def _far(common: Array, joint: Joint) -> bool:
     return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
-def _costs(model: Model, readings: Array, trials: list[Array]) -> list[float]:
+def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
     """The cost of each trial, (B, P) scaled."""
     known, window = np.isfinite(readings), np.arange(model.count)
     return [
@@ -306,5 +302,5 @@ def _first_values(model: Model, readings: Array, alone: Estimate, kept: Indices)
         tried = scaled.copy()
         tried[:, shared] = candidate
         trials.append(tried)
-    order = np.argsort(_costs(model, readings, trials))
+    order = np.argsort(costs_of(model, readings, trials))
     return [trials[place] for place in order[:STARTING_VALUES]]

@@ -7,14 +7,15 @@ explain.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from hydro_agents.estimation.model import noise_of
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.recordings.findings import Finding, Weight
+from hydro_agents.rigs.found_rig import shown
 from hydro_agents.running.text import Table, number
 from hydro_env import TaskConfig
 from hydro_env.task.sensors import SENSORS
@@ -25,8 +26,33 @@ RISE_TIME_CHANGE = 1e-3  # s
 SLOW = 1.0  # slow error that is worth a line, in standard deviations of the data sheet's noise
 SPIKES = 0.002  # share of spikes that is worth a line
 
-READ_IN = {"position": (1e3, "mm"), "spool_position": (100.0, "%")}
-"""Displayed units per unit, and their name; pressures are in bar."""
+
+class _Contradicted(NamedTuple):
+    """What the recording says that the data sheet does not; ``None``, or no entry: they agree."""
+
+    latency: float | None  # s
+    rise_time: float | None  # s
+    white: dict[str, float]  # by sensor, over the noise of the data sheet
+    slow: dict[str, float]
+    spikes: dict[str, float]  # share of the readings
+
+    @classmethod
+    def of(cls, used: Estimate, task: TaskConfig) -> _Contradicted:
+        """The medians over some windows, where they are worth a line."""
+        latency, rise = float(np.median(used.latency)), float(np.median(used.rise_time))
+        late = abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period
+        slower = abs(rise - task.sensors.pressure_rise_time) > RISE_TIME_CHANGE
+        white, slow, spikes = (
+            dict(zip(SENSORS, np.median(part, axis=0).tolist(), strict=True))
+            for part in (used.white, used.slow, used.spikes)
+        )
+        return cls(
+            latency if late else None,
+            max(rise, 0.0) if slower else None,
+            {name: size for name, size in white.items() if not LESS <= size <= MORE},
+            {name: size for name, size in slow.items() if size > SLOW},
+            {name: share for name, share in spikes.items() if share > SPIKES},
+        )
 
 
 def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
@@ -38,26 +64,24 @@ def contradictions(found: Estimate, task: TaskConfig) -> list[Finding]:
     """
     used = found.part(np.flatnonzero(found.holds)) if found.holds.any() else found
     end = "used" if found.holds.any() else "the model still does not hold"
-    findings = []
-    latency = float(np.median(used.latency))
-    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
+    odd, findings = _Contradicted.of(used, task), []
+    if odd.latency is not None:
         ours = f"{number(1e3 * task.command_latency, 1)} ms"
-        what = f"acts {number(1e3 * latency, 1)} ms after its row, and not {ours} (command_latency): {end}"
+        what = f"acts {number(1e3 * odd.latency, 1)} ms after its row, and not {ours} (command_latency): {end}"
         findings.append(Finding("command", what, Weight.NOTE))
-    rise, usual = float(np.median(used.rise_time)), task.sensors.pressure_rise_time
-    if abs(rise - usual) > RISE_TIME_CHANGE:
-        what = f"rise within {number(1e3 * max(rise, 0.0), 1)} ms, and not {number(1e3 * usual, 1)} ms"
-        findings.append(Finding("pressures", f"{what} (pressure_rise_time): {end}", Weight.NOTE))
-    white, slow, spikes = (np.median(part, axis=0) for part in (used.white, used.slow, used.spikes))
-    for channel, name in enumerate(SENSORS):
-        if not LESS <= white[channel] <= MORE:
-            what = f"scatters {number(float(white[channel]), 1)} times its data sheet: {end}"
+    if odd.rise_time is not None:
+        usual = f"{number(1e3 * task.sensors.pressure_rise_time, 1)} ms"
+        what = f"rise within {number(1e3 * odd.rise_time, 1)} ms, and not {usual} (pressure_rise_time): {end}"
+        findings.append(Finding("pressures", what, Weight.NOTE))
+    for name in SENSORS:
+        if name in odd.white:
+            what = f"scatters {number(odd.white[name], 1)} times its data sheet: {end}"
             findings.append(Finding(name, what, Weight.NOTE))
-        if slow[channel] > SLOW:
-            what = f"differs slowly from the model, by {_size(name, float(slow[channel]), task)}: {end}"
+        if name in odd.slow:
+            what = f"differs slowly from the model, by {_size(name, odd.slow[name], task)}: {end}"
             findings.append(Finding(name, what, Weight.NOTE))
-        if spikes[channel] > SPIKES:
-            findings.append(Finding(name, "has spikes: left out", Weight.NOTE, share=float(spikes[channel])))
+        if name in odd.spikes:
+            findings.append(Finding(name, "has spikes: left out", Weight.NOTE, share=odd.spikes[name]))
     return findings
 
 
@@ -88,27 +112,19 @@ def lines_to_paste(found: Estimate, task: TaskConfig) -> str:
     """The contradictions as lines of a task's file; empty if there are none."""
     if not found.holds.any():
         return ""
-    used = found.part(np.flatnonzero(found.holds))
+    odd = _Contradicted.of(found.part(np.flatnonzero(found.holds)), task)
     rows, values = 0, {}
     sensors: dict[str, object] = {}
-    latency, rise = float(np.median(used.latency)), float(np.median(used.rise_time))
-    if abs(latency - task.command_latency) > LATENCY_CHANGE * task.control_period:
-        rows = math.floor(latency / task.control_period)
-        values["command_latency"] = _rounded(latency - rows * task.control_period)
-    if abs(rise - task.sensors.pressure_rise_time) > RISE_TIME_CHANGE:
-        sensors["pressure_rise_time"] = _rounded(max(rise, 0.0))
-    for channel, (name, white) in enumerate(zip(SENSORS, np.median(used.white, axis=0), strict=True)):
-        if not LESS <= white <= MORE:
-            sensors[name] = {"noise": _rounded(float(white * noise_of(task)[channel]))}
+    if odd.latency is not None:
+        rows = math.floor(odd.latency / task.control_period)
+        values["command_latency"] = _rounded(odd.latency - rows * task.control_period)
+    if odd.rise_time is not None:
+        sensors["pressure_rise_time"] = _rounded(odd.rise_time)
+    for name, white in odd.white.items():
+        sensors[name] = {"noise": _rounded(white * _noise(name, task))}
     whole: dict[str, object] = values | ({"sensors": sensors} if sensors else {})
     text: str = yaml.safe_dump(whole, sort_keys=False) if whole else ""
     return text + (f"# and in the map of the columns: command: {{rows_early: {rows}, …}}\n" if rows else "")
-
-
-def lively(signals: NDArray[np.float64], count: int) -> NDArray[np.int64]:
-    """The windows (B, 5, T) with the longest way of the command, which show best whether the model holds."""
-    way = np.nansum(np.abs(np.diff(signals[:, -1], axis=1)), axis=1)
-    return np.sort(np.argsort(-way, kind="stable")[:count])
 
 
 def _rounded(value: float) -> float:
@@ -116,5 +132,9 @@ def _rounded(value: float) -> float:
 
 
 def _size(name: str, size: float, task: TaskConfig) -> str:
-    factor, unit = READ_IN.get(name, (1e-5, "bar"))
-    return f"{number(factor * size * float(noise_of(task)[SENSORS.index(name)]), 3)} {unit}"
+    look = shown(f"{name}_bias", task.plant)
+    return f"{number(look.factor * size * _noise(name, task), 3)} {look.unit}"
+
+
+def _noise(name: str, task: TaskConfig) -> float:
+    return float(noise_of(task)[SENSORS.index(name)])

@@ -15,6 +15,7 @@ from hydro_agents.detection.estimator import EstimatorDetector
 from hydro_agents.detection.head import LeakageHead
 from hydro_agents.detection.looks import looks_at, window_of
 from hydro_agents.detection.monitor import HeadDetector
+from hydro_agents.detection.two_stage import TwoStageDetector
 from hydro_agents.detection.volume_balance import VolumeLeak, leak_by_volume
 from hydro_agents.estimation.result import Estimate, join
 from hydro_agents.recordings.columns import BESIDE, ColumnMap
@@ -22,14 +23,14 @@ from hydro_agents.recordings.findings import Finding, Weight
 from hydro_agents.recordings.quality import Checked, check_recording
 from hydro_agents.recordings.recording import Recording, read_recording
 from hydro_agents.recordings.sampling import Sampled, bridged, cut
-from hydro_agents.rigs.data_sheet import contradictions, lively, worst_signal
+from hydro_agents.rigs.data_sheet import contradictions, worst_signal
+from hydro_agents.rigs.parts import lively
 from hydro_agents.rigs.verdict import UNREAD, Limits, Verdict, by_volume, judge
 from hydro_env import TaskConfig
 
 Progress = Callable[[str, int, int], None]
 
 FIRST_WINDOWS = 2  # liveliest windows, which show whether the model describes the rig at all
-
 
 MOST_GAPS = 20
 """Longest duration of a recording including gaps, as a multiple of its sampled time; a longer one is not continuous."""
@@ -48,19 +49,19 @@ class Watched(NamedTuple):
             return f"The alarm did not watch: {self.note}."
         rate = f", set for a rate of {self.rate:g} per 100 h in healthy axes," if self.rate is not None else ""
         when = f"rose at {self.at:.1f} s" if self.at is not None else "stayed silent"
-        return f"The alarm on top of the leakage head{rate} {when}."
+        return f"The alarm{rate} {when}."
 
 
-def watch(samples: Sampled, head: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
+def watch(samples: Sampled, detector: Detector, task: TaskConfig, settings: AlarmSettings) -> Watched:
     """Run an alarm over a recording, as if the axis had been switched on at its start."""
     rate, count = settings.false_alarms_per_100_h, int(samples.place[-1]) + 1 if len(samples.place) else 0
-    if count < window_of(head, task):
-        return Watched(None, rate, "the recording is shorter than a window of the head")
+    if count < window_of(detector, task):
+        return Watched(None, rate, "the recording is shorter than a window of the detector")
     if count > MOST_GAPS * len(samples.place):
         return Watched(None, rate, "most of the time between the first and the last sample was not recorded")
     signals = np.full((1, len(samples.signals), count), np.nan)
     signals[0, :, samples.place] = samples.signals.T
-    looks = looks_at(signals, task, head, settings.interval)
+    looks = looks_at(signals, task, detector, settings.interval)
     raised = LeakAlarm(settings).follow(looks)[0].alarm[0]
     return Watched(float(looks.time[raised.argmax()]) if raised.any() else None, rate, "")
 
@@ -141,7 +142,11 @@ def diagnose(
         if not note:
             chosen = np.flatnonzero(windows.commanded)
             reading = second.read(windows.part(chosen), config).among(chosen, len(windows), NO_COMMANDS)
-            watched = watch(checked.samples, second, config, alarm) if alarm is not None else None
+        if alarm is not None and not note:
+            asked: Detector = second
+            if isinstance(head, LeakageHead) and alarm.detector.startswith("two_stage"):
+                asked = TwoStageDetector(head)
+            watched = watch(checked.samples, asked, config, alarm)
     residual = worst_signal(fitted, config) if fitted is not None else ""
     verdict = judge(checked.findings, estimator, reading, limits, window, residual)
     if balance is not None:
@@ -153,7 +158,7 @@ def _read(windows: Windows, config: TaskConfig, progress: Callable[[int], None])
     """Read all windows with the estimator; if the model explains none of the liveliest, the others are not tried."""
     detector, count = EstimatorDetector(threads=None), len(windows)
     commanded = np.flatnonzero(windows.commanded)
-    first = commanded[lively(windows.signals[commanded], FIRST_WINDOWS)]
+    first = commanded[lively(windows.part(commanded), FIRST_WINDOWS)]
     if not len(first):
         return detector.read_and_fit(windows, config)
     hasty = EstimatorDetector(threads=None, restarts=1)

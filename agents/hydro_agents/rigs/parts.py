@@ -197,6 +197,12 @@ def _most_varied(windows: Windows, most: int) -> Windows:
     return windows.part(np.sort(np.argsort(-activity, kind="stable")[:most]))
 
 
+def lively(windows: Windows, most: int) -> NDArray[np.int64]:
+    """Numbers of the windows with the longest way of the command, which show best whether the model holds."""
+    way = np.nansum(np.abs(np.diff(windows.signals[:, COMMAND], axis=1)), axis=1)
+    return np.sort(np.argsort(-way, kind="stable")[:most])
+
+
 def _with_motion(windows: Windows) -> NDArray[np.bool_]:
     """The windows (B,) of a recording to hold back: the last stretch of them with its share of the travel or more.
 
