@@ -1,10 +1,4 @@
-"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report.
-
-The trend of a growing leak is that of log10 of its estimated size, averaged over blocks that are long against a window:
-the residuals of a straight line through the blocks are nearly independent. The time to a limit has the interval of
-Fieller (*Some problems in interval estimation*, J. Royal Statistical Society B 16, 1954): all times at which the limit
-lies within the confidence band of the line.
-"""
+"""The whole job of ``hydro alarms``: simulate, calibrate on validation seeds, test on test seeds, and report."""
 
 from __future__ import annotations
 
@@ -15,7 +9,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import t as student
 
 from hydro_agents.detection.alarm import AlarmSettings, LeakAlarm
 from hydro_agents.detection.alarm_calibration import (
@@ -30,6 +23,7 @@ from hydro_agents.detection.alarm_calibration import (
     rate_with_interval,
 )
 from hydro_agents.detection.alarm_simulation import Bench, Onset, OnsetLooks, Work
+from hydro_agents.detection.growth import growth
 from hydro_agents.detection.looks import Activity, Looks
 from hydro_agents.running.seeds import (
     ALARM_CALIBRATION,
@@ -40,7 +34,7 @@ from hydro_agents.running.seeds import (
     ALARMS,
     SeedRange,
 )
-from hydro_agents.running.statistics import CONFIDENCE, Interval, share_interval
+from hydro_agents.running.statistics import Interval, share_interval
 from hydro_env.files import Group
 
 LEVELS = (0.1, 0.3, 1.0)  # leaks of the onsets, l/min at 100 bar; the alarm is designed for the first
@@ -58,7 +52,7 @@ FAULTS = (
 LIMIT_LPM = 1.0  # the size to which growing leaks are extrapolated
 
 
-BLOCK, LEAST_BLOCKS = 10.0, 5  # s, length of the blocks of looks for the trend of a growing leak; fewest of them
+BLOCK, FEWEST_LOOKS = 10.0, 4  # s, length of the blocks of looks for the trend of a growing leak; fewest looks of one
 
 
 class AlarmJob(Group):
@@ -144,7 +138,7 @@ def run_job(bench: Bench, job: AlarmJob) -> Result:
         "delays": delay_table(settings, after[: len(leaks)]),
         "from_the_start": share_table(settings, [(name, looks[name][0]) for name in starts]),
         "other_faults": fault_table(settings, after[len(leaks) :]),
-        "growth": growth_summary(growth_table(growing[0], LIMIT_LPM, LEVELS[0])),
+        "growth": growth_summary(growth_table(growing[0], LIMIT_LPM)),
     }
     return Result(settings, tables)
 
@@ -221,84 +215,39 @@ def fault_table(settings: AlarmSettings, onsets: Sequence[OnsetLooks]) -> pd.Dat
     return pd.DataFrame(rows)
 
 
-class Growth(NamedTuple):
-    """Trend of one axis; NaN where there are too few looks, infinity where the limit is never reached."""
-
-    decades_per_hour: Interval
-    hours_to_limit: Interval  # from the last look on; 0: reached already
-
-
-def growth(time: NDArray[Any], flow_lpm: NDArray[Any], limit_lpm: float, least_lpm: float = 0.0) -> Growth:
-    """Growth of the leak of one axis.
-
-    Args:
-        time: (L,), s, of the looks.
-        flow_lpm: (L,), estimated leak, l/min at 100 bar; NaN: no estimate.
-        limit_lpm: the limit, l/min at 100 bar.
-        least_lpm: smallest size that the detector can read; blocks up to the last one below it are left out.
-    """
-    unknown = Interval(np.nan, np.nan, np.nan)
-    flow = np.asarray(flow_lpm, dtype=np.float64)
-    known = np.isfinite(flow) & (flow > 0.0)
-    hours, size = np.asarray(time, dtype=np.float64)[known] / 3600.0, np.log10(flow[known])
-    if not len(hours):
-        return Growth(unknown, unknown)
-    which = np.unique(((hours - hours[0]) * 3600.0 / BLOCK).astype(np.int64), return_inverse=True)[1]
-    counts = np.bincount(which)
-    x, y = np.bincount(which, hours) / counts, np.bincount(which, size) / counts
-    below = np.flatnonzero(y < np.log10(max(least_lpm, 1e-12)))
-    x, y = (values[below[-1] + 1 :] if len(below) else values for values in (x, y))
-    if len(x) < LEAST_BLOCKS:
-        return Growth(unknown, unknown)
-    centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
-    slope = float(((x - centre) * y).sum() / spread)
-    level = float(y.mean())
-    freedom = len(x) - 2
-    variance = float(((y - level - slope * (x - centre)) ** 2).sum()) / freedom
-    factor = float(student.ppf(0.5 * (1.0 + CONFIDENCE), freedom))
-    half = factor * np.sqrt(variance / spread)
-    missing = float(np.log10(limit_lpm)) - level
-    end = float(hours[-1] - centre)
-    low, high = _crossing(slope, missing, factor**2 * variance, len(x), spread)
-    expected = missing / slope if slope > 0.0 else (-np.inf if missing <= 0.0 else np.inf)
-    ahead = [max(value - end, 0.0) for value in (expected, low, high)]
-    return Growth(Interval(slope, slope - half, slope + half), Interval(*ahead))
-
-
-def _crossing(slope: float, missing: float, width: float, count: int, spread: float) -> tuple[float, float]:
-    """Times x after the centre that bound (missing − slope · x)² ≤ width · (1/count + x²/spread)."""
-    a = slope**2 - width / spread
-    b = -2.0 * slope * missing
-    c = missing**2 - width / count
-    inside = b * b - 4.0 * a * c
-    if a > 0.0 and slope > 0.0:  # the trend is significant: two ends
-        root = np.sqrt(max(inside, 0.0))
-        return (-b - root) / (2.0 * a), (-b + root) / (2.0 * a)
-    if a > 0.0:  # it falls significantly
-        return (-np.inf, -np.inf) if missing <= 0.0 else (np.inf, np.inf)
-    if inside < 0.0 or c <= 0.0:  # nothing excluded
-        return -np.inf, np.inf
-    root = np.sqrt(inside)  # a < 0: outside both roots
-    return max((-b - root) / (2.0 * a), (-b + root) / (2.0 * a)), np.inf
-
-
-def growth_table(found: OnsetLooks, limit_lpm: float, least_lpm: float) -> pd.DataFrame:
+def growth_table(found: OnsetLooks, limit_lpm: float) -> pd.DataFrame:
     """Predictions for growing leaks at half of a limit: does the interval contain the true time to the limit?
+
+    Looks at an axis that stands are left out: they read a leak too small. The others are averaged over blocks.
 
     Args:
         found: looks at axes whose leaks grow beyond the limit.
         limit_lpm: the limit, l/min at 100 bar.
-        least_lpm: smallest size that the detector can read.
     """
-    rows = []
-    for truth, flow in zip(found.after.true_flow_lpm, found.after.flow_lpm, strict=True):
+    rows, time = [], found.after.time
+    for truth, flow, activity in zip(
+        found.after.true_flow_lpm, found.after.flow_lpm, found.after.activity, strict=True
+    ):
         half, full = (int(np.argmax(truth >= share * limit_lpm)) for share in (0.5, 1.0))
-        trend = growth(found.after.time[: half + 1], flow[: half + 1], limit_lpm, least_lpm)
-        left = float(found.after.time[full] - found.after.time[half]) / 3600.0
-        expected = trend.hours_to_limit
-        row = {"hours_left": left, **expected.columns("expected_hours")}
-        rows.append(row | {"holds": float(expected.low <= left <= expected.high)})
+        middle, size = _blocks(time, np.where(activity > Activity.STANDING, flow, np.nan), half + 1)
+        ahead, left = growth(middle, size, limit_lpm).ahead, float(time[full] - time[half])
+        since = float(time[half] - middle[-1]) if len(middle) else 0.0
+        expected = Interval(*(max(value - since, 0.0) / 3600.0 for value in ahead))
+        row = {"hours_left": left / 3600.0, **expected.columns("expected_hours")}
+        rows.append(row | {"holds": float(expected.low <= left / 3600.0 <= expected.high)})
     return pd.DataFrame(rows)
+
+
+def _blocks(time: NDArray[Any], flow_lpm: NDArray[Any], looks: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Mean time in s and geometric mean of the leak in each block of the first looks that holds FEWEST_LOOKS."""
+    known = np.isfinite(flow_lpm[:looks]) & (flow_lpm[:looks] > 0.0)
+    when, size = time[:looks][known], np.log10(flow_lpm[:looks][known])
+    if not len(when):
+        return when, size
+    which = ((when - when[0]) / BLOCK).astype(np.int64)
+    counts = np.maximum(np.bincount(which), 1)
+    enough = np.bincount(which) >= FEWEST_LOOKS
+    return (np.bincount(which, when) / counts)[enough], 10.0 ** (np.bincount(which, size) / counts)[enough]
 
 
 def growth_summary(table: pd.DataFrame) -> pd.DataFrame:

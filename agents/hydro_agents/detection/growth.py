@@ -1,0 +1,169 @@
+"""The trend of a growing leak, and the time until its size reaches a limit.
+
+The model: log10 of the size is level, then from a knee on rises in a straight line. The errors of the readings have two
+parts, one that is independent from reading to reading, and one that lasts (an exponential correlation): readings in one
+manner of operation err alike. Knee, share and length of the lasting part are averaged over, each weighted by how well
+it explains the readings (Bayes, with flat priors of level and slope); level, slope and size of the errors have closed
+forms (Student's t). A straight line with independent errors, without this average, gives intervals that are too narrow.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.stats import t as student
+
+from hydro_agents.running.statistics import Interval
+
+INSIDE = 0.9  # probability of the intervals
+EARLIEST = 0.01  # probability that the limit is reached before "not before"
+FEWEST = 5  # readings, for a trend
+MOST = 150  # readings; more are averaged
+LASTING = (0.3, 0.6, 0.9)  # shares of the lasting errors in the variance, beside none
+LENGTHS = (0.03, 0.1, 0.3)  # of the lasting errors, as a share of the time between the first and the last reading
+KNEES = 10  # places of the knee, beside the first reading
+STRAIGHT = 0.5  # probability beforehand of no knee, and of no lasting errors
+AFTER_KNEE = 3  # fewest readings after the knee
+KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
+FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
+NEGLIGIBLE = 1e-4  # weight relative to the largest one
+LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
+
+Floats = NDArray[np.float64]
+
+
+class Growth(NamedTuple):
+    """Trend of one axis in the caller's unit of time; NaN where there are too few readings."""
+
+    rate: Interval  # decades per unit of time
+    ahead: Interval  # time from the last reading to the limit; 0: reached already, infinity: never
+    not_before: float  # the same, which the limit is reached before with a probability of EARLIEST
+    grows: float  # probability that it grows
+    level: Interval  # size at the last reading
+
+    @classmethod
+    def unknown(cls) -> Growth:
+        """No trend."""
+        nothing = Interval(np.nan, np.nan, np.nan)
+        return cls(nothing, nothing, np.nan, np.nan, nothing)
+
+
+class _Part(NamedTuple):
+    """Trend for one knee and one kind of errors: a Student distribution of level and slope."""
+
+    mean: Floats  # (2,), log10 of the size at the last reading, and slope
+    spread: Floats  # (2, 2)
+    weight: float  # logarithm
+
+
+def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike | None = None) -> Growth:
+    """Growth of the leak of one axis.
+
+    Args:
+        time: (L,), rising, of the readings.
+        size: (L,), the leak; NaN: no reading.
+        limit: of the size, in its unit.
+        deviation: (L,), standard deviation of the size; ``None``: alike in all readings, as a share of the size.
+    """
+    when, what = (np.asarray(values, dtype=np.float64) for values in (time, size))
+    known = np.isfinite(what) & np.isfinite(when)
+    if deviation is None:
+        known &= what > 0.0
+        y, error = np.log10(np.where(known, what, 1.0)), np.full(len(what), np.nan)
+    else:
+        sigma = np.asarray(deviation, dtype=np.float64)
+        known &= np.isfinite(sigma)
+        least = 0.01 * limit
+        y = np.log10(0.5 * (what + np.hypot(what, 2.0 * least)))  # of sizes about zero, too
+        error = np.hypot(sigma / np.hypot(what, 2.0 * least) / np.log(10.0), LEAST_ERROR)
+    if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
+        return Growth.unknown()
+    x, y, error = _averaged(when[known], y[known], error[known])
+    now, span = float(x[-1]), float(x[-1] - x[0])
+    parts = _parts((x - now) / span, y, error)
+    freedom = len(x) - 2 + (KNOWN_FREEDOM if deviation is not None else 0.0)
+    weight = np.exp(np.array([part.weight for part in parts]) - max(part.weight for part in parts))
+    likely = np.flatnonzero(weight > NEGLIGIBLE)
+    weight = weight[likely] / weight[likely].sum()
+    mean, spread = (np.array([parts[k][field] for k in likely]) for field in (0, 1))
+
+    def beyond(ahead: ArrayLike, logarithm: float) -> Floats:
+        """Probability that the trend is above a size at times after the last reading, in spans."""
+        row = np.atleast_1d(np.asarray(ahead, dtype=np.float64))[:, None]
+        middle = mean[:, 0] + row * mean[:, 1]
+        variance = spread[:, 0, 0] + 2.0 * row * spread[:, 0, 1] + row**2 * spread[:, 1, 1]
+        return np.asarray(student.cdf((middle - logarithm) / np.sqrt(variance), freedom) @ weight)
+
+    def mixed(column: int) -> Interval:
+        """Quantiles of level or slope."""
+        half = np.sqrt(spread[:, column, column])
+        ends = mean[:, column] + np.outer([-12.0, 12.0], half)
+        grid = np.linspace(ends.min(), ends.max(), 1001)
+        below = student.cdf((grid[:, None] - mean[:, column]) / half, freedom) @ weight
+        low, value, high = np.interp([0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE], below, grid)
+        return Interval(float(value), float(low), float(high))
+
+    ahead = np.concatenate([[0.0], np.geomspace(1e-4, FARTHEST, 700)])
+    reached = np.maximum.accumulate(beyond(ahead, float(np.log10(limit))))
+
+    def when_reached(probability: float) -> float:
+        place = int(np.searchsorted(reached, probability))
+        if place == 0 or place == len(ahead):
+            return 0.0 if place == 0 else np.inf
+        return span * float(np.interp(probability, reached[place - 1 : place + 1], ahead[place - 1 : place + 1]))
+
+    rate, level = mixed(1), mixed(0)
+    slopes = student.cdf(mean[:, 1] / np.sqrt(spread[:, 1, 1]), freedom)
+    low, value, high = (when_reached(share) for share in (0.5 - 0.5 * INSIDE, 0.5, 0.5 + 0.5 * INSIDE))
+    return Growth(
+        Interval(*(part / span for part in rate)),
+        Interval(value, low, high),
+        when_reached(EARLIEST),
+        float(slopes @ weight),
+        Interval(*(float(10.0**part) for part in level)),
+    )
+
+
+def _averaged(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:
+    """At most MOST readings, each the mean of neighbours."""
+    if len(x) <= MOST:
+        return x, y, error
+    groups = np.array_split(np.arange(len(x)), MOST)
+    means = [np.array([values[group].mean() for group in groups]) for values in (x, y, error)]
+    return means[0], means[1], means[2]
+
+
+def _parts(x: Floats, y: Floats, error: Floats) -> list[_Part]:
+    """The trend for each knee and each kind of errors; ``x`` is −1 at the first and 0 at the last reading."""
+    given = bool(np.isfinite(error).all())
+    usual = error if given else np.ones(len(x))
+    scale = float(np.sqrt(np.mean(usual**2)))
+    own = np.diag((usual / scale) ** 2)
+    known = KNOWN_FREEDOM * scale**2 if given else 0.0
+    later = np.flatnonzero(np.arange(len(x)) <= len(x) - AFTER_KNEE - 1)[1:]
+    knees = x[np.unique(later[np.linspace(0, len(later) - 1, min(KNEES, len(later))).astype(np.int64)])]
+    kinds = [(0.0, 1.0, STRAIGHT)]
+    kinds += [(share, length, (1.0 - STRAIGHT) / 9.0) for share in LASTING for length in LENGTHS]
+    distance, found = np.abs(x[:, None] - x), []
+    for share, length, kind in kinds:
+        factor = cho_factor((1.0 - share) * own + share * np.exp(-distance / length), lower=True)
+        for knee, first in ((x[0], STRAIGHT), *((place, (1.0 - STRAIGHT) / len(knees)) for place in knees)):
+            found.append(_part(x, y, factor, knee, known, np.log(kind * first), given))
+    return found
+
+
+def _part(x: Floats, y: Floats, factor: Any, knee: float, known: float, before: float, given: bool) -> _Part:
+    bent = np.maximum(x, knee)  # level before the knee; 0 at the last reading
+    design = np.column_stack([np.ones(len(x)), bent])
+    weighted = cho_solve(factor, design)
+    information = design.T @ weighted
+    mean = np.linalg.solve(information, weighted.T @ y)
+    rest = y - design @ mean
+    squares = float(rest @ cho_solve(factor, rest)) + known + 1e-12
+    freedom = len(x) - 2 + (KNOWN_FREEDOM if given else 0.0)
+    weight = before - np.log(np.diag(factor[0])).sum() - 0.5 * np.linalg.slogdet(information)[1]
+    weight -= 0.5 * freedom * np.log(squares)
+    return _Part(mean, squares / freedom * np.linalg.inv(information), float(weight))
