@@ -1,8 +1,8 @@
 """What `hydro trend` says over 60 days of simulated axes: the date of a limit, and healthy axes that raise anything.
 
-Run: python benchmarks/trend.py results/trend_benchmark [--axes 20] [--days 60] [--windows 2] [--validation]
+Run: python benchmarks/trend.py results/trend_benchmark [--axes 20] [--days 60] [--windows 1] [--validation]
 
-Each axis has a plant of its own, whose leak at 40 °C grows by a decade in 40 days, or is healthy. On each day 12 s are
+Each axis has a plant of its own, whose leak at 40 °C grows by a decade in 40 days, or is healthy. On each day 30 s are
 recorded in another motion and with other noise, at an oil temperature of 25 to 60 °C that the leak follows; 5 % of the
 rows are lost. The seal is repaired on two days that are marked. Recording, choice of windows, checks, estimator, oil
 and verdict are those of the command; the thermometer errs by 1 K, the oil's viscosity at 100 °C by 3 %, and the file
@@ -36,9 +36,9 @@ from hydro_agents.running.seeds import TREND_CALIBRATION, TRENDS
 from hydro_agents.running.statistics import share_interval
 from hydro_env import TaskConfig
 
-LENGTH, LOST = 12.0, 0.05  # s of a day that are recorded; share of lost rows
+LENGTH, LOST = 30.0, 0.05  # s of a day that are recorded; share of lost rows
 FAMILIES = ("point_to_point", "multi_sine", "staircase", "ramp", "start_stop", "sine", "step")
-SHIFT = 4.0  # s, by which the recording of one week begins later than that of the week before
+SHIFT = 30.0  # s, by which the recording of one week begins later than that of the week before
 WEEKS = 9
 GROWTH = 1.0 / 40.0  # decades a day
 LIMIT = 0.3  # l/min at 100 bar and 40 °C
@@ -118,7 +118,7 @@ def judge(seed: int, found: dict[str, Any], axis: Axis, grows: bool) -> dict[str
     since = axis.repairs[0]
     crossing = since + np.log10(LIMIT / axis.leak[since]) / GROWTH if grows else np.inf
     for day in range(SLOWEST - 1, days):
-        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, {})[0]
+        trend = trends_of(table.iloc[: day + 1], {f"{seed}": LIMIT}, {}, Oil.of("46"))[0]
         if not grows:
             raised += trend.state in (Kind.LEAK, Kind.OTHER) or trend.dated or trend.growth.ahead.value == 0.0
         elif since <= day < min(crossing, axis.repairs[1]) and axis.leak[day] >= 0.5 * LIMIT:
@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--axes", type=int, default=20, help="that grow, and as many healthy ones")
     parser.add_argument("--days", type=int, default=60)
-    parser.add_argument("--windows", type=int, default=2, help="of a day")
+    parser.add_argument("--windows", type=int, default=1, help="of a day")
     parser.add_argument("--jobs", type=int, default=None)
     parser.add_argument("--validation", action="store_true", help="validation seeds instead of test seeds")
     given = parser.parse_args()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -68,8 +69,9 @@ def diagnose(
     weights = LeakageHead.load(head or pretrained_folder() / "leakage_head")
     mapped = read_map(columns) if columns is not None else None
     settings = AlarmSettings.load(alarm) if alarm is not None else None
-    with guesses_shown(), ProgressDisplay() as display:
-        found = diagnose_recording(recording, config, weights, mapped, window, settings, display.update)
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        progress = display.update if display is not None else None
+        found = diagnose_recording(recording, config, weights, mapped, window, settings, progress)
     lines = diagnose_to_folder(output, found, overwrite, command_line())
     say(*([json.dumps(in_json(found), indent=1, ensure_ascii=False)] if as_json else lines))
     raise typer.Exit(EXIT_CODES[found.verdict.kind])
@@ -128,8 +130,8 @@ def trend(
     given = Watch(
         append, columns or [], task, rig or [], oil, temperature, limit, repaired or [], hourly, axis_column, jobs
     )
-    with guesses_shown(), ProgressDisplay() as display:
-        found = watch(recordings, given, command_line(), display.update)
+    with guesses_shown(), nullcontext() if as_json else ProgressDisplay() as display:
+        found = watch(recordings, given, command_line(), display.update if display is not None else None)
     for line in found.left_out:
         print(f"hydro: left out: {line}", file=sys.stderr)
     say(*([json.dumps(found.json(), indent=1, ensure_ascii=False)] if as_json else found.lines()))

@@ -5,6 +5,8 @@ parts, one that is independent from reading to reading, and one that lasts (an e
 manner of operation err alike. Knee, share and length of the lasting part are averaged over, each weighted by how well
 it explains the readings (Bayes, with flat priors of level and slope); level, slope and size of the errors have closed
 forms (Student's t). A straight line with independent errors, without this average, gives intervals that are too narrow.
+A reading far from the line through its neighbours is left out. An error that all readings share, as of a thermometer,
+moves the level, and widens what is said about it.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ STRAIGHT = 0.5  # probability beforehand of no knee, and of no lasting errors
 AFTER_KNEE = 3  # fewest readings after the knee
 KNOWN_FREEDOM = 4.0  # degrees of freedom that standard deviations of the readings are worth
 FARTHEST = 100.0  # time to the limit that counts as never, as a multiple of the time of the readings
+NEIGHBOURS, FAR, MOST_USUAL = 4, 4.0, 0.7
+"""Readings on either side with which one is compared; largest distance in standard deviations; least share inside."""
 NEGLIGIBLE = 1e-4  # weight relative to the largest one
 LEAST_ERROR = 0.01  # decades, standard deviation that no reading beats
 
@@ -59,7 +63,9 @@ class _Part(NamedTuple):
     weight: float  # logarithm
 
 
-def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike | None = None) -> Growth:
+def growth(
+    time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike | None = None, common: float = 0.0
+) -> Growth:
     """Growth of the leak of one axis.
 
     Args:
@@ -67,6 +73,7 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike 
         size: (L,), the leak; NaN: no reading.
         limit: of the size, in its unit.
         deviation: (L,), standard deviation of the size; ``None``: alike in all readings, as a share of the size.
+        common: standard deviation of an error that all readings share, decades.
     """
     when, what = (np.asarray(values, dtype=np.float64) for values in (time, size))
     known = np.isfinite(what) & np.isfinite(when)
@@ -79,6 +86,7 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike 
         least = 0.01 * limit
         y = np.log10(0.5 * (what + np.hypot(what, 2.0 * least)))  # of sizes about zero, too
         error = np.hypot(sigma / np.hypot(what, 2.0 * least) / np.log(10.0), LEAST_ERROR)
+    known[known] = _usual(when[known], y[known], error[known])
     if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
         return Growth.unknown()
     x, y, error = _averaged(when[known], y[known], error[known])
@@ -89,6 +97,7 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike 
     likely = np.flatnonzero(weight > NEGLIGIBLE)
     weight = weight[likely] / weight[likely].sum()
     mean, spread = (np.array([parts[k][field] for k in likely]) for field in (0, 1))
+    spread[:, 0, 0] += common**2
 
     def beyond(ahead: ArrayLike, logarithm: float) -> Floats:
         """Probability that the trend is above a size at times after the last reading, in spans."""
@@ -125,6 +134,25 @@ def growth(time: ArrayLike, size: ArrayLike, limit: float, deviation: ArrayLike 
         float(slopes @ weight),
         Interval(*(float(10.0**part) for part in level)),
     )
+
+
+def _usual(x: Floats, y: Floats, error: Floats) -> NDArray[np.bool_]:
+    """Readings that are not far from the line through their neighbours (Theil and Sen: medians of slope and level)."""
+    count, reach = len(x), 2 * NEIGHBOURS
+    if count <= reach:
+        return np.ones(count, dtype=np.bool_)
+    rest = np.empty(count)
+    for k in range(count):
+        first = min(max(k - NEIGHBOURS, 0), count - 1 - reach)
+        near = np.delete(np.arange(first, first + reach + 1), k - first)
+        one, two = np.triu_indices(reach, 1)
+        step = x[near][two] - x[near][one]
+        slopes = (y[near][two] - y[near][one])[step > 0.0] / step[step > 0.0]
+        slope = float(np.median(slopes)) if len(slopes) else 0.0
+        rest[k] = y[k] - np.median(y[near] - slope * (x[near] - x[k]))
+    usual = 1.483 * float(np.median(np.abs(rest)))
+    inside = np.abs(rest) <= FAR * np.fmax(usual, np.nan_to_num(error))
+    return inside if inside.mean() >= MOST_USUAL else np.ones(count, dtype=np.bool_)
 
 
 def _averaged(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, Floats]:

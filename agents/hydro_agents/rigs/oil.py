@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydro_agents.detection.detector import Reading
+from hydro_agents.detection.detector import HALF_WIDTH, Reading
 from hydro_env import ConfigurationError
 from hydro_env.mistakes import unknown
 
@@ -23,6 +23,8 @@ REFERENCE = 40.0  # °C, to which leaks are referred
 UNKNOWN_TEMPERATURE = (20.0, 60.0)  # °C, of an oil without a thermometer
 COLDEST, HOTTEST = -30.0, 120.0  # °C, of an oil in use
 KELVIN = 273.15
+THERMOMETER = 1.5
+"""K, standard deviation by which the oil in the gap differs from what a thermometer in tank or line reads; assumed."""
 WITHIN = 0.9  # share of the range of an unknown temperature that its interval holds
 
 GRADES = {10: 2.66, 15: 3.41, 22: 4.29, 32: 5.36, 46: 6.76, 68: 8.73, 100: 11.4, 150: 15.0, 220: 19.4, 320: 25.0}
@@ -89,6 +91,21 @@ class Oil(NamedTuple):
         return f"{grade} ({self.at_40:g} and {self.at_100:g} mm²/s at 40 and 100 °C)"
 
 
+def common_error(oil: Oil, temperature: float, between: tuple[float, float]) -> float:
+    """Standard deviation, in decades, of the error that all sizes at the reference share: of the thermometer.
+
+    Args:
+        oil: in the axis.
+        temperature: usual one, °C; NaN: unknown.
+        between: lowest and highest possible temperature where it is unknown, °C.
+    """
+    known = bool(np.isfinite(temperature))
+    middle = temperature if known else 0.5 * (between[0] + between[1])
+    half = 0.0 if known else 0.5 * WITHIN * (between[1] - between[0]) / HALF_WIDTH
+    ends = oil.factor(middle + np.hypot(half, THERMOMETER) * np.array([-1.0, 1.0]))
+    return float(0.5 * np.log10(ends[0] / ends[1]))
+
+
 def temperature_range(text: str) -> tuple[float, float]:
     """Lowest and highest temperature in °C from ``20..60``, or from one number.
 
@@ -114,14 +131,13 @@ def referred(reading: Reading, oil: Oil, temperature: Floats, between: tuple[flo
         temperature: of each window, °C, (N,); NaN: unknown.
         between: lowest and highest possible temperature where it is unknown, °C; the intervals are widened by it.
     """
-    middle, half = 0.5 * (between[0] + between[1]), 0.5 * WITHIN * (between[1] - between[0])
     known = np.isfinite(temperature)
-    best = np.where(known, oil.factor(np.where(known, temperature, middle)), oil.factor(middle))
-    thin, thick = oil.factor(middle + half), oil.factor(middle - half)
-    value = best * reading.flow_lpm
-    size = np.maximum(reading.flow_lpm, 0.0)
-    down = np.where(known, 0.0, (best - thin) * size)
-    up = np.where(known, 0.0, (thick - best) * size)
-    low = value - np.hypot(value - best * reading.low_lpm, down)
-    high = value + np.hypot(best * reading.high_lpm - value, up)
+    middle, half = 0.5 * (between[0] + between[1]), 0.5 * WITHIN * (between[1] - between[0])
+    best = np.where(known, temperature, middle)
+    reach = np.hypot(np.where(known, 0.0, half), HALF_WIDTH * THERMOMETER)
+    factor, size = oil.factor(best), np.maximum(reading.flow_lpm, 0.0)
+    down, up = (factor - oil.factor(best + reach)) * size, (oil.factor(best - reach) - factor) * size
+    value = factor * reading.flow_lpm
+    low = value - np.hypot(factor * (reading.flow_lpm - reading.low_lpm), down)
+    high = value + np.hypot(factor * (reading.high_lpm - reading.flow_lpm), up)
     return reading._replace(flow_lpm=value, low_lpm=low, high_lpm=high)

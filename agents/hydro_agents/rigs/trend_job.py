@@ -126,7 +126,7 @@ def watch(places: Sequence[Path], how: Watch, command: str = "", progress: Repor
         axes = sorted(set(table["axis"]))
         configs |= _configs(how, set(axes))  # names of a column
         limits = {axis: how.limit or USUAL_LIMIT * leak_scale(configs[axis]) for axis in axes}
-        trends = trends_of(table, limits, repairs_of(how.repaired, axes))
+        trends = trends_of(table, limits, repairs_of(how.repaired, axes), settings.oil, settings.between)
         render_trend(trends, table, how.table.name, left_out, Origin.now(command)).write(page)
     return Watched(trends, len(new) - len(left_out), len(files) - len(new), left_out, _clocks(table), how.table, page)
 

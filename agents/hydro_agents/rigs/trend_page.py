@@ -21,7 +21,7 @@ from hydro_agents.report.sections import Block, Fold, Points, Text, render_page,
 from hydro_agents.rigs.trend_summary import DAY, AxisTrend, date_text
 from hydro_agents.rigs.verdict import Kind
 from hydro_agents.running.machine import Origin
-from hydro_agents.running.text import Cell, Table, capitalised, number
+from hydro_agents.running.text import Cell, Table, number
 
 TREND = ("planned", "sizes_over_time", "axes_in_numbers", "all_readings", "how_trends_are_read")
 SOURCES = Markup("Numbers: <code>{}</code> beside this page.")
@@ -100,16 +100,18 @@ def planned(content: Content) -> list[Block]:
     ordered = by_urgency(content.part("trends", list))
     urgent = [one for one in ordered if one.dated or one.growth.ahead.value == 0.0 or one.state is Kind.LEAK]
     others = [one for one in ordered if one not in urgent]
-    blocks: list[Block] = [Text(capitalised(line), "verdict worse") for line in lines_of(urgent)[:10]]
+    blocks: list[Block] = [Text(line, "verdict worse") for line in lines_of(urgent)[:10]]
     if not urgent:
         blocks.append(Text("No axis leaks or will reach its limit in sight.", "verdict good"))
     odd = [one for one in others if one.state is not Kind.HEALTHY]
-    blocks += [Text(capitalised(line)) for line in lines_of(odd)[:10]]
+    blocks += [Text(line) for line in lines_of(odd)[:10]]
     quiet = len(others) - len(odd)
     if quiet:
         blocks.append(Text(f"{quiet} of {len(ordered)} axes: healthy, no date in sight.", "soft"))
+    blocks.append(Text(f"Last reading: {date_text(max(float(one.time[-1]) for one in ordered))}.", "soft"))
     left = content.part("left_out", list)
-    return [*blocks, *([Fold(f"{len(left)} files were not read", [Points(left)], style="caution")] if left else [])]
+    title = "One file was not read" if len(left) == 1 else f"{len(left)} files were not read"
+    return [*blocks, *([Fold(title, [Points(left)], style="caution")] if left else [])]
 
 
 @section("Sizes over time", needs=("trends",))
@@ -137,10 +139,10 @@ def axes_in_numbers(content: Content) -> list[Block]:
                 f"{number(30.0 * rate.value, 2, signed=True)}" if one.growth.grows >= 0.95 else "–",
                 f"{dates[0]} ({dates[1]} to {dates[2]})" if one.dated else "–",
                 dates[3] if one.growth.not_before < 365.0 else "–",
-                f"{len(one.time)}, last {date_text(float(one.time[-1]))}",
+                f"{len(one.time)}",
             )
         )
-    header = ("Axis", "Now", "l/min (90 %)", "Decades in 30 days", "Limit reached (90 %)", "Not before", "Readings")
+    header = ("Axis", "Now", "l/min (90 %)", "Decades a month", "At the limit (90 %)", "Not before", "Readings")
     return [Table("Leaks at 100 bar and 40 °C", header, rows, folded=False)]
 
 

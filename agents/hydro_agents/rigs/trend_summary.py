@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import HALF_WIDTH
 from hydro_agents.detection.growth import Growth, growth
+from hydro_agents.rigs.oil import UNKNOWN_TEMPERATURE, Oil, common_error
 from hydro_agents.rigs.trend_table import seconds, stamp
 from hydro_agents.rigs.verdict import EXIT_CODES, Kind
 from hydro_agents.running.text import decimals_for, number
@@ -45,8 +46,9 @@ class AxisTrend(NamedTuple):
         return self.growth.grows >= SURE and self.growth.ahead.value <= FARTHEST
 
     def date(self, days: float) -> str:
-        """A date so many days after the last reading."""
-        return date_text(float(self.time[-1]) + DAY * days)
+        """A date so many days after the last reading; with its year if it is another one."""
+        then = date_text(float(self.time[-1]) + DAY * days)
+        return then.removesuffix(date_text(float(self.time[-1]))[-5:])
 
     def sentence(self) -> str:
         """What a planner needs."""
@@ -93,7 +95,11 @@ _ENDS = {"expected": "value", "low": "low", "high": "high"}
 
 
 def trends_of(
-    table: pd.DataFrame, limits: Mapping[str, float], repairs: Mapping[str, Sequence[float]]
+    table: pd.DataFrame,
+    limits: Mapping[str, float],
+    repairs: Mapping[str, Sequence[float]],
+    oil: Oil,
+    between: tuple[float, float] = UNKNOWN_TEMPERATURE,
 ) -> list[AxisTrend]:
     """The trend of each axis of a table, in the order of their names.
 
@@ -101,14 +107,18 @@ def trends_of(
         table: of :func:`~hydro_agents.rigs.trend_table.read_table`.
         limits: by axis, l/min at 100 bar and 40 °C.
         repairs: by axis, s since 1970; marks in the table count, too.
+        oil: in the axes.
+        between: lowest and highest possible temperature in °C of axes without a thermometer.
     """
     return [
-        _trend(str(axis), rows, limits[str(axis)], repairs.get(str(axis), ()))
+        _trend(str(axis), rows, limits[str(axis)], repairs.get(str(axis), ()), oil, between)
         for axis, rows in table.groupby("axis", sort=True)
     ]
 
 
-def _trend(axis: str, rows: pd.DataFrame, limit: float, repairs: Sequence[float]) -> AxisTrend:
+def _trend(
+    axis: str, rows: pd.DataFrame, limit: float, repairs: Sequence[float], oil: Oil, between: tuple[float, float]
+) -> AxisTrend:
     rows = rows.assign(_time=seconds(rows["time"])).sort_values("_time", kind="stable")
     time = rows["_time"].to_numpy(dtype=np.float64)
     size, low, high = (rows[f"{name}_40"].to_numpy(dtype=np.float64) for name in ("size", "low", "high"))
@@ -116,8 +126,14 @@ def _trend(axis: str, rows: pd.DataFrame, limit: float, repairs: Sequence[float]
     marked = [*repairs, *time[(rows["repaired"] != "").to_numpy()]]
     since = np.flatnonzero(time >= max((when for when in marked if when <= time[-1]), default=-np.inf))
     state, reason = _state([verdicts[k] for k in since], [str(rows["reason"].iloc[k]) for k in since])
-    deviation = (high[since] - low[since]) / (2.0 * HALF_WIDTH)
-    found = growth(time[since] / DAY, size[since], limit, deviation)
+    # Only what differs from reading to reading: the thermometer's error is common to all.
+    own = rows[["size", "low", "high"]].to_numpy(dtype=np.float64)[since]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(own[:, 0] != 0.0, size[since] / own[:, 0], 1.0)
+    deviation = factor * (own[:, 2] - own[:, 1]) / (2.0 * HALF_WIDTH)
+    warm = rows["temperature"].to_numpy(dtype=np.float64)[since]
+    usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else np.nan
+    found = growth(time[since] / DAY, size[since], limit, deviation, common_error(oil, usual, between))
     if np.isfinite(found.ahead.value):  # from the last reading, whether it has a size or not
         last = since[np.isfinite(size[since])][-1]
         later = (time[-1] - time[last]) / DAY

@@ -123,7 +123,7 @@ def with_rows(table: pd.DataFrame, file: File, found: Mapping[str, NDArray[Any]]
     fresh[list(SIZES)] = fresh[list(SIZES)].astype(np.float64).round(DECIMALS)
     old = table[table["file"] == file.name]
     marks = dict(zip(old["time"], old["repaired"], strict=True))
-    fresh["repaired"] = fresh["time"].map(marks).fillna("")
+    fresh["repaired"] = [marks.get(when, "") for when in fresh["time"]]
     rest = table[table["file"] != file.name]
     whole = fresh if rest.empty else pd.concat([rest, fresh], ignore_index=True)
     names = [*COLUMNS, *(name for name in table if name not in COLUMNS)]
