@@ -43,10 +43,10 @@ class Growth(NamedTuple):
     """Trend of one axis in the caller's unit of time; NaN where there are too few readings."""
 
     rate: Interval  # decades per unit of time
-    ahead: Interval  # time from the last reading to the limit; 0: reached already, infinity: never
+    ahead: Interval  # from the last time to the limit; 0: reached already, infinity: never
     not_before: float  # the same, which the limit is reached before with a probability of EARLIEST
     grows: float  # probability that it grows
-    level: Interval  # size at the last reading
+    level: Interval  # size at the last time
 
     @classmethod
     def unknown(cls) -> Growth:
@@ -58,7 +58,7 @@ class Growth(NamedTuple):
 class _Part(NamedTuple):
     """Trend for one knee and one kind of errors: a Student distribution of level and slope."""
 
-    mean: Floats  # (2,), log10 of the size at the last reading, and slope
+    mean: Floats  # (2,), log10 of the size now, and slope
     spread: Floats  # (2, 2)
     weight: float  # logarithm
 
@@ -69,7 +69,7 @@ def growth(
     """Growth of the leak of one axis.
 
     Args:
-        time: (L,), rising, of the readings.
+        time: (L,), rising, of the readings; the last one is "now", whether it has a size or not.
         size: (L,), the leak; NaN: no reading.
         limit: of the size, in its unit.
         deviation: (L,), standard deviation of the size; ``None``: alike in all readings, as a share of the size.
@@ -90,7 +90,7 @@ def growth(
     if known.sum() < FEWEST or np.ptp(when[known]) <= 0.0:
         return Growth.unknown()
     x, y, error = _averaged(when[known], y[known], error[known])
-    now, span = float(x[-1]), float(x[-1] - x[0])
+    now, span = float(np.nanmax(when)), float(x[-1] - x[0])
     parts = _parts((x - now) / span, y, error)
     freedom = len(x) - 2 + (KNOWN_FREEDOM if deviation is not None else 0.0)
     weight = np.exp(np.array([part.weight for part in parts]) - max(part.weight for part in parts))
@@ -100,7 +100,7 @@ def growth(
     spread[:, 0, 0] += common**2
 
     def beyond(ahead: ArrayLike, logarithm: float) -> Floats:
-        """Probability that the trend is above a size at times after the last reading, in spans."""
+        """Probability that the trend is above a size at times from now on, in spans."""
         row = np.atleast_1d(np.asarray(ahead, dtype=np.float64))[:, None]
         middle = mean[:, 0] + row * mean[:, 1]
         variance = spread[:, 0, 0] + 2.0 * row * spread[:, 0, 1] + row**2 * spread[:, 1, 1]
@@ -165,7 +165,7 @@ def _averaged(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats, Floa
 
 
 def _parts(x: Floats, y: Floats, error: Floats) -> list[_Part]:
-    """The trend for each knee and each kind of errors; ``x`` is −1 at the first and 0 at the last reading."""
+    """The trend for each knee and each kind of errors; ``x`` is in spans of the readings, 0 now."""
     given = bool(np.isfinite(error).all())
     usual = error if given else np.ones(len(x))
     scale = float(np.sqrt(np.mean(usual**2)))
@@ -184,7 +184,7 @@ def _parts(x: Floats, y: Floats, error: Floats) -> list[_Part]:
 
 
 def _part(x: Floats, y: Floats, factor: Any, knee: float, known: float, before: float, given: bool) -> _Part:
-    bent = np.maximum(x, knee)  # level before the knee; 0 at the last reading
+    bent = np.maximum(x, knee)  # level before the knee; 0 now
     design = np.column_stack([np.ones(len(x)), bent])
     weighted = cho_solve(factor, design)
     information = design.T @ weighted

@@ -134,11 +134,6 @@ def _trend(
     warm = rows["temperature"].to_numpy(dtype=np.float64)[since]
     usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else np.nan
     found = growth(time[since] / DAY, size[since], limit, deviation, common_error(oil, usual, between))
-    if np.isfinite(found.ahead.value):  # from the last reading, whether it has a size or not
-        last = since[np.isfinite(size[since])][-1]
-        later = (time[-1] - time[last]) / DAY
-        ahead = type(found.ahead)(*(max(value - later, 0.0) for value in found.ahead))
-        found = found._replace(ahead=ahead, not_before=max(found.not_before - later, 0.0))
     ordered = tuple(sorted({float(when) for when in marked}))
     return AxisTrend(axis, time, size, low, high, verdicts, ordered, state, reason, found, limit)
 
