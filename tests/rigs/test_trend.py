@@ -226,12 +226,12 @@ def test_only_readings_since_the_repair_count(tmp_path):
     assert trend(marked).repairs == (START + 20 * DAY,)
 
 
-def test_a_single_odd_verdict_changes_no_state(tmp_path):
+def test_two_odd_verdicts_change_no_state(tmp_path):
     table = table_of(np.full(6, 0.015), tmp_path)
-    table.loc[5, "verdict"] = Kind.LEAK.value
-    assert trend(table).state is Kind.HEALTHY
-    table.loc[4, "verdict"] = Kind.LEAK.value
-    assert trend(table).state is Kind.LEAK
+    for row, state in ((5, Kind.HEALTHY), (3, Kind.HEALTHY), (4, Kind.LEAK)):
+        table.loc[row, "verdict"] = Kind.LEAK.value
+        assert trend(table).state is state
+    assert trend(table.assign(verdict=[kind.value for kind in (*Kind, *Kind)][:6])).state is Kind.UNKNOWN
 
 
 def test_the_most_serious_state_gives_the_exit_code():

@@ -49,8 +49,8 @@ JUDGED = (
         "The size is referred to <strong>100 bar and 40 °C</strong>: a gap passes flow in proportion to 1/viscosity. "
         "Without a recorded oil temperature the interval covers the range that was assumed."
     ),
-    "The state of an axis is the verdict on which two of its last three readings agree.",
-    "A date is told if the leak grows with a probability of 99.9 %. It supposes that the growth of the past goes on, "
+    "The state of an axis is the verdict on which three of its last five readings agree.",
+    "A date is told if the axis leaks and the leak grows with a probability of 99.9 %. It supposes that the growth of the past goes on, "
     "as a straight line on this scale. “Not before”: with a probability of 99 % the limit is not reached earlier.",
     "Only readings since the last repair count for the trend.",
 )

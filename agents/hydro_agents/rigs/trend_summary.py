@@ -19,7 +19,8 @@ from hydro_agents.rigs.verdict import EXIT_CODES, Kind
 from hydro_agents.running.text import decimals_for, number
 
 DAY = 86400.0  # s
-LATEST, AGREE = 3, 2  # the state of an axis is the verdict on which two of its last three readings agree
+LATEST = 5  # the state of an axis is the verdict on which three of its last five readings agree
+MOST_COMMON = 0.1  # decades, of an error of the plant that all readings share
 SURE = 0.999  # smallest probability of growth for which a date is told
 FARTHEST = 365.0  # days ahead, up to which a date is told
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -42,8 +43,8 @@ class AxisTrend(NamedTuple):
 
     @property
     def dated(self) -> bool:
-        """Whether the leak grows for sure and reaches the limit soon enough for a date."""
-        return self.growth.grows >= SURE and self.growth.ahead.value <= FARTHEST
+        """Whether the axis leaks, the leak grows for sure, and it reaches the limit soon enough for a date."""
+        return self.state is Kind.LEAK and self.growth.grows >= SURE and self.growth.ahead.value <= FARTHEST
 
     def date(self, days: float) -> str:
         """A date so many days after the last reading; with its year if it is another one."""
@@ -126,23 +127,26 @@ def _trend(
     marked = [*repairs, *time[(rows["repaired"] != "").to_numpy()]]
     since = np.flatnonzero(time >= max((when for when in marked if when <= time[-1]), default=-np.inf))
     state, reason = _state([verdicts[k] for k in since], [str(rows["reason"].iloc[k]) for k in since])
-    # Only what differs from reading to reading: the thermometer's error is common to all.
+    # A reading's own error, without the thermometer's. The readings share the plant and the offsets of the sensors, too:
+    # the usual error of a reading may be common to all.
     own = rows[["size", "low", "high"]].to_numpy(dtype=np.float64)[since]
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.where(own[:, 0] != 0.0, size[since] / own[:, 0], 1.0)
     deviation = factor * (own[:, 2] - own[:, 1]) / (2.0 * HALF_WIDTH)
     warm = rows["temperature"].to_numpy(dtype=np.float64)[since]
     usual = float(np.nanmedian(warm)) if np.isfinite(warm).any() else np.nan
-    found = growth(time[since] / DAY, size[since], limit, deviation, common_error(oil, usual, between))
+    relative = (deviation / size[since])[np.isfinite(deviation) & (size[since] > 0.0)]
+    plant = float(np.median(relative)) / np.log(10.0) if len(relative) else 0.0
+    common = float(np.hypot(common_error(oil, usual, between), min(plant, MOST_COMMON)))
+    found = growth(time[since] / DAY, size[since], limit, deviation, common)
     ordered = tuple(sorted({float(when) for when in marked}))
     return AxisTrend(axis, time, size, low, high, verdicts, ordered, state, reason, found, limit)
 
 
 def _state(verdicts: Sequence[Kind], reasons: Sequence[str]) -> tuple[Kind, str]:
-    """The verdict on which two of the last three readings agree, otherwise the last one; and its last reason."""
-    last = Counter(verdicts[-LATEST:])
-    kind, count = last.most_common(1)[0]
-    kind = kind if count >= AGREE else verdicts[-1]
+    """The verdict on which three of the last five readings agree, or most of fewer, else undecided; and its reason."""
+    kind, count = Counter(verdicts[-LATEST:]).most_common(1)[0]
+    kind = kind if 2 * count > min(len(verdicts), LATEST) else Kind.UNKNOWN
     return kind, next((why for each, why in zip(verdicts[::-1], reasons[::-1], strict=True) if each is kind), "")
 
 
