@@ -127,8 +127,8 @@ def _trend(
     marked = [*repairs, *time[(rows["repaired"] != "").to_numpy()]]
     since = np.flatnonzero(time >= max((when for when in marked if when <= time[-1]), default=-np.inf))
     state, reason = _state([verdicts[k] for k in since], [str(rows["reason"].iloc[k]) for k in since])
-    # A reading's own error, without the thermometer's. The readings share the plant and the offsets of the sensors, too:
-    # the usual error of a reading may be common to all.
+    # A reading's own error, without the thermometer's. The readings share plant and sensors, too: their usual error may
+    # be common to all.
     own = rows[["size", "low", "high"]].to_numpy(dtype=np.float64)[since]
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = np.where(own[:, 0] != 0.0, size[since] / own[:, 0], 1.0)
