@@ -56,7 +56,6 @@ def test_tail_finds_thresholds_beyond_the_hours(shape):
     exact = np.log(1000.0) if shape == 0.0 else (1000.0**shape - 1.0) / shape
     assert tail.shape == pytest.approx(shape, abs=0.1)
     assert tail.threshold_at(wanted) == pytest.approx(exact, rel=0.2)
-    assert tail.rate_above(tail.threshold_at(wanted)) == pytest.approx(wanted)
 
 
 def test_a_tail_needs_values():

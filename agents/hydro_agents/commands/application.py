@@ -48,7 +48,7 @@ GROUPS = {
         "check-rig": "rig:check_rig",
         "identify": "axis:identify",
         "simulate": "axis:simulate",
-        "record": "axis:record",
+        "record": "datasets:record",
     },
     "Controllers": {
         "study": "study:study",
@@ -65,6 +65,7 @@ GROUPS = {
         "alarms": "alarms:alarms",
         "test-move": "bounds:design_test_move",
         "leak-bound": "bounds:leak_bound",
+        "score": "datasets:score",
     },
     "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},
 }
