@@ -125,7 +125,7 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Join
     """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
     joint, model = common.joint, common.model
     spread = spread_of(joint)
-    sides = sides_of(model, common.readings, joint, spread, ends)
+    sides = sides_of(model, common.readings, joint, spread, ends, common.explained > 0)
     edges = np.flatnonzero(sides.open)
     if not len(edges):
         return joint, spread, sides

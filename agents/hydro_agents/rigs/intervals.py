@@ -87,7 +87,7 @@ class Sides(NamedTuple):
     open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
 
 
-def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: Array) -> Sides:
+def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: Array, follows: bool) -> Sides:
     """Intervals below and above each value; where the cost rises otherwise than expected, from a profile.
 
     Args:
@@ -96,6 +96,8 @@ def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: 
         joint: the fit.
         spread: of the fit.
         ends: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
+        follows: whether to profile. If the model explains no window, the scatter decides the intervals, and profiles
+            that reach as far would take minutes.
     """
     middle, count = joint.common, len(joint.shared)
     bounded = (ends[:, 0] < middle) & (middle < ends[:, 1]) & np.isfinite(ends).all(axis=1)
@@ -109,7 +111,7 @@ def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: 
     flat = bounded & (limits | (np.minimum(near, far) < FLAT).any(axis=1))
     odd = flat | (near > STEEP).any(axis=1) | (near < FLAT).any(axis=1)
     found, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
-    for place in sorted(np.flatnonzero(odd).tolist(), key=lambda place: -spread.deviation[place]):
+    for place in sorted(np.flatnonzero(odd & follows).tolist(), key=lambda place: -spread.deviation[place]):
         if not flat[place] and (done.sum() >= MOST_PROFILES or (alike[place, done] > ALIKE).any()):
             continue
         done[place] = True
