@@ -60,7 +60,7 @@ GROUPS = {
     "The leak": {
         "diagnose": "axis:diagnose",
         "alarms": "alarms:alarms",
-        "test-move": "bounds:design_test_move",
+        "leak-test": "leak_test:leak_test",
         "leak-bound": "bounds:leak_bound",
     },
     "The paper, and this machine": {"reproduce": "checkout:reproduce", "benchmark": "checkout:benchmark"},

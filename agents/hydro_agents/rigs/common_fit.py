@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
+from hydro_agents.estimation.first_guess import first_values
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings, search
@@ -205,6 +206,35 @@ def common_fit(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior]
             best = max(best, second, key=lambda one: (one.explained, -float(np.median(one.misfit))))
     report("common fit", 1, 1)
     return best
+
+
+def quick_fit(
+    windows: Windows, chosen: Indices, config: TaskConfig, priors: Mapping[str, Prior], report: Report
+) -> Common:
+    """As :func:`common_fit`, for windows that one start describes: only ``chosen`` ones are first fitted alone.
+
+    It takes a third of the time. The caller tries :func:`common_fit` if windows stay unexplained.
+    """
+    report("windows", 0, len(chosen))
+    alone = _alone(windows.part(chosen), config, priors, ROUGHLY)
+    report("windows", len(chosen), len(chosen))
+    model, readings = _replayed(windows, config, priors)
+    shared, _ = shared_and_own(model)
+    guess = model.scaled(first_values(windows.signals, model.commands.durations, config, priors))
+    trials = []
+    for values in alone.scaled[:, shared]:
+        tried = guess.copy()
+        tried[:, shared] = values
+        trials.append(tried)
+
+    def progress(done: int, total: int) -> None:
+        report("common fit", done, total)
+
+    first = trials[int(np.argmin(_costs(model, readings, trials)))]
+    rough, _ = _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)
+    joint = fit_together(model, readings, rough, progress)
+    report("common fit", 1, 1)
+    return Common(model, readings, joint, joint.misfit, None)
 
 
 def _alone(windows: Windows, config: TaskConfig, priors: Mapping[str, Prior], settings: EstimationSettings) -> Estimate:

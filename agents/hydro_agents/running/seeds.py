@@ -52,7 +52,7 @@ class SeedRange:
 
 
 # Training -------------------------------------------------------------------------------------------------------------
-LEARNING = SeedRange(0, 500_000, "policies, gains and test moves")
+LEARNING = SeedRange(0, 500_000, "policies, gains and plans of leak tests")
 HEAD_TRAINING = SeedRange(500_000, 490_000, "windows of the leakage head")
 ACCURACY = SeedRange(990_001, 9_000, "the errors of the integrator")
 RIGS = SeedRange(999_100, 600, "drawn rigs, for the gains of any rig")
@@ -74,7 +74,8 @@ TRIAL_RUN = SeedRange(1_999_998, 2, "the trial run before a study")
 EVALUATION = SeedRange(2_000_000, 120_000, "controllers, best found, leak bound and estimator on the same plants")
 DIAGNOSIS = SeedRange(2_120_000, 20_000, "diagnosed recordings")
 UNTUNED_RIGS = SeedRange(2_140_000, 50_000, "drawn rigs that nobody tuned, and their plants")
-HIDDEN_RIGS = SeedRange(2_190_000, 10_000, "hidden rigs that are identified")
+HIDDEN_RIGS = SeedRange(2_190_000, 6_000, "hidden rigs that are identified")
+LEAK_TESTS = SeedRange(2_196_000, 4_000, "axes with worn valves under a leak test")
 ROBUSTNESS = SeedRange(2_200_000, 120_000, "the robustness protocol")
 LEAKAGE = SeedRange(2_400_000, 50_000, "the windows of the leakage protocol")
 LEAKAGE_ALARMS = SeedRange(2_450_000, 30_000, "the false alarms of the leakage protocol")
