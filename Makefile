@@ -11,7 +11,7 @@ TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: install study test slow-test mutants lint types check docs versions clean
+.PHONY: install study test slow-test mutants lint types check docs versions release clean
 
 install: $(VENV)/.installed-agents
 
@@ -44,6 +44,10 @@ check: lint types test
 docs: $(VENV)/.installed-dev
 	$(BIN)/python -m sphinx -q -W --keep-going -c docs . build/site -d build/doctrees
 	$(BIN)/python docs/check_links.py build/site
+
+# sdist and wheel, checked and tried in clean environments; URL=https://… is the address of the repository.
+release: $(VENV)/.torch
+	$(BIN)/python benchmarks/release.py --url '$(URL)'
 
 versions:
 	$(PYTHON) benchmarks/versions.py

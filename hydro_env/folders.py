@@ -17,6 +17,12 @@ def config_folder() -> Path:
     return inside if inside.is_dir() else _PACKAGE.parent / "configs"
 
 
+def page(name: str) -> str:
+    """A page of the documentation, such as ``diagnose.md``, as the user can open it; for messages."""
+    inside = _PACKAGE / "docs" / name
+    return str(inside) if inside.is_file() else f"docs/{name}"
+
+
 def config_file(kind: str, given: str | Path, folder: Path | None = None) -> Path:
     """The file of a rig, a task, a study and so on.
 

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from recorded import recorded_file
+from recorded import SEED, recorded_file
 
+from benchmarks.hidden_rigs import true_values
 from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.unknowns import Prior
 from hydro_agents.recordings.recording import read_recording
@@ -13,9 +14,8 @@ from hydro_agents.rigs.common_fit import Joint
 from hydro_agents.rigs.fit import fit_windows
 from hydro_agents.rigs.found_rig import found_values, narrowed, shown
 from hydro_agents.rigs.intervals import (
-    Profile,
+    _rises,
     beside_the_edge,
-    sides_of,
     spread_of,
     truncated_end,
     within_bounds,
@@ -84,7 +84,7 @@ class Saturating:
 
     def __init__(self, edge=0.5):
         self.edge = edge
-        self.time = np.linspace(0.0, 1.0, READINGS)
+        self.time = np.linspace(-1.0, 1.0, READINGS)
 
     def readings(self, scaled, window):
         limit, gain = np.minimum(scaled[:, 0], self.edge), scaled[:, 1]
@@ -101,25 +101,44 @@ def fit_at(model, limit):
     information = jacobian @ jacobian.transpose(0, 2, 1)
     rest = np.zeros(WINDOWS), np.empty(0, np.int64), np.zeros((WINDOWS, 0, 2)), 0.0
     joint = Joint(scaled, np.arange(2), information, score, *rest)
-    return Profile(model, measured, joint), spread_of(joint)
+    return model, measured, joint
 
 
-ENDS = np.array([[-1.7, 1.7], [-1.7, 1.7]])
+@pytest.mark.parametrize("step", [0.5, 2.0])
+def test_a_limit_that_was_never_reached_leaves_the_cost_flat_on_one_side(step):
+    fitted = fit_at(Saturating(), 0.5)
+    deviation = np.sqrt(np.diag(np.linalg.inv(fitted[2].precision)))
+    rises = _rises(*fitted, step * np.tile(deviation[:, None], 2))
+    assert rises[0, 1] < 0.25 < rises[0, 0]
+    # Where the limit acts, the rise is that of the linear model, also along its ridge.
+    rises = _rises(*fit_at(Saturating(edge=3.0), 0.5), step * np.tile(deviation[:, None], 2))
+    assert rises == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("limit", [0.5, 1.2], ids=["at the edge", "beyond it"])
-def test_a_limit_that_was_never_reached_has_one_known_end(limit):
-    sides = sides_of(*fit_at(Saturating(), limit), ENDS)
-    assert sides.open.tolist() == [1, 0]
-    assert 0.0 < sides.end[0] <= 0.5
+def hose():
+    """The task of an axis whose dead volume and hoses compensate each other."""
+    ranges = {
+        "cylinder.dead_volume": {"log_factor": [0.25, 4.0]},
+        "lines.wall_bulk_modulus": {"log_uniform": [1e8, 2e9]},
+        "fluid.bulk_modulus": {"log_factor": [0.7, 1.3]},
+    }
+    plant = {"lines": {"volume_a": 5e-5, "volume_b": 5e-5, "wall_bulk_modulus": 4e8}}
+    return task_config(None, plant=plant, randomisation=ranges, episode_duration=4.0)
 
 
-def test_a_value_that_acts_on_both_sides_has_two_ends():
-    sides = sides_of(*fit_at(Saturating(edge=3.0), 0.5), ENDS)
-    assert sides.open.tolist() == [0, 0]
-    assert sides.wider == pytest.approx(1.0, abs=0.05)
-    free = np.array([[-np.inf, np.inf]] * 2)  # a bias has no range with a limit
-    assert sides_of(*fit_at(Saturating(), 0.5), free).open.tolist() == [0, 0]
+def test_the_intervals_of_unknowns_on_a_curve_hold_their_whole_valley(tmp_path):
+    """The linear model says that a recording determines dead volume and wall; the readings allow far other pairs."""
+    config = hose()
+    recorded_file(tmp_path / "a.csv", config, 0.3, family="multi_sine", duration=4.0)
+    signals = read_recording(tmp_path / "a.csv").signals
+    fit = fit_windows(Windows.of(signals[:, :200].reshape(5, 2, 100).transpose(1, 0, 2)), config, config.randomisation)
+    true = true_values(config, SEED, 0.3)
+    place = fit.names.index("lines.wall_bulk_modulus")
+    linear = np.sqrt(np.diag(np.linalg.inv(fit.joint.precision)))[place]
+    assert fit.remaining[place] > 2.0 * linear
+    for name in config.randomisation:
+        row = fit.names.index(name)
+        assert fit.low[row] <= true[name] <= fit.high[row], name
 
 
 def test_the_value_of_an_open_interval_is_not_its_edge():

@@ -14,7 +14,8 @@ from hydro_agents.rigs import common_fit
 from hydro_agents.rigs.common_fit import Joint
 from hydro_agents.rigs.fit import Fit, combinations, unknowns_of
 from hydro_agents.rigs.found_rig import _line, _with_unit, found_values, narrowed
-from hydro_agents.rigs.held_back import HeldBack, _share, errors_in_words
+from hydro_agents.rigs.held_back import HeldBack, _first_known, _share, errors_in_words
+from hydro_agents.rigs.identify import Identification
 from hydro_agents.rigs.parts import COMMAND, POSITION, parts_of
 from hydro_env import ConfigurationError, PlantParameters, TaskConfig
 from hydro_env.plant.parameters import PARAMETER_PATHS
@@ -186,6 +187,31 @@ def fit_of(values, remaining=None):
     return Fit(names, priors, value, low, high, left, np.ones(len(names)), np.eye(len(names)), np.zeros(5))
 
 
+@pytest.mark.parametrize("misfit", [1.0, 9.0], ids=["explained", "not explained"])
+def test_a_fit_that_explains_no_window_says_so_first(misfit):
+    """A bore that is 4 % wrong predicts the motion, but differs from the readings of every window."""
+    fit = fit_of({"valve.rated_flow": (9e-4, 1e-3, 1.1e-3)})._replace(misfit=np.full(5, misfit))
+    time, moving = np.linspace(0.0, 1.0, 101), np.tile(np.linspace(0.0, 0.1, 101), (4, 1))
+    held = HeldBack(0, 0.0, time, moving, moving + 1e-5, np.ones(4))
+    rig = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(8e-4, 2e-3))})
+    found = Identification([], [], rig, CONFIG, None, fit, PlantParameters(), [held], [], {}, [])
+    assert found.describes
+    assert found.unexplained == (misfit > 4.0)
+    assert found.verdict().startswith("no window is explained: " if misfit > 4.0 else "1 of 1 unknowns determined")
+    other = SimpleNamespace(randomisation={"valve.rated_flow": Distribution(uniform=(4e-4, 6e-4))})
+    outside = found._replace(rig=other)
+    assert outside.describes == (misfit < 4.0)  # a value outside its range, and no window explained: refused
+    assert any("rated pressure drop" in note for note in outside.noted)
+    assert not any("rated pressure drop" in note for note in found.noted)
+
+
+def test_a_held_back_part_begins_where_the_position_is_known():
+    position = np.concatenate([np.full(50, np.nan), np.zeros(20), np.full(80, np.nan), np.zeros(100)])
+    assert 130 <= _first_known(position, 40) <= 150
+    assert _first_known(np.zeros(100), 40) == 0
+    assert _first_known(np.full(100, np.nan), 40) == 0
+
+
 def test_ranges_are_narrowed_to_the_intervals_and_never_widened():
     fit = fit_of(
         {
@@ -259,7 +285,7 @@ def test_windows_that_the_second_common_fit_explains_badly_stay_in_its_result(mo
     monkeypatch.setattr(common_fit, "shared_and_own", lambda model: (np.zeros(1, np.int64), np.empty(0, np.int64)))
     monkeypatch.setattr(common_fit, "_first_values", lambda *_: [None])
     monkeypatch.setattr(common_fit, "_descend", lambda *_, **__: (None, None))
-    monkeypatch.setattr(common_fit, "_costs", lambda *_: [0.0])
+    monkeypatch.setattr(common_fit, "costs_of", lambda *_: [0.0])
     monkeypatch.setattr(common_fit, "fit_together", fitted)
     alone = SimpleNamespace(misfit=np.ones(4))
     found = common_fit._common_fit(Windows.of(np.zeros((4, 5, 10))), CONFIG, {}, alone, lambda *_: None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import os
 import re
 import shutil
@@ -18,6 +19,7 @@ from typer.core import TyperGroup
 
 from hydro_agents.running.console import discard_output
 from hydro_env import HydroError, __version__
+from hydro_env.folders import page
 
 # Some versions of typer use click, others their own copy of it; this line works with both.
 _UsageError: type[Any] = typer.BadParameter.__mro__[1]
@@ -86,7 +88,8 @@ def application(only: str = "") -> typer.Typer:
             if not only or name == only:
                 module, _, function = place.partition(":")
                 command = getattr(import_module(f"hydro_agents.commands.{module}"), function)
-                app.command(name, rich_help_panel=heading)(command)
+                text = re.sub(r"docs/(\w+\.md)", lambda found: page(found[1]), inspect.getdoc(command) or "")
+                app.command(name, rich_help_panel=heading, help=text)(command)
     return app
 
 

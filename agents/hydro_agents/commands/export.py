@@ -11,6 +11,7 @@ import typer
 
 from hydro_agents.commands.options import Latency, Output, Overwrite, Period, Rig, Task, command_line, say, write_files
 from hydro_env import ConfigurationError
+from hydro_env.folders import page
 from hydro_env.mistakes import one_of
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def _export_controller(what: str, given: Given, language: str, output: Path, ove
     if made_for is not None and made_for != config.plant:
         print(f"hydro: {what}: trained for another rig", file=sys.stderr)
     if takes_gains_for_any_rig(what, config):
-        say(f"{what}: gains for any rig, which nobody tuned for this one: docs/no_tuning.md says what they cost")
+        say(f"{what}: gains for any rig, which nobody tuned for this one: {page('no_tuning.md')} says what they cost")
     elif what in CONTROLLERS and config.plant != PlantParameters() and gains_file(what, config) is None:
         print(
             f"hydro: {what}: the shipped gains, tuned for the paper's rig: not safe on yours. hydro study --rig FILE "

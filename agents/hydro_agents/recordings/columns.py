@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from hydro_env import ConfigurationError
 from hydro_env.files import Group, read_yaml, validate
+from hydro_env.folders import page
 from hydro_env.task.sensors import SENSORS
 from hydro_env.units import FULL_VOLTAGE, Number, unit_factor
 from hydro_env.units import UNITS as QUANTITIES
@@ -170,7 +171,7 @@ def own_map(headings: Sequence[str], source: str) -> ColumnMap:
         shown = ", ".join(heading[:30] for heading in headings[:12])
         raise ConfigurationError(
             f"{source}: no column has the heading '{missing[0]}'; --map FILE names the columns, as in "
-            f"docs/diagnose.md; headings: {shown}"
+            f"{page('diagnose.md')}; headings: {shown}"
         )
     return validate(ColumnMap, found, source)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hydro_agents.detection.detector import Windows
 from hydro_agents.estimation.estimate import estimate, usable_readings
 from hydro_agents.estimation.first_guess import first_values
-from hydro_agents.estimation.model import Model
+from hydro_agents.estimation.model import LONG_STEP, SHORT_STEP, Model
 from hydro_agents.estimation.result import Estimate
 from hydro_agents.estimation.search import EstimationSettings, search
 from hydro_agents.estimation.solver import (
@@ -51,8 +51,12 @@ LOOSENED = 4.0  # factor on the variance of the common values, as the prior of a
 
 ITERATIONS, LAST_ITERATIONS = 40, 25  # at the most, of the two searches below
 ROUGH_TOLERANCE, TOLERANCE = 1.0, 0.02
-"""A common fit ends when a step with little damping lowers its cost by less: first with forward differences, which take
-half the time, then with central ones, which end in the minimum itself."""
+"""A common fit ends when a step with little damping lowers its cost by less: first with long differences, which bridge
+the roughness of friction, then with short ones, which alone follow a curved valley to its lowest point."""
+
+LINEARISATIONS = 3
+"""Of the result, each with differences as long as the uncertainty that the one before has shown. Short ones are rough,
+and roughness looks like information: an unknown without influence would seem to be known."""
 
 MOST_DAMPING = 5e5
 """A common fit ends when no step with more damping lowers its cost; single windows end earlier, and begin again."""
@@ -122,12 +126,14 @@ def fit_together(
         iterations: largest number.
     """
     shared, own = shared_and_own(model)
-    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, True, iterations)
+    scaled, directions = _descend(model, measured, first, shared, progress, TOLERANCE, SHORT_STEP, iterations)
     known = np.isfinite(measured)
-    linear = model.linearise(scaled, None, directions, central=True)
-    residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
-    weight, prior = channel_weights(residual, known), without(prior_belief(model, model.count).precision, shared)
-    equations = equations_of(residual, jacobian, weight, scaled, prior, shared)
+    prior = without(prior_belief(model, model.count).precision, shared)
+    for _ in range(LINEARISATIONS):
+        linear = model.linearise(scaled, None, directions, central=True)
+        residual, jacobian = masked(linear, np.where(known, measured, 0.0), known)
+        equations = equations_of(residual, jacobian, channel_weights(residual, known), scaled, prior, shared)
+        directions = model.directions(equations.precision, LONG_STEP)
     misfit = misfit_of(residual, jacobian, np.linalg.inv(equations.precision), known)
     curvature = equations.curvature[:, own]
     response = np.asarray(-np.linalg.solve(curvature[:, :, own], curvature[:, :, shared]), np.float64)
@@ -148,7 +154,7 @@ def _descend(
     shared: Indices,
     progress: Callable[[int, int], None] | None,
     tolerance: float,
-    central: bool,
+    step: float,
     iterations: int = ITERATIONS,
 ) -> tuple[Array, Array]:
     """Unknowns at the end of a search, (B, P) scaled, and the directions of its differences."""
@@ -162,10 +168,10 @@ def _descend(
         model.samples,
         iterations,
         tolerance,
+        step=step,
         give_up=MOST_DAMPING,
         shared=shared,
         progress=progress,
-        central=central,
     )
     return found.scaled, found.directions
 
@@ -230,8 +236,8 @@ def quick_fit(
     def progress(done: int, total: int) -> None:
         report("common fit", done, total)
 
-    first = trials[int(np.argmin(_costs(model, readings, trials)))]
-    rough, _ = _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)
+    first = trials[int(np.argmin(costs_of(model, readings, trials)))]
+    rough, _ = _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)
     joint = fit_together(model, readings, rough, progress)
     report("common fit", 1, 1)
     return Common(model, readings, joint, joint.misfit, None)
@@ -273,10 +279,10 @@ def _common_fit(
         model, readings = _replayed(windows.part(kept), config, priors)
         shared = shared_and_own(model)[0]
         rough = [
-            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, central=False)[0]
+            _descend(model, readings, first, shared, progress, ROUGH_TOLERANCE, LONG_STEP)[0]
             for first in _first_values(model, readings, alone, kept)
         ]
-        costs = _costs(model, readings, rough)
+        costs = costs_of(model, readings, rough)
         order = np.argsort(costs)
         joint = fit_together(model, readings, rough[order[0]], progress)
         still = _without_outliers(joint.misfit)
@@ -301,7 +307,7 @@ def _far(common: Array, joint: Joint) -> bool:
     return float(away @ joint.precision @ away) > APART**2 + len(away)
 
 
-def _costs(model: Model, readings: Array, trials: list[Array]) -> list[float]:
+def costs_of(model: Model, readings: Array, trials: list[Array]) -> list[float]:
     """The cost of each trial, (B, P) scaled."""
     known, window = np.isfinite(readings), np.arange(model.count)
     return [
@@ -326,5 +332,5 @@ def _first_values(model: Model, readings: Array, alone: Estimate, kept: Indices)
         tried = scaled.copy()
         tried[:, shared] = candidate
         trials.append(tried)
-    order = np.argsort(_costs(model, readings, trials))
+    order = np.argsort(costs_of(model, readings, trials))
     return [trials[place] for place in order[:STARTING_VALUES]]

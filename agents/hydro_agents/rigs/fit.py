@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_agents.detection.detector import Windows
-from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.unknowns import (
     BIASES,
     EXTERNAL_LEAKAGE,
@@ -27,7 +26,6 @@ from hydro_agents.estimation.unknowns import (
 )
 from hydro_agents.rigs.common_fit import WELL_FITTED, Common, Joint, common_fit, fit_together
 from hydro_agents.rigs.intervals import (
-    Profile,
     Sides,
     Spread,
     beside_the_edge,
@@ -37,6 +35,7 @@ from hydro_agents.rigs.intervals import (
     truncated_end,
     within_bounds,
 )
+from hydro_agents.rigs.profiles import pinned, ridge
 from hydro_env import TaskConfig
 from hydro_env.task.randomisation import Distribution
 from hydro_env.task.sensors import SENSORS
@@ -47,9 +46,6 @@ Progress = Callable[[str, int, int], None]
 COVERAGE = 1.96  # half width of the 95 % interval of a normal distribution, in standard deviations
 DETERMINED = 0.5
 """A parameter is determined if its standard deviation is at most this share of the standard deviation of its range."""
-
-FEW_ITERATIONS = 8  # of a fit that begins in a minimum
-PINNED = 1e-6  # standard deviation of an unknown that a fit keeps, in standard deviations of its range
 
 
 class Fit(NamedTuple):
@@ -129,26 +125,30 @@ def _beside_edges(common: Common, config: TaskConfig, ends: Array) -> tuple[Join
     """Interval ends on one side only: their unknowns move away from the found edge, and the others are fitted again."""
     joint, model = common.joint, common.model
     spread = spread_of(joint)
-    sides = sides_of(Profile(model, common.readings, joint), spread, ends)
+    sides = sides_of(model, common.readings, joint, spread, ends)
     edges = np.flatnonzero(sides.open)
     if not len(edges):
         return joint, spread, sides
-    pinned, scaled, places = dict(model.priors), joint.scaled.copy(), joint.shared[edges]
+    scaled, places = joint.scaled.copy(), joint.shared[edges]
     moved = {}
-    for edge, place in zip(edges, places, strict=True):
-        name, prior = model.names[place], model.priors[model.names[place]]
-        end = ends[edge, 1 if sides.open[edge] > 0 else 0]
-        moved[place] = beside_the_edge(name, prior, config.plant, float(sides.end[edge]), float(end))
-        pinned[name] = Prior(float(prior.value(np.array(moved[place]))), PINNED * prior.deviation, prior.logarithmic)
+    for edge, place in zip(edges.tolist(), places.tolist(), strict=True):
+        name, end = model.names[place], ends[edge, 1 if sides.open[edge] > 0 else 0]
+        limit = float(_known_end(joint.common, sides)[edge])
+        moved[place] = beside_the_edge(name, model.priors[name], config.plant, limit, float(end))
+        scaled += ridge(joint, edge) * (moved[place] - joint.scaled[0, place])
     scaled[:, places] = 0.0
-    pinned_model = Model(config, pinned, model.commands.command, boundary=model.commands.boundary)
-    again = fit_together(pinned_model, common.readings, scaled, iterations=FEW_ITERATIONS)
+    again = fit_together(pinned(model, moved), common.readings, scaled)
     for place, value in moved.items():
         again.scaled[:, place] = value
     # The readings say nothing about them here.
     again.information[:, edges] = again.information[:, :, edges] = 0.0
     again.score[:, edges] = again.response[:, :, edges] = 0.0
     return again, spread_of(again), sides
+
+
+def _known_end(values: Array, sides: Sides) -> Array:
+    """The known end of each interval with one open side, (p,) scaled."""
+    return np.where(sides.open > 0, values - sides.reach[:, 0], values + sides.reach[:, 1])
 
 
 def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distribution]) -> Fit:
@@ -159,11 +159,10 @@ def _summary(common: Common, config: TaskConfig, ranges: Mapping[str, Distributi
     ends = range_ends(config, ranges, priors, names)
     joint, spread, sides = _beside_edges(common, config, ends)
     values = common.model.values(joint.scaled[0])[shared]
-    reach = spread.reach[:, None] * sides.wider * np.array([-1.0, 1.0])
-    reach = np.clip(reach, -COVERAGE, COVERAGE)
-    scaled = joint.common[:, None] + reach
+    reach = np.minimum(np.maximum(sides.reach, spread.reach[:, None]), COVERAGE) * np.array([-1.0, 1.0])
+    scaled, known = joint.common[:, None] + reach, _known_end(common.joint.common, sides)
     for row in np.flatnonzero(sides.open).tolist():
-        scaled[row] = (sides.end[row], ends[row, 1]) if sides.open[row] > 0 else (ends[row, 0], sides.end[row])
+        scaled[row] = (known[row], ends[row, 1]) if sides.open[row] > 0 else (ends[row, 0], known[row])
     intervals = np.array([priors[name].value(row) for name, row in zip(names, scaled, strict=True)])
     for row, name in enumerate(names):
         low, high = intervals[row]

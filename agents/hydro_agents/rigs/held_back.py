@@ -83,30 +83,39 @@ def _root_mean_square(errors: Floats) -> Floats:
 def simulate_held_back(part: Stretch, config: TaskConfig, plant: PlantParameters, biases: Sequence[float]) -> HeldBack:
     """Simulate a plant on a held-back part; only the initial state comes from its readings, in the first 0.2 s.
 
+    It begins where the position is known, which may end at the end of its sensor's range.
+
     Args:
         part: of a recording.
         config: the task.
         plant: the identified plant.
         biases: of each channel, SI.
     """
-    signals = part.signals
+    period, count = config.control_period, max(round(START_FROM / config.control_period), 10)
+    first = _first_known(part.signals[POSITION], count)
+    signals = part.signals[:, first:]
     bias = np.asarray(biases)[:, None]
     measured = signals[: len(SENSORS)]
     unbiased = np.concatenate([measured - bias, signals[None, COMMAND]])
     physical = to_vector(plant)[None]
-    count = max(round(START_FROM / config.control_period), 10)
     names = starts_of(config)
-    edge = None if part.boundary is None else part.boundary[None]
+    edge = None if part.boundary is None else part.boundary[None, :, first:]
     early = None if edge is None else edge[:, :, : count + 1]
     found = estimate(unbiased[None, :, : count + 1], config, names, physical=physical, boundary=early)
     model = Model(config, priors_of(config, names), signals[None, COMMAND], physical=physical, boundary=edge)
     read, _ = model.readings(found.scaled, np.zeros(1, np.int64))
     simulated = read[0] * model.noise[:, None] + bias
-    time = config.control_period * np.arange(signals.shape[1], dtype=np.float64)
+    time = period * np.arange(signals.shape[1], dtype=np.float64)
     motion = np.array([np.nanstd(row) if np.isfinite(row).any() else 0.0 for row in measured])
     share = np.array([_share([pair]) for pair in zip(measured, simulated, strict=True)])
     share[motion < LEAST_MOTION * noise_of(config)] = np.nan
-    return HeldBack(part.recording, part.begin, time, measured, simulated, share)
+    return HeldBack(part.recording, part.begin + first * period, time, measured, simulated, share)
+
+
+def _first_known(position: Floats, count: int) -> int:
+    """The first sample from which most of ``count`` positions are known: without them no simulation can start."""
+    known = np.convolve(np.isfinite(position), np.ones(count), mode="valid") > 0.5 * count
+    return int(known.argmax())
 
 
 def share_of_all(parts: Sequence[HeldBack]) -> Floats:

@@ -37,6 +37,7 @@ from hydro_agents.running.machine import Origin
 from hydro_agents.running.text import capitalised, listed, number
 from hydro_env import ConfigurationError, __version__
 from hydro_env.files import read_yaml, write_text
+from hydro_env.folders import page
 
 PAGE_FILE, RIG_FILE, RESULT_FILE = "identification.html", "rig.yaml", "identification.json"
 FILES = (PAGE_FILE, RIG_FILE, RESULT_FILE, FIGURE_FILES)
@@ -51,8 +52,8 @@ IDENTIFICATION = (
     "recording",
 )  # sections of the page, in order
 SOURCES = Markup(
-    "All numbers: <code>identification.json</code> beside this page. How it works: <code>docs/identify.md</code>."
-)
+    "All numbers: <code>identification.json</code> beside this page. How it works: <code>{}</code>."
+).format(page("identify.md"))
 
 PANELS = (("position, mm", 1e3), ("pressure a, bar", 1e-5), ("pressure b, bar", 1e-5), ("spool, %", 100.0))
 """Label and factor from SI of each channel."""
@@ -125,7 +126,7 @@ def identified(content: Content) -> list[Block]:
             "No rig was written. Check wiring, units and signs of the recording, and the values in the rig file that "
             "have no range."
         )
-    style = "verdict good" if found.describes else "verdict worse"
+    style = f"verdict {('doubtful' if found.unexplained else 'good') if found.describes else 'worse'}"
     return [Text(capitalised(verdict), style), Text(following), *map(Text, found.noted)]
 
 

@@ -28,6 +28,12 @@ from hydro_env.task.sensors import SENSORS
 
 LEAST_SHARE = 0.9  # smallest share of the position's variance on the held-back part of a model that describes the axis
 
+RATED_FLOW = "valve.rated_flow"
+UNEXPLAINED = (
+    "no window is explained: a number of the rig file without a range is wrong, or the model lacks a property of the "
+    "axis, and the intervals may not hold"
+)
+
 
 class Identification(NamedTuple):
     """All results of an identification."""
@@ -74,6 +80,11 @@ class Identification(NamedTuple):
         return self.share >= LEAST_SHARE
 
     @property
+    def unexplained(self) -> bool:
+        """Whether the model explains no window within the sensors' noise: its values and intervals are doubtful."""
+        return not self.fit.explained.any()
+
+    @property
     def beyond(self) -> list[str]:
         """Parameters with values outside their ranges, as text."""
         names = beyond_range(self.fit, self.config, self.rig.randomisation)
@@ -107,6 +118,11 @@ class Identification(NamedTuple):
             notes.append(f"Other values explain the recording as well: {', '.join(others)}. A richer motion decides.")
         if self.beyond:
             notes.append(f"Outside the range of the rig file: {', '.join(self.beyond)}. Check the range in that file.")
+        if shown(RATED_FLOW, self.config.plant).words in self.beyond:
+            notes.append(
+                "Only the rated flow over the root of the rated pressure drop acts: a wrong drop in the file gives "
+                "another flow, and no other value changes. Check both against the valve's data sheet."
+            )
         if explained < 0.5 * count:
             notes.append(
                 "The readings differ from the model by more than the sensors' noise. The intervals are therefore wider "
@@ -143,7 +159,9 @@ class Identification(NamedTuple):
             outcome = f"{share_in_words(self.share)} of the position's variance explained on the held-back part"
         errors = errors_in_words(self.held_back)
         errors = f"root mean square error there {errors}" if errors else ""
-        return "; ".join(filter(None, [f"{known} of {count} unknowns determined", outcome, errors, *self._driven]))
+        doubt = UNEXPLAINED if self.unexplained else ""
+        known_words = f"{known} of {count} unknowns determined"
+        return "; ".join(filter(None, [doubt, known_words, outcome, errors, *self._driven]))
 
     @property
     def _driven(self) -> list[str]:

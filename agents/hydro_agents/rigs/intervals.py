@@ -7,8 +7,10 @@ of the fit that its own window decides (Bell and McCaffrey, *Survey Methodology*
 variance to that of the model is moderated by the ratio that the unknowns have in common (Smyth, *Statistical
 Applications in Genetics and Molecular Biology* 3, 2004): a badly described direction widens its own unknowns, not all.
 
-**One side.** A limit that the motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the
-found value. Steps to both sides of each value find such unknowns.
+**Curves and one side.** Unknowns that compensate each other along a curve leave the linear model soon; a limit that the
+motion never reached, such as the slew limit of a valve, leaves the cost flat beyond the found value. Steps to both
+sides of each value, along the ridge of the linear model, find such unknowns; their intervals come from a profile
+(:mod:`hydro_agents.rigs.profiles`).
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from scipy import stats
 from hydro_agents.estimation.model import Model
 from hydro_agents.estimation.unknowns import EXTERNAL_LEAKAGE, LEAKAGE, PATHS, Prior
 from hydro_agents.rigs.common_fit import Joint
+from hydro_agents.rigs.profiles import ALIKE, FARTHEST, MOST_PROFILES, follow
 from hydro_env import PlantParameters, TaskConfig
 from hydro_env.task.randomisation import Distribution, own_value
 
@@ -35,11 +38,15 @@ MODERATION = 4.0  # degrees of freedom of the common ratio; seven windows, the u
 LEAST_RATIO = 1.0  # a variance is never below this share of the model's
 MOST_OWN = 0.95  # largest share of a direction that one window decides, in the correction of its score
 
-STEP, LEAST_STEP = 2.0, 0.3  # standard deviations, of the steps to both sides
+STEP, FAR_STEP, LEAST_STEP = 2.0, 6.0, 0.3  # standard deviations, of the steps to both sides
 FLAT = 0.25  # of the expected rise of the cost; a smaller rise is flat
-STEEP = 4.0  # times the expected rise; the slope at the found value does not show this side
+STEEP = 4.0  # times the expected rise; the linear model does not describe this side
+LIMITS = ("valve.slew_limit", "supply.pump_flow")  # act only where the motion reaches them; always profiled
+SURE = 3.0
+"""Rise of the cost, in standard deviations, that ends the interval of a value with a flat side: the few readings that
+reached a limit may favour it by chance, and then all larger values are as likely."""
+
 MOST_WIDER = 2.0  # largest factor by which a small rise of the cost lengthens one side of an interval
-PLACES = 10  # of the profile of the cost, on one side
 
 
 class Spread(NamedTuple):
@@ -73,106 +80,80 @@ def spread_of(joint: Joint) -> Spread:
     return Spread(deviation, widening, reach)
 
 
-class Profile:
-    """Rise of the cost when common unknowns move away from a common fit.
+class Sides(NamedTuple):
+    """What lies to both sides of the p common unknowns."""
+
+    reach: Array  # (p, 2), length of the interval below and above the value, scaled
+    open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
+
+
+def sides_of(model: Model, readings: Array, joint: Joint, spread: Spread, ends: Array) -> Sides:
+    """Intervals below and above each value; where the cost rises otherwise than expected, from a profile.
 
     Args:
         model: of the windows of the fit.
-        measured: their readings over their noise, (B, channels, T); NaN is left out.
+        readings: over their noise, (B, channels, T).
         joint: the fit.
-    """
-
-    def __init__(self, model: Model, measured: Array, joint: Joint) -> None:
-        self.model, self.joint = model, joint
-        self.known = np.isfinite(measured)
-        self.measured = np.where(self.known, measured, 0.0)
-        self.window = np.arange(model.count)
-        residual = self._residual(joint.scaled, self.window)
-        number = np.maximum(self.known.sum(axis=2), 1)
-        self.weight = 1.0 / np.maximum((residual**2).sum(axis=2) / number, 1.0)  # as in the fit
-        self.cost = self._cost(residual, self.window)
-
-    def rises(self, offsets: Array, follow: bool) -> Array:
-        """Rise of the cost of the readings, (K,), for K offsets (K, p) of the scaled common unknowns.
-
-        Args:
-            offsets: from the fit.
-            follow: whether the start states of the windows follow as in the linear model; else they stay.
-        """
-        count, joint = len(offsets), self.joint
-        rows = np.repeat(joint.scaled[None], count, axis=0)
-        rows[:, :, joint.shared] += offsets[:, None]
-        if follow:
-            rows[:, :, joint.own] += np.einsum("bop,kp->kbo", joint.response, offsets)
-        window = np.tile(self.window, count)
-        residual = self._residual(rows.reshape(len(window), -1), window)
-        costs = self._cost(residual, window).reshape(count, -1)
-        return np.asarray(np.nan_to_num(costs - self.cost, nan=np.inf, posinf=np.inf).sum(axis=1))
-
-    def _residual(self, scaled: Array, window: NDArray[np.int64]) -> Array:
-        read, _ = self.model.readings(scaled, window)
-        return np.where(self.known[window], self.measured[window] - read, 0.0)
-
-    def _cost(self, residual: Array, window: NDArray[np.int64]) -> Array:
-        return np.asarray((self.weight[window] * (residual**2).sum(axis=2)).sum(axis=1))
-
-
-class Sides(NamedTuple):
-    """What steps to both sides of the p common unknowns show."""
-
-    wider: Array  # (p, 2), factor on the interval below and above the value, at least 1
-    open: NDArray[np.int64]  # (p,), 1: only a lower end is known, −1: only an upper one, 0: both or none
-    end: Array  # (p,), the known end of an open interval, scaled
-
-
-def sides_of(profile: Profile, spread: Spread, ends: Array) -> Sides:
-    """Compare steps of two standard deviations to both sides of each unknown with the rise that is expected.
-
-    The rise along any path is at least that with all others fitted again. So a small rise along one path suffices:
-    along the ridge of the linear model, or with all others at rest.
-
-    Args:
-        profile: of the fit.
         spread: of the fit.
         ends: of the ranges, (p, 2), scaled; infinite for unknowns that no limit describes.
     """
-    joint = profile.joint
-    count, middle = len(joint.shared), joint.scaled[0, joint.shared]
-    covariance = np.linalg.inv(joint.precision)
-    ridge = covariance / np.diag(covariance)  # row j: all unknowns, for a step of 1 of unknown j
+    middle, count = joint.common, len(joint.shared)
     bounded = (ends[:, 0] < middle) & (middle < ends[:, 1]) & np.isfinite(ends).all(axis=1)
     room = np.where(bounded[:, None], np.abs(ends - middle[:, None]), np.inf)
-    steps = np.minimum(STEP * spread.deviation[:, None], room) * np.array([-1.0, 1.0])  # (p, 2)
-    offsets = (steps[:, :, None] * np.eye(count)[:, None]).reshape(-1, count)
-    along = (steps[:, :, None] * ridge[:, None]).reshape(-1, count)
-    prior = 2.0 * along @ middle + (along**2).sum(axis=1)
-    alone = 2.0 * offsets @ middle + (offsets**2).sum(axis=1)
-    rise = np.minimum(profile.rises(along, True) + prior, profile.rises(offsets, False) + alone).reshape(count, 2)
-    expected = (steps / spread.deviation[:, None]) ** 2
-    # A step that the end of the range makes short shows nothing.
-    share = np.where(np.abs(steps) > LEAST_STEP * spread.deviation[:, None], rise / np.maximum(expected, 1e-12), 1.0)
-    wider = np.clip(1.0 / np.sqrt(np.maximum(share, 1e-3)), 1.0, MOST_WIDER)
-    found, end = np.zeros(count, np.int64), np.full(count, np.nan)
-    for place in np.flatnonzero(bounded & ((share < FLAT) | (share > STEEP)).any(axis=1)).tolist():
-        threshold = (STEP * spread.widening[place]) ** 2
-        grids = [middle[place] + np.linspace(0.0, 1.0, PLACES + 1)[1:] * (end_ - middle[place]) for end_ in ends[place]]
-        free = []
-        for grid in grids:
-            moved = (grid - middle[place])[:, None] * np.eye(count)[place]
-            above = profile.rises(moved, False) > threshold
-            free.append(grid[int(above.argmax())] if above.any() else math.nan)
-        if math.isnan(free[0]) == math.isnan(free[1]):  # both sides end within the range, or none does
-            for side in np.flatnonzero((share[place] < FLAT) & ~np.isnan(free)).tolist():
-                plateau = abs(free[side] - middle[place]) / spread.reach[place]
-                wider[place, side] = max(wider[place, side], plateau)
+    near = _rises(model, readings, joint, np.minimum(STEP * spread.deviation[:, None], room))
+    far = _rises(model, readings, joint, np.minimum(FAR_STEP * spread.deviation[:, None], np.minimum(room, FARTHEST)))
+    reach = spread.reach[:, None] * np.clip(1.0 / np.sqrt(np.maximum(near, 1e-3)), 1.0, MOST_WIDER)
+    covariance = np.linalg.inv(joint.precision)
+    alike = np.abs(covariance) / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    limits = np.array([model.names[place] in LIMITS for place in joint.shared])
+    flat = bounded & (limits | (np.minimum(near, far) < FLAT).any(axis=1))
+    odd = flat | (near > STEEP).any(axis=1) | (near < FLAT).any(axis=1)
+    found, done = np.zeros(count, np.int64), np.zeros(count, np.bool_)
+    for place in sorted(np.flatnonzero(odd).tolist(), key=lambda place: -spread.deviation[place]):
+        if not flat[place] and (done.sum() >= MOST_PROFILES or (alike[place, done] > ALIKE).any()):
             continue
-        side = 0 if math.isnan(free[1]) else 1  # the side with an end
-        reach = spread.reach[place] * wider[place, side]
-        sure = middle[place] + (reach if side else -reach)
-        found[place] = -1 if side else 1
-        # The nearer end: the slope at the value, or the profile where the slope is that of the flat side.
-        end[place] = min(sure, free[side]) if side else max(sure, free[side])
-    return Sides(wider, found, end)
+        done[place] = True
+        target = (spread.reach[place] / spread.deviation[place]) ** 2
+        target = max(target, (SURE * spread.widening[place]) ** 2) if flat[place] else target
+        lengths = (-spread.reach[place], spread.reach[place])
+        paths = [
+            follow(model, readings, joint, place, length, target, float(end))
+            for length, end in zip(lengths, ends[place] if bounded[place] else (-np.inf, np.inf), strict=True)
+        ]
+        for path in paths:
+            rest = np.sqrt(np.maximum(1.0 - path.rise / target, 0.0))  # that the other unknowns may use up
+            beside = rest[:, None] * spread.reach * np.sqrt(1.0 - np.minimum(alike[place], 1.0) ** 2)
+            away = path.scaled - middle
+            reach[:, 0] = np.maximum(reach[:, 0], (beside - away).max(axis=0))
+            reach[:, 1] = np.maximum(reach[:, 1], (beside + away).max(axis=0))
+        if bounded[place] and paths[0].endless != paths[1].endless:
+            found[place] = 1 if paths[1].endless else -1
+    return Sides(reach, found)
+
+
+def _rises(model: Model, readings: Array, joint: Joint, lengths: Array) -> Array:
+    """Rise of the cost over that of the linear model after steps of these lengths below and above each value, (p, 2).
+
+    The steps lead along the ridge of the linear model; one that the end of a range makes short shows nothing: 1.
+    """
+    count, middle = len(joint.shared), joint.common
+    covariance = np.linalg.inv(joint.precision)
+    ridge = covariance / np.diag(covariance)[:, None]  # row j: all unknowns, for a step of 1 of unknown j
+    steps = lengths * np.array([-1.0, 1.0])
+    offsets = (steps[:, :, None] * ridge[:, None]).reshape(-1, count)  # (2p, p)
+    rows = np.repeat(joint.scaled[None], len(offsets) + 1, axis=0)
+    rows[1:, :, joint.shared] += offsets[:, None]
+    rows[1:, :, joint.own] += np.einsum("bop,kp->kbo", joint.response, offsets)
+    window, known = np.tile(np.arange(model.count), len(rows)), np.isfinite(readings)
+    read, _ = model.readings(rows.reshape(len(window), -1), window)
+    missed = np.where(known[window], np.nan_to_num(readings)[window] - read, 0.0).reshape(len(rows), *readings.shape)
+    square = (missed**2).sum(axis=3)
+    weight = 1.0 / np.maximum(square[0] / np.maximum(known.sum(axis=2), 1), 1.0)  # as in the fit
+    cost = np.nan_to_num((weight * square).sum(axis=(1, 2)), nan=np.inf, posinf=np.inf)
+    rise = cost[1:] - cost[0] + 2.0 * offsets @ middle + (offsets**2).sum(axis=1)
+    deviation = np.sqrt(np.diag(covariance))[:, None]
+    expected = (lengths / deviation) ** 2
+    return np.where(lengths > LEAST_STEP * deviation, rise.reshape(count, 2) / np.maximum(expected, 1e-12), 1.0)
 
 
 def range_ends(
